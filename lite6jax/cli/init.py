@@ -52,6 +52,8 @@ class Init:
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
     """What a column is, such as joint_1=q1_deg, tcp_x=x_mm, or foo=ignore. May be repeated."""
+    names: str = ""
+    """What the columns of a table without names are, in order: q1_deg,q2_deg,x_mm; nothing for one to be ignored."""
     set: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="KEY=VALUE")] = ()
     """A key of the sidecar, such as pose_frame=base or tool=none. May be repeated."""
     yes: bool = False
@@ -74,7 +76,6 @@ class Init:
         sidecar = sidecar_path(path)
         settings = pairs("--set", self.set, parsed=True)
         given = pairs("--column", self.column)
-        check_writable(sidecar, self.force)
         arm, shown = self.arm, False
 
         def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
@@ -86,6 +87,8 @@ class Init:
             return inspect(columns, load_nominal(arm), given, str(file))
 
         file, table, columns, notes = opened()
+        check_writable(sidecar, self.force)
+        given = table.renamed(str(file), given, self.names)
         found = look()
         if not (self.yes or self.json) and _on_a_terminal():
             screen.show(inspection.inspection_report(found, str(file)))
@@ -103,7 +106,7 @@ class Init:
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
-            print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))

@@ -2,11 +2,17 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.floating]
 
 _ROUNDS = 12
 _MOST_SAMPLES = 3000
+_DETERMINED = 0.01
+"""Least singular value over the largest: below, as in motions about two axes, nine cosines are not determined, from
+which the rotation would come; it is 2e-4 for a positioner of two axes and above 0.1 for arms."""
+_FEW = 40
+"""Samples that tell rotations apart."""
 
 
 def frames_from_poses(
@@ -36,12 +42,16 @@ def frames_from_poses(
     weight = np.ones(len(p))
     T_frame = np.eye(4) if frame is None else frame.copy()
     T_tool = np.eye(4) if tool is None else tool.copy()
-    for _ in range(_ROUNDS):
+    determined = frame is not None or tool is not None or _cosines(R, p, position, weight)[1] > _DETERMINED
+    if not determined:
+        T_frame[:3, :3], T_tool[:3, 3], T_frame[:3, 3] = _best_of_many(R, p, position)
+    for k in range(_ROUNDS):
         if frame is None and tool is None:
-            T_frame[:3, :3] = _frame_rotation_beside_tool(R, p, position, weight)
-            columns = np.concatenate([T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
-            found = _solve(columns, position - p @ T_frame[:3, :3].T, weight)
-            T_tool[:3, 3], T_frame[:3, 3] = found[:3], found[3:]
+            if determined and k < _ROUNDS // 2:
+                T_frame[:3, :3] = _nearest_rotation(_cosines(R, p, position, weight)[0]).T
+            else:
+                T_frame[:3, :3] = _turned_frame(R, p, position, weight, T_frame, T_tool)
+            T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
         elif frame is None:
             points = p + R @ T_tool[:3, 3]
             T_frame = _registration(points, position, weight)
@@ -57,7 +67,8 @@ def frames_from_poses(
     return T_frame, T_tool
 
 
-def _frame_rotation_beside_tool(R: Array, p: Array, position: Array, weight: Array) -> Array:
+def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array, float]:
+    """The nine of the base's axes in the sensor's, and how well they are determined, from 1 down to 0."""
     center = position.mean(0)
     size = max(float(np.abs(position - center).max()), 1e-9)
     y = (position - center) / size
@@ -66,8 +77,45 @@ def _frame_rotation_beside_tool(R: Array, p: Array, position: Array, weight: Arr
         rows[:, i, 3 * i : 3 * i + 3] = y
         rows[:, i, 9 + i] = -1.0
     rows[:, :, 12:] = -R
-    A = _solve(rows, p, weight)[:9].reshape(3, 3)
-    return _nearest_rotation(A).T
+    A = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, 15)
+    found, _, _, singular = np.linalg.lstsq(A, (np.sqrt(weight)[:, None] * p).ravel(), rcond=1e-9)
+    return found[:9].reshape(3, 3), float(singular[-1] / singular[0])
+
+
+def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Array]:
+    """The sensor frame's rotation and both translations from the best of many rotations, on some of the samples."""
+    few = np.unique(np.linspace(0, len(p) - 1, _FEW).astype(int))
+    R, p, position, weight = R[few], p[few], position[few], np.ones(len(few))
+    found = []
+    for start in Rotation.create_group("O").as_matrix():
+        T_frame, T_tool = np.eye(4), np.eye(4)
+        T_frame[:3, :3] = start
+        for _ in range(_ROUNDS // 2):
+            T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
+            T_frame[:3, :3] = _turned_frame(R, p, position, weight, T_frame, T_tool)
+        T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
+        missed = position - (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T - T_frame[:3, 3]
+        found.append((float(np.median(np.linalg.norm(missed, axis=1))), len(found), T_frame, T_tool))
+    _, _, T_frame, T_tool = min(found, key=lambda one: one[:2])
+    return T_frame[:3, :3], T_tool[:3, 3], T_frame[:3, 3]
+
+
+def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: Array) -> tuple[Array, Array]:
+    """Of the tool and the sensor frame, whose rotation is given."""
+    columns = np.concatenate([R_frame @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
+    found = _solve(columns, position - p @ R_frame.T, weight)
+    return found[:3], found[3:]
+
+
+def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: Array, T_tool: Array) -> Array:
+    """A Gauss–Newton step of the sensor frame's rotation, with both translations free."""
+    turned = (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T
+    x, y, z = turned.T
+    o = np.zeros_like(x)
+    cross = np.stack([np.stack(row, -1) for row in ([o, z, -y], [-z, o, x], [y, -x, o])], -2)
+    columns = np.concatenate([cross, T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
+    step = _solve(columns, position - turned - T_frame[:3, 3], weight)[:3]
+    return Rotation.from_rotvec(step).as_matrix() @ T_frame[:3, :3]
 
 
 def _registration(points: Array, position: Array, weight: Array) -> Array:

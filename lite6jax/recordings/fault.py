@@ -21,12 +21,20 @@ class DataFault:
         position_unit           factor: by which the rows are too large
         commanded_joints        reason: "grid" (grid_rad, grid_unit, distinct_positions) or "returns" (returns,
                                 joint_noise_rad)
-        swapped_joints          joints, and those of columns
-        mirrored_joint          joint, and those of columns
-        joint_unit              joint, unit of its column ("deg" or "rad"), and those of columns
-        joint_turns             joints (whole turns); or joint, added_rad, and those of columns
-        orientation_convention  convention ("inverted", "scalar_last" or "inverted_scalar_last"), and those of columns
-        (columns)               median_error_m, corrected_error_m, alternatives: lists of faults that fit as well
+        swapped_joints          joints, and those of a mismatch
+        mirrored_joint          joint, and those of a mismatch
+        joint_unit              joint, unit of its column ("deg" or "rad"), and those of a mismatch
+        joint_turns             joints (whole turns); or joint, added_rad, and those of a mismatch
+        orientation_convention  convention ("inverted", "scalar_last" or "inverted_scalar_last"), and the same
+        coupled_joint           joint, added_joint, factor (±1), and those of a mismatch
+        inverted_poses          those of a mismatch
+        mirrored_sensor         axes (reversed, such as "z", or exchanged, such as "xy"), and those of a mismatch
+        declared_frame          translation_m and rotation_rad of the base in it, and those of a mismatch
+        declared_tool           translation_m on the flange, and those of a mismatch
+        (mismatch)              median_error_m, corrected_error_m, alternatives: lists of faults that fit as well
+        undecided               those of a mismatch; nothing was corrected
+        unexplained             median_error_m, fitted_error_m, best_alternative_m
+        computed_pose           median_error_m, chain ("nominal" or "factory")
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
         unsettled_readouts      shape ("move", "rows", "velocity" or "constant"), joints, all_joints, rest (a share, s
@@ -44,7 +52,9 @@ class DataFault:
         repeated_rows           samples
         position_unit           largest_distance_m, median_distance_m: from the middle of all
         commanded_joints        reason: "declared" or "not_round" (share, grid_rad, grid_unit)
-        (columns)               median_error_m, suspected_above_m, best_alternative_m (where others were tried)
+        (mismatch)              median_error_m, suspected_above_m, one_point, best_alternative_m (where others were
+                                tried)
+        computed_pose           reason: "declared" or "measured"
         joint_turns             outside_limits_rad: 0 where all are inside
         frame_jump              reason: "chance", "gradual", "too_few_rows" or "physics" (candidate_rows,
                                 log_likelihood_gap, rival_terms); samples, p_value

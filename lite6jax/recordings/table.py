@@ -176,7 +176,7 @@ def no_numbers(kind: pa.DataType, quantity: str) -> str:
 
     A time may be given by a clock.
     """
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind):
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
         return ""
     if quantity == "time" and holds_clock_times(kind):
         return ""

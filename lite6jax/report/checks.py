@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
@@ -18,6 +19,7 @@ _NAMES = {
     "tool_offset": "Tool offset",
     "joint_limits": "Joint limits",
     "geometry": "Geometry",
+    "one_point": "Positions",
     "outliers": "Outliers",
 }
 
@@ -53,7 +55,9 @@ def statement(cause: Cause) -> str:
             return f"A tool offset is likely: {share}. Set the tool offset (TCP) to zero, or declare it."
         if cause.suspicious:
             return f"A tool offset is possible: {share}. Check that the tool offset (TCP) is zero."
-        return f"No tool offset: {share}."
+        declared = float(np.linalg.norm(n.get("declared_m", 0.0)))
+        beyond = f"No tool offset beyond the declared {_mm(declared)} mm" if declared else "No tool offset"
+        return f"{beyond}: {share}."
     if cause.code == "joint_limits":
         unit = "m" if "largest_excess_m" in n else "rad"
         scale, shown = SCREEN[unit]
@@ -65,6 +69,13 @@ def statement(cause: Cause) -> str:
         one = len(cause.rows) == 1
         name, verb, them = rows_named(cause.rows), "is an outlier" if one else "are outliers", "it" if one else "them"
         return f"{_capital(name)} {verb}, by up to {_mm(n['largest_m'])} mm. Check {them}."
+    if cause.code == "one_point":
+        return (
+            "The measured positions are one point, the same in every row: a touched point or a fixed target. They show "
+            f"neither a scale nor axes. With the nominal arm the tool misses the point by {_mm(n['before_m'])} mm "
+            f"(median), with a fitted geometry by {_mm(n['fitted_m'])} mm, of which much is not determined. Touch "
+            "several points, or measure positions, to calibrate the arm."
+        )
     return _geometry(cause)
 
 
@@ -79,6 +90,12 @@ def _geometry(cause: Cause) -> str:
         return f"The {start} is correct to within the sensor noise: {share}."
     if n["kind"] == "geometry":
         return f"The error is a calibration error: {share}."
+    if n["kind"] == "too_far":
+        return (
+            f"The poses are {_mm(n['before_rms_m'])} mm RMS from the {start}: further than any calibration is off. "
+            "A change of geometry explains them, but the arm, its zeros or the frames are not what is declared. Check "
+            "these first."
+        )
     part = "partly" if n["kind"] == "partly" else "not"
     return f"The error is {part} a calibration error: {share}. Diagnose the recording."
 

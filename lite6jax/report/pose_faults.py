@@ -1,6 +1,7 @@
 """The sentences about data faults of recordings of poses, one for each code, found or not."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,14 @@ NAMES = {
     "joint_unit": "Joint in another unit",
     "joint_turns": "Joint off by turns",
     "orientation_convention": "Orientation convention",
+    "declared_frame": "Declared frame",
+    "declared_tool": "Declared tool",
+    "inverted_poses": "Inverted poses",
+    "mirrored_sensor": "Left-handed sensor",
+    "coupled_joint": "Coupled joints",
+    "undecided": "Undecided mismatch",
+    "unexplained": "Unexplained mismatch",
+    "computed_pose": "Computed poses",
     "frame_jump": "Frame jump",
     "unsettled_readouts": "Unsettled joint read-outs",
     "nominal_table": "Nominal table",
@@ -100,69 +109,142 @@ def _grid(n: Numbers) -> str:
     return "0.01 deg" if n["grid_unit"] == "deg" else f"{n['grid_rad']:g} rad"
 
 
-# ------------------------------------------------------------------ columns
+# ------------------------------------------------------------------ what misses the arm grossly
 
-NO_COLUMN_FAULT = {
-    "swapped_joints": "no joints are swapped",
-    "mirrored_joint": "no joint has its sign reversed",
-    "joint_unit": "no joint is in another unit",
+NO_MISMATCH = {
+    "declared_frame": "the frame is the declared one",
+    "declared_tool": "the tool is the declared one",
+    "inverted_poses": "no poses are inverted",
+    "mirrored_sensor": "the sensor's axes are right-handed",
     "orientation_convention": "the orientations are unit quaternions of the tool, scalar first",
+    "swapped_joints": "no joints are swapped",
+    "joint_unit": "no joint is in another unit",
+    "mirrored_joint": "no joint has its sign reversed",
+    "coupled_joint": "no joint's column depends on another joint",
 }
-"""Faults of columns, each as a clause that rules it out."""
+"""Faults that make poses miss the arm grossly, each as a clause that rules it out."""
+_REMEDIES = {
+    "declared_frame": "The frame was fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
+    "declared_tool": "The tool was fitted. Declare the tool that was set in the controller, or tool: unknown",
+    "inverted_poses": "They were inverted. Write the poses of what moves with the flange, in the frame of what stands "
+    "still",
+    "mirrored_sensor": "The axes were turned into right-handed ones. Export the poses in right-handed axes",
+    "coupled_joint": "The columns were uncoupled. Write each joint's own angle, as the driver (ROS) has it",
+}
 
 
-def _column(rows: Sequence[int], n: Numbers, code: str) -> str:
-    sentence = f"{_capital(_column_fault(code, n))}. "
+def _mismatch(n: Numbers, code: str) -> str:
+    sentence = f"{_capital(_changed(code, n))}. "
     sentence += (
-        f"The correction reduces the median error from {_mm(n['median_error_m'], 4)} mm to "
-        f"{_mm(n['corrected_error_m'])} mm and was applied. "
+        f"The median error falls from {_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm with the "
+        "correction, which was applied. "
     )
     if n["alternatives"]:
-        others = " or ".join(
-            " and ".join(_column_fault(part["fault"], part) for part in parts) for parts in n["alternatives"]
-        )
-        sentence += f"It is indistinguishable from another correction: {others}. "
-    return sentence + "Correct the columns in the file."
+        sentence += f"The same poses would result where {' or where '.join(map(_together, n['alternatives']))}. "
+    return f"{sentence}{_REMEDIES.get(code, 'Correct the columns in the file')}."
 
 
-def _column_fault(code: str, n: Numbers) -> str:
-    if code == "swapped_joints":
-        return f"joints {_joined(map(str, n['joints']))} are swapped"
-    if code == "mirrored_joint":
-        return f"joint {n['joint']} has its sign reversed"
-    if code == "joint_unit":
-        other = "degrees" if n["unit"] == "deg" else "radians though the others are in degrees"
-        return f"joint {n['joint']} is in {other}"
-    if code == "orientation_convention":
-        return f"the orientations are {_CONVENTIONS[n['convention']]}"
+def _undecided(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and {len(n['alternatives'])} "
+        f"corrections explain that alike, to {_mm(n['corrected_error_m'])} mm: "
+        f"{'; or '.join(map(_together, n['alternatives']))}. Nothing was corrected. Find out which it is, and correct "
+        "the file."
+    )
+
+
+def _unexplained(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and by {_mm(n['fitted_error_m'])} mm "
+        "with its geometry fitted. That is no calibration error. No change of frame, tool, axes, order, signs, zeros "
+        f"or units explains it (the best leaves {_mm(n['best_alternative_m'])} mm). Check that it is this arm, and "
+        "that joints and poses of a row belong together."
+    )
+
+
+def _together(parts: Sequence[Numbers]) -> str:
+    signs = [part["joint"] for part in parts if part["fault"] == "mirrored_joint"]
+    clauses = [_changed(part["fault"], part) for part in parts if part["fault"] != "mirrored_joint" or len(signs) < 2]
+    if len(signs) > 1:
+        clauses.append(f"joints {_joined(map(str, signs))} have their signs reversed")
+    return _joined(clauses)
+
+
+def _changed(code: str, n: Numbers) -> str:
+    """A hypothesis in a clause."""
+    match code:
+        case "declared_frame":
+            return "the poses are not in the frame that is declared" + (_frame(n) if "rotation_rad" in n else "")
+        case "declared_tool":
+            at = (
+                f"; it is at ({', '.join(map(_mm, n['translation_m']))}) mm on the flange"
+                if "translation_m" in n
+                else ""
+            )
+            return f"the tool is not the one that is declared{at}"
+        case "inverted_poses":
+            return (
+                "the poses are inverted: each is that of the sensor's frame in the tool's, as a camera on the flange "
+                "sees a board that stands still"
+            )
+        case "mirrored_sensor":
+            axes = n["axes"]
+            how = f"{axes} is reversed" if len(axes) == 1 else f"{axes[0]} and {axes[1]} are exchanged"
+            return f"the axes of the sensor are left-handed ({how}, or an equivalent)"
+        case "orientation_convention":
+            return f"the orientations are {_CONVENTIONS[n['convention']]}"
+        case "swapped_joints":
+            return f"joints {_joined(map(str, n['joints']))} are swapped"
+        case "mirrored_joint":
+            return f"joint {n['joint']} has its sign reversed"
+        case "coupled_joint":
+            mark = "+" if n["factor"] > 0 else "−"
+            i, j = n["joint"], n["added_joint"]
+            return f"joint {i} is coupled to joint {j} in its column: q{i} = column {mark} q{j}"
+        case "joint_unit":
+            other = "degrees" if n["unit"] == "deg" else "radians though the others are in degrees"
+            return f"joint {n['joint']} is in {other}"
     turned = abs(n["added_rad"])
-    away = "half a turn" if np.isclose(turned, np.pi) else f"{np.rad2deg(-n['added_rad']):+.0f} deg"
-    return f"the zero of joint {n['joint']} is off by {away}"
+    away = "half a turn" if np.isclose(turned, np.pi) else f"{np.rad2deg(-n['added_rad']):+.3g} deg"
+    return f"the column of joint {n['joint']} has its zero off by {away}"
 
 
-def _column_reason(n: Numbers) -> str:
-    error, limit = _mm(n["median_error_m"]), _mm(n["suspected_above_m"])
-    if "best_alternative_m" in n:
-        return (
-            f"the median error is {error} mm, but no correction of columns reduces it below "
-            f"{_mm(n['best_alternative_m'])} mm. Check the arm, the frame and the tool that the sidecar declares."
-        )
-    return f"the median error is {error} mm; column errors are suspected above {limit} mm."
+def _frame(n: Numbers) -> str:
+    vector, shift = np.array(n["rotation_rad"]), np.array(n["translation_m"])
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle > 0 else vector
+    main = int(np.argmax(np.abs(axis)))
+    about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
+    said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
+    if np.linalg.norm(shift) > 2e-3:
+        said += f" and stands at ({', '.join(map(_mm, shift))}) mm"
+    if about == "about z" and abs(angle - np.pi) < 0.02:
+        said += ", as base_link and base of Universal Robots are to each other"
+    return said
 
 
-def columns_ruled_out(codes: Iterable[str], n: Numbers) -> str:
-    """Why faults of columns that the same numbers rule out are not there.
+def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
+    """Why faults that the same numbers rule out are not there.
 
     Args:
-        codes: of `NO_COLUMN_FAULT`.
+        codes: of `NO_MISMATCH`.
         n: of each.
     """
-    return f"{_capital(_joined(NO_COLUMN_FAULT[code] for code in codes))}: {_column_reason(n)}"
+    error, limit = _mm(n["median_error_m"]), _mm(n["suspected_above_m"])
+    if n.get("one_point"):
+        return (
+            "Signs, order, units and frames were not compared: the positions are one point, the same in every row, "
+            "which shows neither a scale nor axes."
+        )
+    reason = f"the median error is {error} mm; such faults are suspected above {limit} mm."
+    if "best_alternative_m" in n:
+        reason = f"of the median error of {error} mm the best correction leaves {_mm(n['best_alternative_m'])} mm."
+    return f"{_capital(_joined(NO_MISMATCH[code] for code in codes))}: {reason}"
 
 
 def _joint_turns(rows: Sequence[int], n: Numbers) -> str:
     if "added_rad" in n:
-        return _column(rows, n, "joint_turns")
+        return _mismatch(n, "joint_turns")
     joints = f"Joint{'s' if len(n['joints']) > 1 else ''} {_joined(map(str, n['joints']))}"
     verb = "are" if len(n["joints"]) > 1 else "is"
     return (
@@ -175,6 +257,21 @@ def _no_joint_turns(n: Numbers) -> str:
     if n["outside_limits_rad"]:
         return f"No joint is off by whole turns; the limits are exceeded by {n['outside_limits_rad']:.3g} rad at most."
     return "No joint is off by whole turns: all are within their limits."
+
+
+def _computed_pose(rows: Sequence[int], n: Numbers) -> str:
+    table = {"nominal": "the nominal table", "factory": "the calibration file"}[n["chain"]]
+    return (
+        f"The poses are those that {table} computes from the joints, to {1e6 * n['median_error_m']:.2g} µm: no sensor "
+        "measures so exactly. They are the controller's own forward kinematics and show nothing of the arm itself. "
+        "Take the columns of a sensor, or declare pose_source: controller_fk."
+    )
+
+
+_NOT_COMPUTED = {
+    "declared": "The sidecar declares that the controller computed the poses: they compare tables and show no physics.",
+    "measured": "The poses were measured: no table computes them from the joints to rounding.",
+}
 
 
 # ------------------------------------------------------------------ frames and joints beside physics
@@ -202,7 +299,8 @@ def _no_frame_jump(n: Numbers) -> str:
         return "There is no frame jump: what changes does so over many rows, as physics does."
     if n["reason"] == "too_few_rows":
         return f"{n['samples']} rows are too few to test for a frame jump."
-    return f"There is no frame jump ({_chance(n['p_value'])})."
+    small = " that matters" if n["p_value"] < 0.01 else ""
+    return f"There is no frame jump{small} ({_chance(n['p_value'])})."
 
 
 _SHAPES = {
@@ -245,7 +343,8 @@ def _settled(n: Numbers) -> str:
             "but the moves after explain them too, as the poses are in an orderly sequence. Record some in random "
             "order."
         )
-    return f"The joints were read at rest: the moves before explain nothing ({_chance(n['p_value'])})."
+    share = "less than matters" if n["p_value"] < 0.01 else "nothing"
+    return f"The joints were read at rest: the moves before explain {share} ({_chance(n['p_value'])})."
 
 
 # ------------------------------------------------------------------ what the sidecar declares
@@ -322,11 +421,11 @@ FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "repeated_rows": _repeated_rows,
     "position_unit": _position_unit,
     "commanded_joints": _commanded,
-    "swapped_joints": lambda rows, n: _column(rows, n, "swapped_joints"),
-    "mirrored_joint": lambda rows, n: _column(rows, n, "mirrored_joint"),
-    "joint_unit": lambda rows, n: _column(rows, n, "joint_unit"),
+    **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in NO_MISMATCH},
+    "undecided": _undecided,
+    "unexplained": _unexplained,
+    "computed_pose": _computed_pose,
     "joint_turns": _joint_turns,
-    "orientation_convention": lambda rows, n: _column(rows, n, "orientation_convention"),
     "frame_jump": _frame_jump,
     "unsettled_readouts": _unsettled,
     "nominal_table": _nominal_table,
@@ -340,10 +439,8 @@ RULED_OUT: dict[str, Callable[[Numbers], str]] = {
     "repeated_rows": lambda n: f"None of the {n['samples']} rows repeats joints and pose of another.",
     "position_unit": _no_position_unit,
     "commanded_joints": _not_commanded,
-    "swapped_joints": lambda n: columns_ruled_out(["swapped_joints"], n),
-    "mirrored_joint": lambda n: columns_ruled_out(["mirrored_joint"], n),
-    "joint_unit": lambda n: columns_ruled_out(["joint_unit"], n),
-    "orientation_convention": lambda n: columns_ruled_out(["orientation_convention"], n),
+    **{code: partial(lambda n, code: mismatch_ruled_out([code], n), code=code) for code in NO_MISMATCH},
+    "computed_pose": lambda n: _NOT_COMPUTED[n["reason"]],
     "joint_turns": _no_joint_turns,
     "frame_jump": _no_frame_jump,
     "unsettled_readouts": _settled,

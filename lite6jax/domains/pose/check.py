@@ -6,7 +6,7 @@ constant tool offset.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -18,9 +18,11 @@ from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
+from lite6jax.domains.pose.screening.hypotheses import touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.start import frames_from_poses
@@ -40,7 +42,8 @@ class Cause:
     """One simple cause of a mismatch.
 
     Attributes:
-        code: `default_table`, `nominal_table`, `tool_offset`, `joint_limits`, `geometry`, `outliers` or `missing_rows`.
+        code: `default_table`, `nominal_table`, `tool_offset`, `joint_limits`, `geometry`, `one_point`, `outliers` or
+            `missing_rows`.
         suspicious: whether it is to be removed before anything is fitted.
         rows: of the file, from 1; empty where all or none are concerned.
         numbers: in SI units, plain JSON values.
@@ -109,14 +112,13 @@ def check_recording(
     """
     options = options or ScreeningOptions()
     recording = recording if nominal is not None else with_arm(recording)
-    screened = screen(recording, nominal, options=options)
+    screened = screen(recording, nominal, options=options, allow_undecided=True)
     recording, arm = screened.recording, screened.arm
     assert arm is not None
-    causes = [
-        *_joint_limits(recording, arm),
-        *_recorded_tool_offset(recording, arm, options),
-        *_geometry_and_outliers(recording, arm, options),
-    ]
+    causes = _joint_limits(recording, arm)
+    # beside a mismatch that nothing explains, no share of the error means anything
+    if not any(screened.count(code) for code in ("undecided", "unexplained")):
+        causes += [*_recorded_tool_offset(recording, arm, options), *_geometry_and_outliers(recording, arm, options)]
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
 
@@ -138,7 +140,7 @@ def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
 def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
     """A constant displacement of the measured point on the flange; none where the tool is fitted."""
     settings = recording.settings
-    if settings.tool == "unknown":
+    if settings.tool == "unknown" or _one_point(recording):
         return []
     path = settings.factory_path(Path(recording.source).parent)
     links, after = arm.links, arm.T_joint_flange
@@ -152,7 +154,9 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
         known = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
     before, declared = _residual(recording, flange, known)
     rest, tool = _residual(recording, flange, None)
-    return [_tool_offset(tool[:3, 3] - declared[:3, 3], np.sum(before**2, 1), np.sum(rest**2, 1), options)]
+    cause = _tool_offset(tool[:3, 3] - declared[:3, 3], np.sum(before**2, 1), np.sum(rest**2, 1), options)
+    numbers = {**cause.numbers, "declared_m": known[:3, 3].tolist()}
+    return [replace(cause, numbers=numbers)]
 
 
 def _residual(recording: Recording, flange: Array, tool: Array | None) -> tuple[Array, Array]:
@@ -172,8 +176,15 @@ def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOpt
     return Cause("tool_offset", share >= options.partly_explained, (), numbers)
 
 
+def _one_point(recording: Recording) -> bool:
+    return touches_one_point(recording, recording.settings.position_noise_m or UNDECLARED_NOISE[0])
+
+
 def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
     solution = fit_recording(recording, arm, geometry="free")
+    if _one_point(recording):
+        before, after = (float(np.median(e.position)) for e in (solution.nominal_errors, solution.errors))
+        return [Cause("one_point", True, (), {"before_m": before, "fitted_m": after})]
     before, after = (
         float(np.median(errors.position)) * _RMS_OF_MEDIAN for errors in (solution.nominal_errors, solution.checked)
     )
@@ -183,6 +194,8 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
+    if kind == "geometry" and before > options.calibration_reach * arm.reach:
+        kind = "too_far"
     numbers = {
         "kind": kind,
         "explained": share,
@@ -190,7 +203,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
         "heldout_rms_m": after,
         "start": "factory_calibration" if recording.settings.factory_calibration else "nominal_arm",
     }
-    geometry = Cause("geometry", kind in ("partly", "other"), (), numbers)
+    geometry = Cause("geometry", kind in ("partly", "other", "too_far"), (), numbers)
     outlying = np.flatnonzero(solution.weight < DOWNWEIGHTED)
     if not outlying.size:
         return [geometry, Cause("outliers", False)]

@@ -34,6 +34,12 @@ SLIGHTLY = 1.3
 """The same where it is likely."""
 
 
+LEAST_SPREAD_M = 5e-3
+"""Of positions that say something of an arm, from their median: those of one touched point set no scale."""
+LONGEST_TOOL_M = 1.0
+"""Or the reach of an arm, if that is longer."""
+
+
 class Pose(NamedTuple):
     """Columns of a table in its own units and conventions, rows without gaps.
 
@@ -104,6 +110,10 @@ def agreement(
         divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
         position = pose.position[rows] / units_of("x")[unit]
         tried[turning, sliding, unit] = _positions(arm, pose.joint[rows] / divisor, position)
+    # a free tool takes up any scale where the axes cross, so that the size counts as well
+    farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
+    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one.spread < farthest}
+    by_size, tried = by_size or not plausible, plausible or tried
     best = min(tried, key=lambda units: tried[units].score)
     found = tried[best]
     of_turns, of_slides, of_places = (_decided(best[k], _scores(tried, k), CLOSE) for k in range(3))
@@ -136,8 +146,8 @@ def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
     point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
     error = float(np.median(np.linalg.norm(point - position, axis=1)))
-    moved = [np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (position, flange[:, :3, 3])]
-    return _Tried(error, float(max(moved)), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+    spread = float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+    return _Tried(error, spread, T_sensor_base[:3, :3] @ flange[:, :3, :3])
 
 
 def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:

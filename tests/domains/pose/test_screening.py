@@ -14,7 +14,7 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening import registry
-from lite6jax.domains.pose.screening.columns import single_corrections
+from lite6jax.domains.pose.screening.hypotheses import Change, undo
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.physics_columns import physics_columns
 from lite6jax.domains.pose.screening.projection import Projected, estimated
@@ -49,6 +49,7 @@ ASKED = [
 ]
 SETUPS = {"exact": {}, "free": {"geometry": "free", "frame": True, "tool": True}}
 FIRST = (slice(None), 0)
+THIRD = (slice(None), 2)
 TURN = Rotation.from_rotvec([1e-3, 5e-4, -1e-3])
 SHIFT = np.array([1e-3, -0.5e-3, 0.3e-3])
 
@@ -329,9 +330,105 @@ class TestColumns:
     def test_what_nothing_explains_is_not_read_otherwise(self, good):
         rng = np.random.default_rng(0)
         screened = screen(replace(good, joint_position=rng.permutation(good.joint_position)))
-        assert not {"swapped_joints", "mirrored_joint", "joint_unit", "joint_turns"} & set(names(screened))
-        numbers = ruled_out(screened, "swapped_joints")
-        assert numbers["best_alternative_m"] > numbers["suspected_above_m"]
+        numbers = only(screened, "unexplained").numbers
+        assert min(numbers["best_alternative_m"], numbers["fitted_error_m"]) > 0.05 * LITE6.reach
+        np.testing.assert_array_equal(screened.recording.position, good.position)
+
+    @pytest.mark.parametrize("setup", SETUPS)
+    @pytest.mark.parametrize("signs", [(0, 1, 3), (1, 2, 3, 4), (0, 2, 3, 5)])
+    def test_many_signs(self, folder, still, signs, setup):
+        """Any set of reversed joints is one hypothesis."""
+        recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
+        screened = screen(joints_changed(recording, lambda q: q.__setitem__((slice(None), signs), -q[:, signs])))
+        assert [fault.numbers["joint"] - 1 for fault in screened.found] == list(signs)
+        np.testing.assert_array_equal(screened.recording.joint_position, recording.joint_position)
+
+    @pytest.mark.parametrize("setup", SETUPS)
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_a_coupled_column(self, folder, still, sign, setup):
+        """A pendant shows joint 3 against the horizontal: q3 = column ± q2."""
+        recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
+        screened = screen(joints_changed(recording, lambda q: q.__setitem__(THIRD, q[:, 2] - sign * q[:, 1])))
+        numbers = only(screened, "coupled_joint").numbers
+        assert (numbers["joint"], numbers["added_joint"], numbers["factor"]) == (3, 2, sign)
+        np.testing.assert_allclose(screened.recording.joint_position, recording.joint_position, atol=1e-12)
+
+    def test_zeros_of_any_angle(self, folder, still):
+        """Several zeros at once are estimated, but for those that a free frame and tool take up."""
+        recording = Made(folder, seed=9, **SETUPS["free"]).recording(still)
+        off = np.deg2rad([0, 12.0, -25.0, 0, 70.0, 0])
+        screened = screen(replace(recording, joint_position=recording.joint_position - off))
+        assert {fault.code for fault in screened.found} == {"joint_turns"}
+        found = {fault.numbers["joint"]: fault.numbers["added_rad"] for fault in screened.found}
+        assert found.keys() == {2, 3, 5}
+        np.testing.assert_allclose([found[2], found[3], found[5]], off[[1, 2, 4]], atol=0.03)
+
+    def test_inverted_poses(self, seven):
+        """A camera on the flange that sees a board."""
+        R = Rotation.from_quat(np.roll(seven.quaternion, -1, 1))
+        inverse = replace(seven, position=-R.inv().apply(seven.position), quaternion=seven.quaternion * [1, -1, -1, -1])
+        screened = screen(inverse)
+        only(screened, "inverted_poses")
+        np.testing.assert_allclose(screened.recording.position, seven.position, atol=1e-12)
+
+    @pytest.mark.parametrize("orientation", [True, False])
+    def test_a_left_handed_sensor(self, folder, still, orientation):
+        recording = Made(folder, seed=9, orientation=orientation, **SETUPS["free"]).recording(still)
+        quaternion = recording.quaternion
+        if quaternion is not None:  # a reflection in x: rotations about y and z are the other way round
+            quaternion = quaternion * [1, 1, -1, -1]
+            quaternion *= np.sign(quaternion[:, :1])
+        screened = screen(replace(recording, position=recording.position * [-1, 1, 1], quaternion=quaternion))
+        only(screened, "mirrored_sensor")
+
+    def test_exchanged_axes_of_a_declared_frame(self, folder, still):
+        recording = Made(folder, seed=9, orientation=False).recording(still)
+        screened = screen(replace(recording, position=recording.position[:, [1, 0, 2]]))
+        assert only(screened, "mirrored_sensor").numbers["axes"] == "xy"
+        np.testing.assert_array_equal(screened.recording.position, recording.position)
+
+    def test_a_frame_that_is_not_the_declared_one(self, good):
+        """base_link of Universal Robots is their base turned by half a turn about z."""
+        turned = replace(good, position=good.position * [-1, -1, 1], quaternion=None)
+        screened = screen(turned)
+        numbers = only(screened, "declared_frame").numbers
+        np.testing.assert_allclose(np.abs(numbers["rotation_rad"]), [0, 0, np.pi], atol=2e-3)
+        assert screened.recording.settings.pose_frame == "unknown"
+        assert numbers["alternatives"] == []  # half a turn of joint 1 turns about the axis that this arm really has
+
+    def test_a_tool_that_is_not_the_declared_one(self, good):
+        R = Rotation.from_quat(np.roll(good.quaternion, -1, 1))
+        tool = [0.0, 0.03, 0.12]
+        screened = screen(replace(good, position=good.position + R.apply(tool)))
+        np.testing.assert_allclose(only(screened, "declared_tool").numbers["translation_m"], tool, atol=2e-4)
+        assert screened.recording.settings.tool == "unknown"
+
+    def test_one_point_says_nothing_of_scale_or_signs(self, good):
+        touched = replace(good, position=np.zeros_like(good.position), quaternion=None)
+        screened = screen(touched)
+        assert screened.found == ()
+        assert ruled_out(screened, "mirrored_joint")["one_point"]
+
+    def test_poses_that_a_controller_computed(self, still):
+        """The nominal table reproduces them to the rounding of their columns; those of a tracker it does not."""
+        q = np.round(still["joint_position"], 6)
+        poses = np.round(six_parameter_poses(LITE6.kinematics, q)[:, :3, 3], 6)
+        settings = {"arm": "lite6", "pose_frame": "base", "tool": "none", "motion": "static"}
+        computed = Recording.from_arrays(q, poses, pose_source="laser_tracker", **settings)
+        assert "computed_pose" in names(screen(computed))
+        declared = Recording.from_arrays(q, poses, pose_source="controller_fk", **settings)
+        assert ruled_out(screen(declared), "computed_pose") == {"reason": "declared"}
+        measured = poses + np.random.default_rng(0).normal(0, 1e-5, poses.shape)
+        assert "computed_pose" not in names(screen(Recording.from_arrays(q, measured, **settings)))
+
+    def test_turns_are_removed_only_where_the_motion_is_continuous(self, moving):
+        """Poses far apart jump by half a turn and more, with and without times."""
+        rng = np.random.default_rng(3)
+        q = rng.uniform(-3.0, 3.0, moving["joint_position"].shape) * [1, 0.7, 0.4, 1, 0.6, 1] + [0, 0, 1.5, 0, 0, 0]
+        poses = six_parameter_poses(LITE6.kinematics, q)[:, :3, 3] + rng.normal(0, 2e-5, (len(q), 3))
+        for time in (moving["time"], None):
+            jumping = Recording.from_arrays(q, poses, time=time, arm="lite6", motion="trajectory", tool="none")
+            assert "joint_turns" not in names(screen(jumping))
 
     def test_whole_turns(self, good, folder, moving):
         some = joints_changed(good, lambda q: q.__setitem__(([4, 9], 1), q[[4, 9], 1] + 2 * np.pi))
@@ -350,12 +447,15 @@ class TestColumns:
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
         assert np.abs(np.diff(screened.recording.joint_position[:150], axis=0)).max() < 0.2
 
-    def test_corrections_compose(self):
-        q = np.random.default_rng(1).uniform(-1, 1, (4, 3))
-        swap, mirror, *_ = single_corrections(3, False)
-        for a in single_corrections(3, True):
-            for b in (swap, mirror):
-                np.testing.assert_allclose(a.then(b).joints(q), b.joints(a.joints(q)))
+    def test_changes_are_undone_in_their_order(self, good):
+        """A hypothesis of several changes is the product of their matrices."""
+        swap, zero = Change("swapped_joints", (1, 4)), Change("joint_turns", (1,), np.pi / 2)
+        mirror, couple = Change("mirrored_joint", (2,)), Change("coupled_joint", (2, 1), 1.0)
+        q = undo((swap, mirror, couple, zero), good).joint_position
+        column = good.joint_position
+        np.testing.assert_allclose(q[:, 1], column[:, 4] + np.pi / 2)
+        np.testing.assert_allclose(q[:, 2], -column[:, 2] + column[:, 4])
+        np.testing.assert_allclose(q[:, 4], column[:, 1])
 
 
 class TestNominalTable:

@@ -31,6 +31,15 @@ class ScreeningOptions:
     near_distances: float = option(
         2.0, "as cluster_distances, for rows in a larger unit", "most origins lie beside the poses"
     )
+    most_in_another_unit: float = option(
+        0.5, "share of the rows below which they may be in another unit", "the rest says which unit is right"
+    )
+    computed_m: float = option(
+        3e-6,
+        "m to which a table reproduces poses that were computed from it",
+        "columns of micrometres; sensors scatter more",
+    )
+    computed_rad: float = option(1e-5, "rad, the same of orientations", "columns of five decimals")
     grid_tolerance_rad: float = option(
         6e-7, "rad from its grid at which a joint position is a command", "degrees written with six decimals in radians"
     )
@@ -66,10 +75,10 @@ class ScreeningOptions:
     equal_noise: float = option(
         0.1, "the same as a difference, in standard deviations of the sensor", "below the scatter of a median"
     )
-    column_rows: int = option(200, "rows on which single corrections are compared", "their median is known to a tenth")
-    pair_rows: int = option(60, "rows on which pairs of corrections are compared", "there are hundreds of pairs")
+    column_rows: int = option(200, "rows on which single changes are compared", "their median is known to a tenth")
+    pair_rows: int = option(60, "rows on which several changes are compared", "there are a thousand of them")
     pairs_first: int = option(
-        8, "best single corrections that are paired with all others, and best ones that are fitted", "bounds the time"
+        8, "best hypotheses that are joined with further changes, and best ones that are fitted", "bounds the time"
     )
     unfitted_ratio: float = option(
         2.0, "ratio by which the allowed error may be exceeded before a fit", "frames in closed form are less exact"
@@ -77,7 +86,10 @@ class ScreeningOptions:
     fitted_ratio: float = option(
         3.0, "median error over the least up to which a correction is fitted", "a fit changes the order of few"
     )
-    column_rounds: int = option(3, "corrections of columns in turn", "more wrong columns are beyond repair")
+    most_changes: int = option(3, "faults that a hypothesis joins, a set of signs counted as one", "bounds the time")
+    worth_another: float = option(
+        0.7, "ratio by which another change must reduce the error, or the search ends", "a right change halves it"
+    )
     trusted_log_likelihood: float = option(
         5.703782474656201,
         "log-likelihood that a correction of what a file or its sidecar declares must gain",
@@ -171,6 +183,9 @@ class ScreeningOptions:
     )
     most_pieces: int = option(16, "pieces of a curve at most", "finer ones only take time")
     # check
+    calibration_reach: float = option(
+        0.03, "share of the reach beyond which an error is no calibration error", "real arms are below 0.015"
+    )
     mostly_explained: float = option(0.8, "share of the squared error at which a cause is likely", "set on real arms")
     partly_explained: float = option(0.3, "share of the squared error at which it is possible", "set on real arms")
     as_noise_ratio: float = option(2.0, "error over the declared noise up to which it is noise", "set on real arms")

@@ -12,7 +12,7 @@ from typing import Any, Literal, final
 
 import numpy as np
 
-from lite6jax.domains.pose.screening import columns, frame_jumps, nominal_table, rows, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, nominal_table, rows, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
 from lite6jax.recordings.fault import DataFault
@@ -54,10 +54,6 @@ class Screen:
         return quantities + (float(np.log(samples)) if self.located else 0.0)
 
 
-def _column_rounds(state: Screened, options: ScreeningOptions) -> int:
-    return options.column_rounds
-
-
 def _jump_rounds(state: Screened, options: ScreeningOptions) -> int:
     known, most = state.corrections.known_jumps, state.corrections.jumps
     if known is not None:
@@ -71,12 +67,12 @@ SCREENS = (
     Screen(("position_unit",), "recording", rows.detect_position_unit, rows.convert_positions),
     Screen(("commanded_joints",), "arm", rows.detect_commanded, rows.note_commanded),
     Screen(
-        ("swapped_joints", "mirrored_joint", "joint_unit", "joint_turns", "orientation_convention"),
+        (*hypotheses.CODES, "undecided", "unexplained"),
         "arm",
-        columns.detect_columns,
-        columns.correct_columns,
-        _column_rounds,
+        hypotheses.detect_mismatch,
+        hypotheses.correct_mismatch,
     ),
+    Screen(("computed_pose",), "arm", rows.detect_computed, rows.note_computed),
     Screen(("joint_turns",), "arm", rows.detect_turns, rows.remove_turns),
     Screen(
         ("frame_jump",),

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.screening import hypotheses
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
@@ -65,6 +66,7 @@ def detect_position_unit(state: Screened, options: ScreeningOptions) -> Detectio
     far &= distance(position / 1000) < options.cluster_distances * size
     near = np.linalg.norm(position, axis=1) < options.near_share * size
     near &= distance(position * 1000) < options.near_distances * size
+    near &= np.mean(near) < options.most_in_another_unit  # positions of one point are near themselves in any unit
     if (far | near).any():
         return Detection(np.where(far, 1e3, np.where(near, 1e-3, 1.0)))
     largest = float(distance(position).max())
@@ -126,6 +128,23 @@ def _distinct(rows: Array) -> int:
     return pa.table(columns, names).group_by(names).aggregate([]).num_rows
 
 
+def detect_computed(state: Screened, options: ScreeningOptions) -> Detection:
+    """Whether the chain reproduces the poses to their rounding, as it does what a controller computes."""
+    arm, recording = state.rigid_arm, state.recording
+    if recording.settings.pose_source == "controller_fk":
+        return not_there("computed_pose", reason="declared")
+    error = float(np.median(arm.distance))
+    exact = error <= options.computed_m and float(np.median(arm.turn)) <= options.computed_rad
+    if not exact or hypotheses.touches_one_point(recording, arm.noise[0]):
+        return not_there("computed_pose", reason="measured")
+    return Detection({"median_error_m": error, "chain": "factory" if arm.exact else "nominal"})
+
+
+def note_computed(state: Screened, numbers: dict[str, object], options: ScreeningOptions) -> Screened:
+    """As it is: what was not measured cannot be restored."""
+    return state.corrected(DataFault("computed_pose", (), numbers))
+
+
 def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
     """Joints that wrap round in a trajectory, or are beyond their limits by whole turns."""
     recording, slack = state.recording, options.limit_slack_rad
@@ -161,12 +180,14 @@ def _without_turns(recording: Recording, limits: Array, slack: float) -> Array:
     """`(sample, joint)` positions, unwrapped within each run of a trajectory and turned back into the limits."""
     q = recording.joint_position.copy()
     low, high = limits.T
-    trajectory = recording.motion == "trajectory"
+    trajectory = recording.motion == "trajectory" and recording.time is not None
     segment = run_segments(recording.run)
     runs = [segment == run for run in np.unique(segment)]
-    if trajectory:
-        for run in runs:
-            q[run] = np.unwrap(q[run], axis=0)
+    for run in runs if trajectory else ():
+        unwrapped = np.unwrap(q[run], axis=0)
+        # only what is continuous without its wraps shows that these are wraps
+        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
+        q[run] = np.where(smooth, unwrapped, q[run])
     for joint in range(recording.dof):
         if not np.isfinite(high[joint] - low[joint]):
             continue

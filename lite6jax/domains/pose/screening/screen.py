@@ -23,6 +23,7 @@ def screen(
     options: ScreeningOptions | None = None,
     corrections: Corrections | None = None,
     factory: FactoryCalibration | None = None,
+    allow_undecided: bool = False,
 ) -> Screened:
     """The recording without the faults of its data, and those faults.
 
@@ -33,9 +34,11 @@ def screen(
         options: the thresholds.
         corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
+        allow_undecided: whether poses may miss the arm grossly for one of several reasons that fit alike.
 
     Raises:
-        InputError: no measured poses, joint positions that are degrees in all columns, or as `recording_problem`.
+        InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch, or as
+            `recording_problem`.
     """
     require_samples(recording, 1)
     options = options or ScreeningOptions()
@@ -48,6 +51,12 @@ def screen(
         if entry.needs == "fit" and not fitted:
             state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
         state = _applied(entry, state, options)
+        if state.count("undecided") and not allow_undecided:
+            error = 1e3 * state.found[-1].numbers["median_error_m"]
+            raise InputError(
+                f"{recording.source}: its poses miss the arm by {error:.4g} mm (median), for one of several reasons "
+                "that fit alike; see them with `lite6jax check`, and correct the file"
+            )
     assert state.arm is not None
     require_radians(state.recording.joint_position, state.arm.joint_limits, f"{recording.source}: joint_position")
     return state

@@ -1,0 +1,426 @@
+"""What is wrong where poses miss the arm grossly: columns, zeros, signs, units, poses, the frame, or the tool.
+
+A hypothesis is a tuple of changes, each a fault and what undoes it. All are compared on the nominal arm by the median
+error of the poses, with frame and tool in closed form where they are free; the best are fitted, and one is taken only
+where its log-likelihood exceeds that of the recording as it is declared, and of every other of the same kind.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.domains.pose.rigid_arm import GAUGE, RigidArm, rigid_arm
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screened import Detection, Screened
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.model import LEVER
+from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
+from lite6jax.recordings.sequence import directions, run_segments
+
+Array = NDArray[np.floating]
+Hypothesis = tuple["Change", ...]
+
+DECLARED = ("declared_frame", "declared_tool")
+POSES = ("inverted_poses", "mirrored_sensor", "orientation_convention")
+JOINTS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "joint_turns")
+CODES = (*DECLARED, *POSES, *JOINTS)
+"""The faults, in the order in which their changes are made. Of two that fit alike the earlier kind is preferred: a
+declaration is wrong more often than poses, and poses more often than joints."""
+_SCALAR_LAST = [3, 0, 1, 2]
+
+
+@final
+@dataclass(frozen=True)
+class Change:
+    """One fault, and what undoes it.
+
+    Attributes:
+        code: of `CODES`.
+        joints: concerned, from 0: those swapped, or the joint and the one that it is coupled to.
+        value: of a unit the factor of the column; of a coupling the factor of the other joint; of a zero what is
+            added, rad; of a mirrored sensor the axis that is reversed or the two that are exchanged; of orientations
+            the convention.
+    """
+
+    code: str
+    joints: tuple[int, ...] = ()
+    value: float | str = 1.0
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Of the fault, as in `DataFault`."""
+        joints = [joint + 1 for joint in self.joints]
+        match self.code:
+            case "swapped_joints":
+                return {"joints": joints}
+            case "mirrored_joint":
+                return {"joint": joints[0]}
+            case "joint_unit":
+                assert isinstance(self.value, float)
+                return {"joint": joints[0], "unit": "deg" if self.value < 1 else "rad"}
+            case "coupled_joint":
+                return {"joint": joints[0], "added_joint": joints[1], "factor": self.value}
+            case "joint_turns":
+                return {"joint": joints[0], "added_rad": self.value}
+            case "mirrored_sensor":
+                return {"axes": self.value}
+            case "orientation_convention":
+                return {"convention": self.value}
+        return {}
+
+    def undone(self, recording: Recording) -> Recording:
+        """The recording without the fault."""
+        if self.code in DECLARED:
+            free = {"pose_frame": "unknown"} if self.code == "declared_frame" else {"tool": "unknown"}
+            return replace(recording, settings=replace(recording.settings, **free))
+        return self._poses(recording) if self.code in POSES else self._joints(recording)
+
+    def _poses(self, recording: Recording) -> Recording:
+        position, quaternion = recording.position, recording.quaternion
+        assert position is not None
+        convention = str(self.value)
+        if convention.endswith("scalar_last") and quaternion is not None:
+            quaternion = quaternion[:, _SCALAR_LAST]
+        R = None if quaternion is None else Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix()
+        if self.code == "mirrored_sensor":
+            M = _reflection(convention)
+            position, R = position @ M, None if R is None else M @ R @ M
+        elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
+            R = np.swapaxes(R, 1, 2)
+            position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
+        return replace(recording, position=position, quaternion=None if R is None else _quaternions(R))
+
+    def _joints(self, recording: Recording) -> Recording:
+        """What is recorded of each joint, changed as its position is."""
+        A, b = np.eye(recording.dof), np.zeros(recording.dof)
+        i, j = (*self.joints, *self.joints)[:2]
+        if self.code == "swapped_joints":
+            A[[i, j]] = A[[j, i]]
+        elif self.code == "mirrored_joint":
+            A[i, i] = -1.0
+        elif self.code == "joint_unit":
+            A[i, i] = self.value
+        elif self.code == "coupled_joint":
+            A[i, j] = self.value
+        else:
+            b[i] = self.value
+        effort = np.sign(A) if self.code != "coupled_joint" else np.linalg.inv(A).T  # power stays the same
+        changed: dict[str, Any] = {"joint_position": recording.joint_position @ A.T + b}
+        for name, matrix in (
+            ("joint_velocity", A),
+            ("joint_acceleration", A),
+            ("joint_torque", effort),
+            ("motor_current", effort),
+            ("joint_temperature", np.abs(np.sign(A)) if self.code == "swapped_joints" else np.eye(recording.dof)),
+        ):
+            column = getattr(recording, name)
+            if column is not None:
+                changed[name] = column @ matrix.T
+        changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
+        if self.code == "coupled_joint":
+            velocity, segment = changed.get("joint_velocity"), run_segments(recording.run)
+            changed["direction_of_motion"] = directions(changed["joint_position"], velocity, segment, recording.motion)
+        return replace(recording, **changed)
+
+
+@final
+class Comparison(NamedTuple):
+    """How hypotheses compare.
+
+    Attributes:
+        error: m, the median of the nominal arm with the recording as it is declared.
+        limit: m above which it is suspected.
+        found: the hypothesis to be taken; None where nothing is wrong, nothing explains it, or several do alike.
+        corrected_error: m, the median with the best hypothesis, fitted; None where none was tried.
+        alternatives: hypotheses that fit as well; where none is taken, two or more that cannot be told apart.
+        fitted_error: m, the median with the geometry fitted, where that is too large for any arm; else None.
+        one_point: whether the positions are one point, so that nothing was compared.
+    """
+
+    error: float
+    limit: float
+    found: Hypothesis | None = None
+    corrected_error: float | None = None
+    alternatives: tuple[Hypothesis, ...] = ()
+    fitted_error: float | None = None
+    one_point: bool = False
+
+
+def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
+    """The recording without the faults of a hypothesis."""
+    for change in hypothesis:
+        recording = change.undone(recording)
+    return recording
+
+
+def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
+    """What is wrong with a recording that misses the arm grossly; what was ruled out where nothing is."""
+    compared = compare_hypotheses(state, options)
+    if compared.found is not None or compared.alternatives or compared.fitted_error is not None:
+        return Detection(compared)
+    numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
+    if compared.one_point:
+        numbers["one_point"] = True
+    if compared.corrected_error is not None:
+        numbers["best_alternative_m"] = compared.corrected_error
+    missing = {"joint_turns"} | (set() if state.rigid_arm.rows == 6 else {"orientation_convention", "inverted_poses"})
+    return Detection(None, tuple(DataFault(code, (), numbers) for code in CODES if code not in missing))
+
+
+def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOptions) -> Screened:
+    """The recording as the best hypothesis has it; as it is where several fit alike, or none does."""
+    arm = state.rigid_arm
+    if compared.fitted_error is not None:
+        errors = {"median_error_m": compared.error, "fitted_error_m": compared.fitted_error}
+        return state.corrected(DataFault("unexplained", (), errors | {"best_alternative_m": compared.corrected_error}))
+    numbers: dict[str, Any] = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
+    numbers["alternatives"] = [
+        [{"fault": change.code, **change.numbers} for change in other] for other in compared.alternatives
+    ]
+    if compared.found is None:
+        return state.corrected(DataFault("undecided", (), numbers))
+    found = compared.found
+    rigid = rigid_arm(undo(found, arm.recording), arm.arm, state.geometry, state.factory)
+    for change in found:
+        own = dict(change.numbers)
+        if change.code == "declared_frame":
+            own |= _frame_numbers(rigid.T_sensor_base)
+        if change.code == "declared_tool":
+            tool = np.linalg.inv(arm.arm.T_joint_flange) @ rigid.T_flange_tool
+            own["translation_m"] = tool[:3, 3].tolist()
+        state = state.corrected(DataFault(change.code, (), own | numbers), rigid=rigid)
+    return state.transformed(lambda recording: undo(found, recording))
+
+
+def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison:
+    """The hypothesis with which a recording fits, where as it is declared it misses grossly.
+
+    Args:
+        state: with a rigid arm that is not fitted yet, of a recording with poses.
+        options: the thresholds.
+    """
+    arm = state.rigid_arm
+    limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
+    few = _spread_rows(arm, options.column_rows)
+    error = _median_error(few)
+    if touches_one_point(arm.recording, arm.noise[0]):
+        return Comparison(error, limit, one_point=True)
+    if error <= limit:
+        return Comparison(error, limit)
+    allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
+    near = _search(few, options, allowed)
+    fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
+    errors = [_median_error(fit) for _, fit in fits]
+    least = min(errors, default=np.inf)
+    if least > allowed:
+        fitted = _median_error(arm.fitted(options.most_fitted))
+        beyond = fitted > options.corrected_reach * arm.arm.reach
+        return Comparison(error, limit, None, min(least, fitted), fitted_error=fitted if beyond else None)
+    equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
+    equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
+    equal.sort(key=lambda one: (_outside_limits(state, one[0], options), _simplicity(one[0])))
+    chosen, corrected = equal[0]
+    # a chain that is not known may be further from its table than the limit, and fit the recording as it is
+    recorded = arm.fitted(options.most_fitted)
+    scale = min(corrected.scale, recorded.scale)
+    more = 0.5 * np.log(arm.rows * arm.samples) * (len(corrected.unknown) - len(recorded.unknown))
+    if corrected.log_likelihood(scale) - recorded.log_likelihood(scale) < options.trusted_log_likelihood + more:
+        return Comparison(_median_error(recorded), limit)
+    distinct, rivals = [chosen], []
+    for hypothesis, fit in equal[1:]:
+        if any(_whole_turns_apart(hypothesis, other) for other in distinct):
+            continue
+        distinct.append(hypothesis)
+        alike = _simplicity(hypothesis)[:2] == _simplicity(chosen)[:2]
+        alike &= _outside_limits(state, hypothesis, options) == _outside_limits(state, chosen, options)
+        if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.trusted_log_likelihood:
+            rivals.append(hypothesis)
+    if rivals:
+        return Comparison(error, limit, None, least, (chosen, *rivals))
+    return Comparison(error, limit, chosen, least, tuple(distinct[1:]))
+
+
+def touches_one_point(recording: Recording, noise: float) -> bool:
+    """Whether the measured positions `(sample, 3)` m are one point, which says nothing of scale or axes."""
+    position = recording.position
+    assert position is not None
+    return bool(np.median(np.linalg.norm(position - np.median(position, 0), axis=1)) <= 3 * noise)
+
+
+def single_changes(recording: Recording) -> Iterator[Hypothesis]:
+    """Every simple hypothesis: each fault alone, and reversed signs of any set of joints."""
+    dof, settings = recording.dof, recording.settings
+    turning = [i for i in range(dof) if i not in recording.sliding]
+    if settings.pose_frame == "base":
+        yield (Change("declared_frame"),)
+    if settings.tool != "unknown":
+        yield (Change("declared_tool"),)
+    axes = ("x", "y", "z", "xy", "yz", "xz") if settings.pose_frame == "base" else ("z",)
+    yield from ((Change("mirrored_sensor", (), axis),) for axis in axes)
+    if recording.quaternion is not None:
+        yield (Change("inverted_poses"),)
+        for convention in ("inverted", "scalar_last", "inverted_scalar_last"):
+            yield (Change("orientation_convention", (), convention),)
+    for pair in combinations(range(dof), 2):
+        yield (Change("swapped_joints", pair),)
+    most = dof if dof <= 8 else 2  # of more joints there are too many sets
+    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, most + 1)):
+        yield tuple(Change("mirrored_joint", (i,)) for i in joints)
+    for i in turning:
+        yield from ((Change("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
+        yield from ((Change("joint_turns", (i,), quarters * np.pi / 2),) for quarters in (2, -2, 1, -1))
+    for i in turning:
+        for j in {i - 1, i + 1} & set(turning):
+            yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
+
+
+def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hypothesis]:
+    """Hypotheses worth a fit: the best by error, of few changes first, more only where fewer do not suffice."""
+    simple = list(single_changes(few.recording))
+    beam: list[Hypothesis] = [()]
+    best: dict[Hypothesis, float] = {}
+    for changes in range(options.most_changes):
+        rows = few if not changes else _spread_rows(few, options.pair_rows)
+        tried = {_joined(h, more) for h in beam for more in simple if _compatible(h, more)}
+        scored = {h: _median_error(_free_frames(rows, undo(h, rows.recording))) for h in tried}
+        beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
+        if not beam:
+            break
+        for h in beam if scored[beam[0]] > options.unfitted_ratio * allowed else ():
+            zeros = _zeros(rows, h)
+            if zeros:
+                refined = _joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
+                scored[refined] = _median_error(_free_frames(rows, undo(refined, rows.recording)))
+        least = min(scored.values())
+        stuck = bool(best) and least > options.worth_another * min(best.values())
+        best |= scored
+        if least <= options.unfitted_ratio * allowed or stuck:
+            break
+    least = min(best.values(), default=np.inf)
+    worth = max(options.unfitted_ratio * allowed, options.fitted_ratio * least)
+    ranked = sorted((h for h in best if best[h] <= worth), key=lambda h: (best[h], _simplicity(h)))
+    return ranked[: options.pairs_first]
+
+
+def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
+    """Zeros of joints that are off by more than a calibration corrects, of a fit of all of them."""
+    arm = _free_frames(few, undo(hypothesis, few.recording))
+    settings, dof = arm.recording.settings, arm.recording.dof
+    free_frame, free_tool = settings.pose_frame != "base", settings.tool == "unknown"
+    turning = [i for i in range(dof) if i not in arm.recording.sliding]
+    # a free frame and a free orientation of the tool take up the zeros of the first and the last joint
+    zeros = turning[int(free_frame) : len(turning) - int(free_tool)]
+    unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in range(arm.rows)] * free_tool
+    unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
+    precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros))]
+    fit = replace(arm, unknown=tuple(unknown), precision=precision, offset=np.zeros(len(unknown))).fitted(few.samples)
+    off = fit.offset[len(unknown) - len(zeros) :]
+    held = [c for c in hypothesis if c.code == "joint_turns"]
+    total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
+    for change in held:
+        assert isinstance(change.value, float)
+        total[change.joints[0]] = total.get(change.joints[0], 0.0) + change.value
+    changes = []
+    for i, value in total.items():
+        quarters = np.round(value / (np.pi / 2)) * np.pi / 2
+        value = float(quarters if abs(value - quarters) < GAUGE["rad"] else value)
+        changes += [Change("joint_turns", (i,), value)] if value else []
+    return tuple(changes)
+
+
+def _rigid(state: Screened, recording: Recording) -> RigidArm:
+    return rigid_arm(recording, state.rigid_arm.arm, state.geometry, state.factory)
+
+
+def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
+    """The arm with another recording of as many rows, and frames in closed form as its settings leave them free."""
+    flange = frames.chain(arm.links, recording.joint_position, recording.sliding) @ arm.arm.T_joint_flange
+    assert recording.position is not None
+    rotation = None if recording.quaternion is None else Rotation.from_quat(np.roll(recording.quaternion, -1, 1))
+    known_tool = np.linalg.inv(arm.arm.T_joint_flange) @ arm.T_flange_tool
+    T_frame, T_tool = frames_from_poses(
+        flange,
+        recording.position,
+        None if rotation is None else rotation.as_matrix(),
+        arm.T_sensor_base if recording.settings.pose_frame == "base" else None,
+        None if recording.settings.tool == "unknown" else known_tool,
+    )
+    tool = arm.arm.T_joint_flange @ T_tool
+    start = arm.start._replace(T_sensor_base=T_frame, T_flange_tool=tool)  # type: ignore[arg-type]
+    return replace(arm, recording=recording, start=start)
+
+
+def _median_error(arm: RigidArm) -> float:
+    return float(np.median(np.hypot(arm.distance, LEVER * arm.turn)))
+
+
+def _spread_rows(arm: RigidArm, count: int) -> RigidArm:
+    """The arm with some rows of its recording."""
+    return arm.select(np.unique(np.linspace(0, arm.samples - 1, count).astype(int)))
+
+
+def _joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
+    """Both, in the order in which changes are made; each once."""
+    return tuple(sorted({*hypothesis, *more}, key=lambda c: (CODES.index(c.code), c.joints)))
+
+
+def _compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
+    """Whether no change of one repeats or takes back one of the other."""
+    made = {(c.code, frozenset(c.joints)) for c in hypothesis}
+    poses = {c.code for c in hypothesis if c.code in POSES}
+    return not any((c.code, frozenset(c.joints)) in made or (c.code in POSES and poses) for c in more)
+
+
+def _simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
+    """The fewer the changes and the earlier their kind in `CODES`, the less."""
+    kinds = [0 if c.code in DECLARED else 1 if c.code in POSES else 2 for c in hypothesis]
+    return len(hypothesis), max(kinds, default=0), tuple(CODES.index(c.code) for c in hypothesis)
+
+
+def _outside_limits(state: Screened, hypothesis: Hypothesis, options: ScreeningOptions) -> int:
+    """How many joint positions a hypothesis puts outside the limits."""
+    arm, slack = state.rigid_arm, options.limit_slack_rad
+    q, (low, high) = undo(hypothesis, arm.recording).joint_position, arm.arm.joint_limits.T
+    return int(np.sum((q < low - slack) | (q > high + slack)))
+
+
+def _whole_turns_apart(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two hypotheses differ by whole turns of joints, or not at all."""
+
+    def turned(hypothesis: Hypothesis) -> tuple[Hypothesis, Mapping[int, float]]:
+        zeros = {c.joints[0]: float(c.value) for c in hypothesis if c.code == "joint_turns"}
+        return tuple(c for c in hypothesis if c.code != "joint_turns"), zeros
+
+    (rest_a, zeros_a), (rest_b, zeros_b) = turned(a), turned(b)
+    apart = [(zeros_a.get(i, 0.0) - zeros_b.get(i, 0.0)) / (2 * np.pi) for i in {*zeros_a, *zeros_b}]
+    return rest_a == rest_b and bool(np.allclose(apart, np.round(apart)))
+
+
+def _reflection(axes: str) -> Array:
+    """`(3, 3)`: one axis reversed, or two exchanged."""
+    M = np.eye(3)
+    places: Sequence[int] = ["xyz".index(axis) for axis in axes]
+    if len(places) == 1:
+        M[places[0], places[0]] = -1.0
+    else:
+        M[places] = M[places[::-1]]
+    return M
+
+
+def _quaternions(R: Array) -> Array:
+    """`(sample, 4)` unit, scalar first, the first component that is not zero positive."""
+    unit = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
+    leading = np.argmax(np.abs(np.sign(unit)), axis=1)
+    return unit * np.sign(unit[np.arange(len(unit)), leading, None])
+
+
+def _frame_numbers(T: Array) -> dict[str, Any]:
+    """Where the base stands in the frame of the poses: shift in m, and the rotation vector in rad."""
+    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": Rotation.from_matrix(T[:3, :3]).as_rotvec().tolist()}
