@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from lite6jax.report import data_faults, reference, statements, torque_reference
+from lite6jax.report import data_faults, reference, statements, torque_reference, worth
 from lite6jax.report.cells import capital, each_with_unit, multiple, significant, torque_units
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.remedies import effect_name
@@ -181,7 +181,8 @@ def finding_statement(finding: Entry) -> str:
             f"{_of_what(finding)}: {moved}.{near}"
         )
     shown = ", ".join(str(size) for size in sizes(finding) if size.std)
-    return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
+    said = "is significant" if worth.is_significant(finding) else "is likely"
+    return f"{capital(effect_title(finding))} {said}: {shown}; {moved}."
 
 
 def _moved(finding: Entry) -> str:

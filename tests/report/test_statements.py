@@ -34,7 +34,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, reference, statements, worth
+from lite6jax.report import cells, diagnosis_figures, population_tables, reference, statements, worth
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.diagnosis_tables import diagnosis_report
@@ -565,3 +565,15 @@ def test_a_summary_is_sentences_of_a_few_lines(compliant):
     html = compliant._repr_html_()
     assert f"<td>{size}</td>" in html
     assert "<script" not in html
+
+
+@pytest.mark.parametrize(("p_value", "said"), [(1.0, "not significant"), (2e-9, "p = 2.0e-09")])
+def test_a_change_with_the_date_that_is_none_has_no_p_value(p_value, said):
+    effect = {"effect": "unnamed", "between_p_value": 1.0, "arms": [], "drift": {"p_value": p_value}, "rivals": []}
+    assert f"Its change with the date: {said}." in list(population_tables.remarks(effect, over=True))
+
+
+def test_a_number_that_is_not_finite_is_unknown():
+    for shown in (cells.number, cells.significant, cells.multiple, cells.fixed, cells.plus_minus):
+        assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
+    assert cells.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
