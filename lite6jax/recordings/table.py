@@ -200,7 +200,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         InputError: a run that is not a whole number.
     """
     columns, joints = table.columns, table.joints
-    values = with_quaternions(table.values)
+    values = with_quaternions(table.values, source)
 
     def block(*names: str) -> np.ndarray | None:
         return np.column_stack([values[name] for name in names]) if names[0] in values else None

@@ -24,6 +24,7 @@ def screen(
     corrections: Corrections | None = None,
     factory: FactoryCalibration | None = None,
     allow_undecided: bool = False,
+    coarse: bool = False,
 ) -> Screened:
     """The recording without the faults of its data, and those faults.
 
@@ -35,6 +36,7 @@ def screen(
         corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
         allow_undecided: whether poses may miss the arm grossly for one of several reasons that fit alike.
+        coarse: whether only faults that show without a fit are looked for.
 
     Raises:
         InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch, or as
@@ -45,6 +47,8 @@ def screen(
     state = Screened(recording, arm, geometry, corrections or Corrections(), factory=factory)
     fitted = False
     for entry in SCREENS:
+        if coarse and entry.needs == "fit":
+            break
         if entry.needs != "recording" and state.rigid is None:
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
