@@ -359,7 +359,7 @@ def test_fit_of_a_recording(capsys, tmp_path):
     assert "below each number its standard deviation" in text
     assert "Noise per axis: declared 0.0200 mm, 0.0057 deg; the residuals have" in text
     assert "as declared." in text
-    assert "No outliers: all 120 samples keep their weight." in text
+    assert "No outliers among 120 samples." in text
     assert max(map(len, [line for line in said.splitlines() if str(tmp_path) not in line])) <= 60
     for name in ("run_error_by_joint", "run_error_distribution"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
@@ -625,6 +625,20 @@ def test_check_of_a_recording(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ real files
+
+
+def test_the_distance_from_nominal_is_one_number_in_every_command(capsys, calibration, tmp_path):
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    for name in ("a.yaml", "b.yaml"):
+        (folder / name).write_bytes(calibration.read_bytes())
+    _, said, _ = run(capsys, "fit", calibration)
+    shown = re.search(r"the nominal one is up to (\S+) mm off, at 1000 joint positions\.", flat(said))[1]
+    _, said, _ = run(capsys, "compare", folder / "a.yaml", folder / "b.yaml", "--json")
+    assert f"{1e3 * json.loads(said)['from_nominal_m'][0]['max']:.3f}" == shown
+    run(capsys, "fleet", folder, "--out", tmp_path / "fleet.parquet")
+    rows = pyarrow.parquet.read_table(tmp_path / "fleet.parquet")["nominal_position_max_m"].to_pylist()
+    assert [f"{1e3 * most:.3f}" for most in rows] == [shown, shown]
 
 
 def needs(path):

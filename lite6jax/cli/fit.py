@@ -126,9 +126,7 @@ class Fit:
             if recording:
                 drawn[names[1]] = figures.error_distribution(solution, recording, title)
             if verification:
-                from lite6jax.report import live_figures
-
-                drawn[names[2]] = live_figures.verification_figure(verification, title)
+                drawn[names[2]] = figures.verification_figure(verification, title)
             written += canvas.save(drawn, self.figures, self.force)
         if self.json:
             from lite6jax.report import documents

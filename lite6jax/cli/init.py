@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, arm_reference
+from lite6jax.cli.arguments import ArmName, arm_reference, pairs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
@@ -76,8 +76,8 @@ class Init:
 
         path, topics = split_topics(self.source)
         sidecar = sidecar_path(path)
-        settings = _pairs("--set", self.set, parsed=True)
-        given = _pairs("--column", self.column)
+        settings = pairs("--set", self.set, parsed=True)
+        given = pairs("--column", self.column)
         declared_settings(None, None, settings)
         arm, shown = self.arm, False
 
@@ -161,22 +161,6 @@ def _gross_faults(source: str, found: "Inspection", notes: list[str]) -> "tuple[
 
 def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:
-    """`name=value` by name; with `parsed`, values as YAML has them."""
-    import yaml
-
-    found: dict[str, Any] = {}
-    for pair in given:
-        name, mark, value = pair.rpartition("=") if not parsed else pair.partition("=")
-        if not mark or not name or not value or len(pair) > 1000:
-            raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if parsed else 'COLUMN=MEANING'}")
-        try:
-            found[name] = yaml.safe_load(value) if parsed else value
-        except yaml.YAMLError as error:
-            raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
-    return found
 
 
 def _asked_arm(found: "Inspection") -> str | None:

@@ -22,6 +22,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.quality import ROUNDING
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.progress import Stage, entered, followed, part
@@ -125,10 +126,15 @@ def _turned(held_out: HeldOut, withdrawn: bool) -> tuple[NDArray[np.floating], N
 
 
 def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
-    """`(sample,)`, rows that are far from the model, and rows without joints."""
-    problem = selection.problem
+    """`(sample,)`, rows that are far from the model, and rows without joints.
+
+    A residual within the declared noise, or within the rounding of a file, is none, however small the others are.
+    """
+    problem, residuals = selection.problem, selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
-    return (selection.state.fit.residuals.squares > options.outlier_squares * problem.rows) | ~problem.valid
+    least = ROUNDING if (declared := problem.recording.settings.position_noise_m) is None else declared
+    far = residuals.squares > options.outlier_squares * problem.rows
+    return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
 
 
 def without_effects(selection: Selection) -> Selection:

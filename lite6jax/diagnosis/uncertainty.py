@@ -60,7 +60,12 @@ def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
             curves.append((float(np.sqrt(np.mean(moved[:3] ** 2))), float(np.sqrt(np.mean(moved[3:] ** 2)))))
         else:
             curves.append(None)
-    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change))
+    typical = [
+        float(np.sqrt(np.median(estimated[rows][:, kept].mean(0)) + left[k] ** 2)) if kept.any() else np.inf
+        for k, rows in enumerate((slice(0, 3), slice(3, 6)))
+    ]
+    usual = (typical[0], typical[1]) if np.isfinite(typical).all() and min(typical) > 0 else None
+    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change), usual)
 
 
 def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:

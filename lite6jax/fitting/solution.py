@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
+from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
-from lite6jax.fitting.quality import Quality, quality_of_calibration, quality_of_poses
+from lite6jax.fitting.quality import ROUNDING, Quality, quality_of_calibration, quality_of_poses
 from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
@@ -192,6 +193,22 @@ class Solution(PublicResult):
             over_noise = max(a / b for a, b in zip(left, declared, strict=True) if a is not None and b is not None)
         noise = None if declared is None else declared[0]
         return quality_of_poses(self.checked.position, measured, predicted, self.arm.reach, noise, over_noise)
+
+    @cached_property
+    def outlying(self) -> NDArray[np.bool_]:
+        """`(sample,)`, rows of little weight whose error exceeds the declared noise, or else the rounding of a file."""
+        declared = (
+            (None, None)
+            if self.recording is None
+            else (
+                self.recording.settings.position_noise_m,
+                self.recording.settings.orientation_noise_rad,
+            )
+        )
+        matters = self.errors.position > (declared[0] or ROUNDING)
+        if self.errors.orientation is not None:
+            matters |= self.errors.orientation > (declared[1] or ROUNDING)
+        return (self.weight < DOWNWEIGHTED) & matters
 
     def predict(self, joint_position: Array) -> Array:
         """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad.

@@ -20,7 +20,6 @@ from lite6jax.report import (
     torque_figures,
     torque_page,
     torque_statements,
-    torque_tables,
     worth,
 )
 from lite6jax.report.next_steps import Files
@@ -68,7 +67,7 @@ def combined_report(
         yield ""
         return
     yield Text("Torques", style="bold")
-    yield from torque_tables.torque_report(document["torques"], source, None, details)
+    yield from diagnosis_tables.diagnosis_report(document["torques"], source, None, details)
     yield Text(f"{shared.HEADING}:")
     yield from map(indented, [entry["statement"] for entry in document["shared"]] or [shared.NOTHING])
     yield ""

@@ -3,6 +3,7 @@
 To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `draw` here.
 """
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -29,17 +30,26 @@ from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.recordings import Recording
-from lite6jax.report import diagnosis_figures, figures, study_figures, torque_figures, worth
+from lite6jax.report import (
+    diagnosis_figures,
+    figures,
+    statements,
+    study_figures,
+    torque_figures,
+    torque_statements,
+    worth,
+)
 from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank
 from lite6jax.report.cells import joint_units, torque_units
 from lite6jax.report.combined import PREFIX
 from lite6jax.report.panels import dots, panels_in_rows
-from lite6jax.report.ranking_figure import ranking_figure
 from lite6jax.results import Figures, draw
 
 Array = NDArray[np.floating]
 _Found = TypeVar("_Found")
 _MOST_BARS = 12
+_MOST = 20
+"""Findings that are drawn."""
 
 
 class Panel(NamedTuple):
@@ -240,4 +250,34 @@ def over_rows(
             axes[0].plot([], [], "o", color=BEFORE, label=mark)
             figure.legend(loc="outside lower center", frameon=False)
         figure.suptitle(title, fontsize=15)
+    return figure
+
+
+def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
+    """What each finding moves, beside the error before and after.
+
+    Args:
+        document: of poses or of torques, with findings.
+        title: of the figure.
+    """
+    measures, named = worth.measures_of(document), torque_statements if worth.of_torques(document) else statements
+    findings, shown = named.findings_of(document)[:_MOST], worth.bars(document)[:_MOST]
+    if len(measures) == 1:
+        sizes = [measures[0].scale * finding[measures[0].moves] for finding in findings]
+        label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
+    else:
+        sizes = [bar.share for bar in shown]
+        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
+    names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
+    with rc_context(STYLE):
+        figure = blank(9.0, 1.7 + 0.42 * len(findings))
+        panel = figure.subplots()
+        bars = panel.barh(range(len(findings)), sizes, color=AFTER, zorder=3)
+        panel.bar_label(bars, [bar.size for bar in shown], padding=4)
+        panel.set_yticks(range(len(findings)), names)
+        panel.invert_yaxis()
+        panel.set_xlim(0, 1.15 * max(sizes) or 1.0)
+        panel.set_xlabel(label)
+        panel.grid(visible=False, axis="y")
+        figure.suptitle(f"{title}: what each finding moves", fontsize=15)
     return figure

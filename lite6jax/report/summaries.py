@@ -23,10 +23,9 @@ from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.bars import outside_sentence
 from lite6jax.report.cells import each_with_unit, joint_units, number, torque_units
+from lite6jax.report.compensation_tables import outside_sentence
 from lite6jax.report.data_faults import fault_name
-from lite6jax.report.quality import quality_statement
 from lite6jax.results import Description, describe
 
 _MOST_FINDINGS = 4
@@ -78,7 +77,7 @@ def _solution(solution: Solution) -> Description:
         f"{solution.arm.name}.",
         f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
     ]
-    bad = quality_statement(solution.quality.to_dict())
+    bad = statements.quality_statement(solution.quality.to_dict())
     if bad is not None:
         sentences.append(bad)
     if held:

@@ -18,7 +18,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, STATISTICS, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
-from lite6jax.report.quality import quality_statement
+from lite6jax.report.statements import quality_statement
 
 Array = NDArray[np.floating]
 _MOST_ROWS = 5
@@ -78,7 +78,7 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield from _fault_lines(solution)
         yield from _held_lines(solution.held)
         yield from _noise_line(solution.noise, solution.checked)
-        yield from _outlier_line(solution.weight, recording)
+        yield from _outlier_line(solution, recording)
         yield from screen.notes(solution.notes)
 
 
@@ -93,7 +93,7 @@ def _result_line(solution: Solution, recorded: bool) -> str:
     most = 1e3 * float(solution.nominal_errors.position.max())
     return (
         f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
-        f" {number(most, 3)} mm off."
+        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
     )
 
 
@@ -253,10 +253,10 @@ def _fault_lines(solution: Solution) -> Iterator[Text]:
         yield Text(f"Data fault: {fault_statement(fault)}{rows}")
 
 
-def _outlier_line(weight: Array, recording: Recording) -> Iterator[Text]:
-    low = np.flatnonzero(weight < DOWNWEIGHTED)
+def _outlier_line(solution: Solution, recording: Recording) -> Iterator[Text]:
+    weight, low = solution.weight, np.flatnonzero(solution.outlying)
     if not low.size:
-        yield Text(f"No outliers: all {len(weight)} samples keep their weight.")
+        yield Text(f"No outliers among {len(weight)} samples.")
         return
     rows = recording.row[low[np.argsort(weight[low])]]
     named = ", ".join(str(row) for row in rows[:_MOST_ROWS])

@@ -15,7 +15,7 @@ from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.inverse import Solved
 from lite6jax.domains.pose.predict import DiagnosedArm, recording_of, require_model
 from lite6jax.domains.pose.uncertainty import Bars, bars_of
-from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, SensorDrift, TimeOffset
+from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, Targets
@@ -61,8 +61,7 @@ class Compensation(PublicResult):
         position_std: `(row, 3)` m, of the pose that is reached, along the axes of the targets' frame, as those of
             `predicted`; None where the diagnosis does not say.
         orientation_std: `(row, 3)` rad, about the tool's axes; None also where no orientation was recorded.
-        outside: `(row,)` bool, whether a joint, or a quantity on which an effect depends, is beyond what was recorded;
-            None where the diagnosis does not say.
+        outside: `(row,)` bool, as of `Prediction`; None where the diagnosis does not say.
     """
 
     recording: Recording
@@ -159,15 +158,16 @@ def _targets_of(
 
 def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedArm, tuple[str, ...]]:
     """The model without what concerns the sensor's readings and not where the arm is."""
-    sensor: tuple[type, ...] = (TimeOffset,)
+    sites = ("clock",)
     if frame == "base":
-        sensor = (TimeOffset, MeasurementScale, BaseDrift, SensorDrift)
+        sites = ("clock", "sensor")
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
         known = None if model.uncertainty is None else model.uncertainty.without_base()
         model = replace(model, model=rigid, uncertainty=known)
     effects = model.physics.effects
-    omitted = tuple(effect.label for effect in effects if isinstance(effect, sensor))
-    return model.keeping([not isinstance(effect, sensor) for effect in effects]), omitted
+    without = [effect.site in sites or (frame == "base" and isinstance(effect, BaseDrift)) for effect in effects]
+    omitted = tuple(effect.label for effect, left_out in zip(effects, without, strict=True) if left_out)
+    return model.keeping([not left_out for left_out in without]), omitted
 
 
 def _complete(recording: Recording) -> Flags:

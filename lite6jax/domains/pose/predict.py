@@ -230,8 +230,9 @@ class Prediction(PublicResult):
             of earlier versions.
         orientation_std: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was
             recorded.
-        outside: `(sample,)` bool, rows in which a joint, or a quantity on which an effect depends, is beyond what was
-            recorded; None where the diagnosis does not say what was.
+        outside: `(sample,)` bool, rows that the recording does not support: a joint, or a quantity on which an effect
+            depends, is beyond what was recorded, or the recorded rows near it are too few; None where the diagnosis
+            does not say.
     """
 
     poses: Array
