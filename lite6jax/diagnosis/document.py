@@ -78,7 +78,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "date": problem.recording.settings.date,
         "instrument": problem.recording.settings.instrument,
         "noise": {
-            "declared_position_m": problem.noise[0] if problem.declared else None,
+            "declared_position_m": problem.declared_noise[0],
             "estimated_position_m": found.estimated_noise,
         },
         "data_faults": faults,

@@ -20,9 +20,9 @@ class Left(NamedTuple):
     """What the model leaves of the residuals, outliers excluded.
 
     Attributes:
-        position: root mean square of held-out position errors per axis over the declared noise; None where no noise is
+        position: root mean square of held-out position errors per axis over the declared noise; None where none is
             declared.
-        orientation: the same of the fitted orientations; None where none were measured, or no noise is declared.
+        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
         white: whether residuals of neighbouring rows are uncorrelated.
         acts_at: the joint at which most of it acts; None where there is no such.
     """
@@ -41,11 +41,10 @@ def left_of(found: "Diagnosis") -> Left:
     """What the model of a diagnosis leaves."""
     problem, kept, white = found.problem, ~found.outliers, found.fit.noise.white
     acts_at = concentration(problem, found.fit, found.options.engine)
-    if not problem.declared or not kept.any():
-        return Left(None, None, white, acts_at)
-    position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.noise[0])
-    orientation = None
-    if problem.rows == 6:
+    position, orientation = None, None
+    if problem.declared_noise[0] is not None and kept.any():
+        position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.declared_noise[0])
+    if problem.declared_noise[1] is not None and kept.any():
         rows, fit = found.fit.residuals.rows[3:, kept], found.fit
         freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
         orientation = float(np.sqrt(np.mean(rows**2) / freedom))

@@ -60,9 +60,14 @@ def fit_recording(
 
     first = _estimate(problem, free, covariance, everything, problem.start, "gauss_newton", freedom, max_steps, few)
     residual = _errors_of(problem, first, 0)
-    if not problem.declared:  # the first fit assumed a ratio of the noises; its residuals show both
-        problem = replace(problem, noise=_noise_level(residual))
-        covariance = problem.covariance()
+    # the first fit assumed the noise that is not declared; its residuals show it
+    position, orientation = (
+        estimated if declared is None else declared
+        for declared, estimated in zip(problem.declared_noise, _noise_level(residual), strict=True)
+    )
+    assert position is not None
+    problem = replace(problem, noise=(position, orientation))
+    covariance = problem.covariance()
     covariance = covariance + np.diag(np.repeat(_excess(problem, covariance, residual), 3)[: problem.rows])
     estimate = partial(_estimate, problem, freedom=freedom, max_steps=max_steps)
     fits, start = None, first.model(0)
@@ -87,7 +92,7 @@ def fit_recording(
         errors=fitted,
         nominal_errors=_errors_of(problem, nominal_fit, 0),
         checked=_held_out_errors(problem, folds, training),
-        noise=Noise(problem.noise if problem.declared else None, *_noise_level(fitted)),
+        noise=Noise(problem.declared_noise if any(problem.declared_noise) else None, *_noise_level(fitted)),
         weight=weights_left(fits.estimates.squares[0] / fits.scale[0] ** 2, freedom),
         notes=(*problem.notes, *_unconverged_folds(folds)),
         recording=recording,

@@ -98,14 +98,20 @@ class Noise:
     """One standard deviation per axis, of position (m) and orientation (rad).
 
     Attributes:
-        declared: by the sidecar, or None.
+        declared: by the sidecar, each None where it is not; None where neither is.
         position: estimated robustly from the residuals; model errors are included.
         orientation: likewise, or None where no orientation was measured.
     """
 
-    declared: tuple[float, float | None] | None
+    declared: tuple[float | None, float | None] | None
     position: float
     orientation: float | None
+
+    @property
+    def over_declared(self) -> float | None:
+        """The residuals over the declared noise, of the part where that is more; None where none is declared."""
+        pairs = zip((self.position, self.orientation), self.declared or (None, None), strict=True)
+        return max((found / told for found, told in pairs if found is not None and told is not None), default=None)
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ class Solution(Summarised):
         """Whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
-        measured, declared = self.recording.position, self.noise.declared
+        measured = self.recording.position
         assert measured is not None
         predicted = np.empty_like(measured)
 
@@ -186,12 +192,10 @@ class Solution(Summarised):
             predicted[some] = poses[:, :3, 3]
 
         _predict_parts(self.form, self.model, self.recording.joint_position, take)
-        over_noise = None
-        if declared is not None:
-            left = (self.noise.position, self.noise.orientation)
-            over_noise = max(a / b for a, b in zip(left, declared, strict=True) if a is not None and b is not None)
-        noise = None if declared is None else declared[0]
-        return quality_of_poses(self.checked.position, measured, predicted, self.arm.reach, noise, over_noise)
+        noise = None if self.noise.declared is None else self.noise.declared[0]
+        return quality_of_poses(
+            self.checked.position, measured, predicted, self.arm.reach, noise, self.noise.over_declared
+        )
 
     def predict(self, joint_position: Array) -> Array:
         """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad.

@@ -137,7 +137,8 @@ def _solution(solution: Solution) -> Description:
             rows.append((f"orientation error, {name} (deg RMS)", _degrees(_rms(errors.orientation))))
     if solution.noise is not None:
         found = _millimetres(solution.noise.position)
-        declared = "" if solution.noise.declared is None else f"; declared {_millimetres(solution.noise.declared[0])}"
+        told = solution.noise.declared and solution.noise.declared[0]
+        declared = "" if told is None else f"; declared {_millimetres(told)}"
         sentences.append(
             f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
         )

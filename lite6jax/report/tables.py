@@ -236,13 +236,13 @@ def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     found = f"{number(1e3 * noise.position)} mm"
     if noise.orientation is not None:
         found += f", {number(np.rad2deg(noise.orientation))} deg"
-    if noise.declared is None:
-        yield Text(f"Noise per axis: not declared for every measured quantity; the residuals have {found}.")
+    ratio = noise.over_declared
+    if noise.declared is None or ratio is None:
+        yield Text(f"Noise per axis: not declared; the residuals have {found}.")
         return
-    declared = f"{number(1e3 * noise.declared[0])} mm"
-    if noise.declared[1] is not None:
-        declared += f", {number(np.rad2deg(noise.declared[1]))} deg"
-    ratio = noise.position / noise.declared[0]
+    parts = zip(noise.declared, ("m", "rad"), strict=True)
+    told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
+    declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
     verdict = "as declared" if ratio < ABOVE_NOISE else f"{ratio:.0f} times it: this geometry does not explain the rest"
     yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")
 

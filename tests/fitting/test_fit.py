@@ -290,6 +290,20 @@ def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
     assert found.noise.orientation == pytest.approx(1e-4, rel=0.1)
 
 
+@pytest.mark.parametrize("part", [0, 1])
+def test_noise_that_is_declared_in_part_counts_where_it_is(part):
+    """The residuals are fifty times the declared noise: not noise; that of the other part is taken from them."""
+    rng = np.random.default_rng(14)
+    key = ("position_noise_m", "orientation_noise_rad")[part]
+    declared = {"position_noise_m": None, "orientation_noise_rad": None, key: (2e-5, 1e-4)[part]}
+    found = lite6jax.fit(recording(rng, perturbed_parameters(rng), noise=(1e-3, 5e-3), **declared))
+    assert found.noise.declared == (declared["position_noise_m"], declared["orientation_noise_rad"])
+    assert found.noise.position == pytest.approx(1e-3, rel=0.1)
+    assert found.noise.orientation == pytest.approx(5e-3, rel=0.1)
+    assert found.quality.verdict == "above_noise"
+    assert any(f"the noise of {('orientations', 'positions')[part]}" in note for note in found.notes)
+
+
 @pytest.mark.long
 def test_a_held_out_block_that_alone_moves_a_joint_is_said():
     rng = np.random.default_rng(13)

@@ -58,7 +58,7 @@ class RigidArm:
         offset: `(unknown,)`, from the prior's mean to `start`.
         informative: whether the sidecar declares the chain's uncertainty.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
-        declared: whether the sidecar declares it.
+        declared_noise: the same, each None where the sidecar does not declare it.
         whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
         exact: whether the sidecar declares the chain.
     """
@@ -71,7 +71,7 @@ class RigidArm:
     offset: Array
     informative: bool
     noise: tuple[float, float | None]
-    declared: bool
+    declared_noise: tuple[float | None, float | None]
     whitener: Array
     exact: bool
 
@@ -273,7 +273,7 @@ def rigid_arm(
         offset=np.zeros(len(unknown)),
         informative=uncertainty is not None,
         noise=problem.noise,
-        declared=problem.declared,
+        declared_noise=problem.declared_noise,
         whitener=whitener_of(np.diag(noise**2)),
         exact=exact,
     )
