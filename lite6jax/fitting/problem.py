@@ -32,6 +32,9 @@ Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)
 """Position (m) and orientation (rad) noise per axis of the first fit, each where a recording does not declare it."""
+TOLERANCE = {"m": 0.02, "rad": 0.05}
+"""Standard deviation of the prior of each number of an unknown chain about nominal. It is wide enough for any arm: real
+ones are up to 10 mm and 1° off. What the data do not determine stays near nominal by it."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
 """Prior standard deviation of a factory number (m, rad) where geometry is `prior` and none is declared."""
 
@@ -48,7 +51,7 @@ class Problem:
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured.
         noise: one standard deviation per axis of position (m) and orientation (rad), None where that is not measured.
         joint_noise: of a joint's read-out, rad.
-        precision: `(size,)` of the prior; zero is none.
+        precision: `(size,)` of the prior that is declared; zero is none.
         movable: `(size,)` bool, the parameters to estimate.
         declared_noise: the noise as declared, each None where it is not, or not measured.
         exact: whether the poses have no noise: they are computed from a calibration.
@@ -72,6 +75,14 @@ class Problem:
     def rows(self) -> int:
         """Numbers a sample gives: 3 or 6."""
         return POSITION if self.pose.ndim == 2 else POSE
+
+    @property
+    def tolerance(self) -> Array:
+        """`(size,)`, the precision of the prior of what is fitted and nothing is declared of; zero of frames."""
+        chain, precision = self.form.chain, np.zeros(self.form.size)
+        if not self.exact:
+            precision[: chain.size] = [TOLERANCE[unit] ** -2.0 for unit in chain.units]
+        return np.where(self.movable & (self.precision == 0), precision, 0.0)
 
     def select(self, samples: NDArray[np.integer]) -> "Problem":
         """With some of the samples."""

@@ -47,6 +47,10 @@ class Errors:
         return float(np.sqrt(np.mean(self.position**2)))
 
 
+FROM_PRIOR = 0.01
+"""Share of the prior's variance above which an estimate is not determined by the data: its standard deviation is then
+over 2 mm or 0.3°, a tenth of the prior's, and no less than real arms are off nominal."""
+
 _predict = Exported("predict", predict, (0,))
 _AT_ONCE = 24_000
 """Samples, whose predicted poses take 3 MB."""
@@ -147,6 +151,7 @@ class Solution(Summarised):
         checked: of data not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
         noise: of the data; None for a calibration.
         weight: `(sample,)` in 0…1, of each sample under the robust loss.
+        tolerance: `(size,)`, the precision of the prior about nominal, of which nothing is declared; zero without one.
         notes: assumptions of the fit, each one sentence.
         recording: the recording that was fitted; None for a calibration.
         faults: of its data, in the order in which they were corrected.
@@ -165,6 +170,7 @@ class Solution(Summarised):
     checked: Errors
     noise: Noise | None
     weight: Array
+    tolerance: Array
     notes: tuple[str, ...] = field(default=())
     recording: Recording | None = None
     faults: tuple[DataFault, ...] = ()
@@ -178,6 +184,19 @@ class Solution(Summarised):
     def standard_deviation(self) -> Array | None:
         """`(size,)` in m and rad; zero where held."""
         return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def prior_share(self) -> Array:
+        """`(size,)`: the variance of each estimate over that of its prior about nominal, 1 where the data say nothing.
+
+        Zero without such a prior, and where held.
+        """
+        return np.zeros(self.form.size) if self.covariance is None else np.diagonal(self.covariance) * self.tolerance
+
+    @property
+    def determined(self) -> NDArray[np.bool_]:
+        """`(size,)`: estimated, and by more than the prior about nominal."""
+        return self.free & (self.prior_share <= FROM_PRIOR)
 
     @cached_property
     def quality(self) -> Quality:

@@ -123,6 +123,10 @@ def _solution(solution: Solution) -> Description:
     if held:
         names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
         sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
+    unsure = np.flatnonzero(solution.free & ~solution.determined)
+    if unsure.size:
+        names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
+        sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
     rows = [
         ("arm", solution.arm.name),
         ("result", solution.result.message),
