@@ -170,10 +170,10 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         table.add_row(joint_name(form, i), *cells)
     yield table
     if (free & ~determined).any():
-        length, angle = (number(SCREEN[unit][0] * TOLERANCE[unit]) for unit in ("m", "rad"))
+        length, angle = (f"{SCREEN[unit][0] * TOLERANCE[unit]:.2g}" for unit in ("m", "rad"))
         yield Text(
-            f"In brackets: these data do not determine the number. Its prior does, which is the nominal one ± {length} mm"
-            f" or {angle} deg."
+            "In brackets: these data do not determine the number. Its prior does, which is the nominal one "
+            f"± {length} mm or {angle} deg."
         )
     if form.sliding:
         yield Text(
