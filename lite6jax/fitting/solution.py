@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -10,6 +11,10 @@ from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.forms import hayati_of
+from lite6jax.arms.table import write_table
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.quality import Quality, quality_of_calibration, quality_of_poses
@@ -261,3 +266,27 @@ class FleetSolution(Summarised):
     def standard_deviation(self) -> Array:
         """`(arm, size)` m and rad."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+
+def write_solution(solution: Solution, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes the fitted arm's Hayati parameters; sensor frame and tool, which are not the arm's, stay out of it.
+
+    How the fit ended, whether it describes the data and its error on data not fitted are written beside the table.
+
+    A six-parameter chain, near a factory calibration, is converted in closed form.
+
+    Raises:
+        InputError: as `write_table` and `hayati_of`.
+    """
+    form, parameters = solution.form.chain, solution.parameters
+    if not isinstance(form, HayatiForm):
+        arm = solution.arm
+        chain = FactoryCalibration(parameters.reshape(-1, 6), arm, arm.T_joint_flange, str(path))
+        form, parameters = arm.form, hayati_of(chain)
+    error = solution.checked.position_rms
+    fit = {
+        "result": solution.result.name.lower(),
+        "quality": solution.quality.verdict,
+        "checked_position_rms_m": error if np.isfinite(error) else None,
+    }
+    return write_table(form, np.asarray(parameters), path, overwrite, fit)
