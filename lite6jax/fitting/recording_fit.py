@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.many_samples import finished_on_all
@@ -203,7 +202,7 @@ def _prior_share(tolerance: Array, free: NDArray[np.bool_], information: Array) 
     """`(size,)`, the variance of each free entry with the prior's precision in the information, over the prior's."""
     share = np.zeros(free.size)
     inside = np.ix_(free, free)
-    share[free] = np.diagonal(scaled_inverse(information[inside])) * tolerance[free]
+    share[free] = np.diagonal(_inverse(information[inside])) * tolerance[free]
     return share
 
 
@@ -274,5 +273,12 @@ def _covariance(problem: Problem, free: NDArray, fits: RobustFits, freedom: floa
         factor = variance_factor(fits.estimates.squares[0] / scale**2, rows, freedom, fitted)
     covariance = np.zeros_like(prior)
     if free.any():
-        covariance[np.ix_(free, free)] = scaled_inverse((information / factor + prior)[np.ix_(free, free)])
+        covariance[np.ix_(free, free)] = _inverse((information / factor + prior)[np.ix_(free, free)])
     return covariance
+
+
+def _inverse(H: Array) -> Array:
+    """The inverse, taken after scaling to unit diagonal; a pseudo-inverse would leave out what only the prior knows."""
+    root = np.sqrt(np.diagonal(H))
+    scale = np.outer(root, root)
+    return np.linalg.inv(H / scale) / scale

@@ -196,7 +196,11 @@ class Solution(Summarised):
 
         Zero without such a prior, and where held.
         """
-        return np.zeros(self.form.size) if self.covariance is None else np.diagonal(self.covariance) * self.tolerance
+        if self.covariance is None:
+            return np.zeros(self.form.size)
+        share = np.diagonal(self.covariance) * self.tolerance
+        # rounding hides a prior below 1e-16 of the information
+        return np.where((share >= 0) & (share <= 1), share, 1.0)
 
     @property
     def determined(self) -> NDArray[np.bool_]:
