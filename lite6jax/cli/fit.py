@@ -116,7 +116,7 @@ class Fit:
 
         # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:
-            from lite6jax.fitting.model_table import write_solution
+            from lite6jax.fitting.solution import write_solution
 
             written.append(write_solution(solution, self.out, self.force))
         if self.figures:

@@ -79,8 +79,8 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "date": settings.date,
         "instrument": settings.instrument,
         "noise": {
-            "declared_position_m": settings.position_noise_m,
-            "declared_orientation_rad": settings.orientation_noise_rad,
+            "declared_position_m": problem.declared_noise[0],
+            "declared_orientation_rad": problem.declared_noise[1],
             "estimated_position_m": found.estimated_noise,
         },
         "data_faults": faults,

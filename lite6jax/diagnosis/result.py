@@ -221,9 +221,9 @@ class Diagnosis(PublicResult):
         problem, fit, kept = self.problem, self.fit, self.problem.valid
         measured = np.asarray(problem.measured.position).T
         predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        noise = problem.recording.settings.position_noise_m
         left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
         reach, over_noise = problem.arm.reach, max(left, default=None)
+        noise = problem.declared_noise[0]
         return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property

@@ -110,8 +110,12 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     """
     problem, fit, kept = found.problem, found.fit, ~found.outliers
     count = max(int(kept.sum()), 1)
-    scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
-    noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
+    scales = fit.scale[problem.groups[[0, -1]]]
+    scale = [
+        float(s if declared is None else min(s, 1.0))
+        for s, declared in zip(scales, problem.declared_noise, strict=True)
+    ]
+    noise = scale[0] * problem.noise[0], scale[1] * (problem.noise[1] or 0.0)
     folds = len(found.folds)
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE

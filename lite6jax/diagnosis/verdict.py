@@ -38,18 +38,17 @@ class Left(NamedTuple):
 
 
 def left_of(found: "Diagnosis") -> Left:
-    """What the model of a diagnosis leaves; a noise that is declared of positions alone counts for these."""
-    problem, kept, fit = found.problem, ~found.outliers, found.fit
-    acts_at, settings = concentration(problem, fit, found.options.engine), problem.recording.settings
-    position = orientation = None
-    if settings.position_noise_m is not None and kept.any():
-        position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / settings.position_noise_m)
-    assumed = problem.noise[1]  # that residuals of orientations are over
-    if problem.rows == 6 and assumed and settings.orientation_noise_rad is not None and kept.any():
+    """What the model of a diagnosis leaves."""
+    problem, kept, white = found.problem, ~found.outliers, found.fit.noise.white
+    acts_at = concentration(problem, found.fit, found.options.engine)
+    position, orientation = None, None
+    if problem.declared_noise[0] is not None and kept.any():
+        position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.declared_noise[0])
+    if problem.declared_noise[1] is not None and kept.any():
+        rows, fit = found.fit.residuals.rows[3:, kept], found.fit
         freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
-        turned = np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom)
-        orientation = float(turned * assumed / settings.orientation_noise_rad)
-    return Left(position, orientation, fit.noise.white, acts_at)
+        orientation = float(np.sqrt(np.mean(rows**2) / freedom))
+    return Left(position, orientation, white, acts_at)
 
 
 def verdict_of(found: "Diagnosis") -> Verdict:

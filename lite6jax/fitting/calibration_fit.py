@@ -55,6 +55,7 @@ def fit_calibration(
         checked=both.select(slice(samples, None)),
         noise=None,
         weight=np.ones(samples),
+        tolerance=problem.tolerance,
     )
 
 

@@ -57,7 +57,16 @@ def document(result: Any) -> dict[str, Any]:
 def _solution(found: Solution) -> dict[str, Any]:
     chain = found.form.chain
     deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
-    entries = zip(chain.names, chain.units, found.parameters, deviation, found.free, strict=False)
+    entries = zip(
+        chain.names,
+        chain.units,
+        found.parameters,
+        deviation,
+        found.free,
+        found.determined,
+        found.prior_share,
+        strict=False,
+    )
     return {
         "schema": "lite6jax/fit/1",
         "arm": found.arm.name,
@@ -65,8 +74,16 @@ def _solution(found: Solution) -> dict[str, Any]:
         "steps": found.steps,
         "quality": found.quality.to_dict(),
         "parameters": [
-            {"name": name, "unit": unit, "value": value, "std": std, "free": free}
-            for name, unit, value, std, free in entries
+            {
+                "name": name,
+                "unit": unit,
+                "value": value,
+                "std": std,
+                "free": free,
+                "determined": sure,
+                "prior_share": share,
+            }
+            for name, unit, value, std, free, sure, share in entries
         ],
         "held": [asdict(each) for each in found.held],
         "T_sensor_base": found.model.T_sensor_base,

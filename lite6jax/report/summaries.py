@@ -83,6 +83,10 @@ def _solution(solution: Solution) -> Description:
     if held:
         names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
         sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
+    unsure = np.flatnonzero(solution.free & ~solution.determined)
+    if unsure.size:
+        names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
+        sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
     rows = [
         ("arm", solution.arm.name),
         ("result", solution.result.message),
@@ -97,7 +101,8 @@ def _solution(solution: Solution) -> Description:
             rows.append((f"orientation error, {name} (deg RMS)", _degrees(_rms(errors.orientation))))
     if solution.noise is not None:
         found = _millimetres(solution.noise.position)
-        declared = "" if solution.noise.declared is None else f"; declared {_millimetres(solution.noise.declared[0])}"
+        told = solution.noise.declared and solution.noise.declared[0]
+        declared = "" if told is None else f"; declared {_millimetres(told)}"
         sentences.append(
             f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
         )

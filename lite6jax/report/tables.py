@@ -12,6 +12,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.problem import TOLERANCE
 from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
@@ -48,6 +49,7 @@ def recording_read(recording: Recording, solution: Solution) -> Iterator[Rendera
     frame = "unknown, fitted" if solution.form.frame else "the arm's base"
     tool = "unknown, fitted" if solution.form.tool else "none" if settings.tool == "none" else "as declared"
     yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+    yield from screen.notes(_notes_of_data(solution))
 
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
@@ -79,7 +81,12 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield from _held_lines(solution.held)
         yield from _noise_line(solution.noise, solution.checked)
         yield from _outlier_line(solution, recording)
-        yield from screen.notes(solution.notes)
+        yield from screen.notes(note for note in solution.notes if note not in _notes_of_data(solution))
+
+
+def _notes_of_data(solution: Solution) -> tuple[str, ...]:
+    """What was dropped or assumed as the recording was read: it stands above the results."""
+    return () if solution.recording is None else solution.recording.notes
 
 
 def _result_line(solution: Solution, recorded: bool) -> str:
@@ -134,7 +141,7 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
     measured = solution.standard_deviation is not None
     below = solution.standard_deviation if measured else solution.parameters - solution.arm.hayati
     assert below is not None
-    free = solution.free[: form.size]
+    free, determined = solution.free[: form.size], solution.determined[: form.size]
     at = {name: i for i, name in enumerate(form.names)}
 
     def cell(name: str, otherwise: str = "") -> str:
@@ -144,7 +151,8 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         scale, _ = SCREEN[form.units[i]]
         value = fixed(scale * solution.parameters[i])
         if measured:
-            return f"{value}\n{f'±{plus_minus(scale * below[i])}' if free[i] else 'held'}"
+            deviation = f"±{plus_minus(scale * below[i])}" if free[i] else "held"
+            return f"{value}\n{deviation if determined[i] or not free[i] else f'({deviation})'}"
         return f"{value}\n{fixed(scale * below[i], sign='+')}"
 
     under = "its standard deviation" if measured else "its difference from nominal"
@@ -161,6 +169,12 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         cells = [cell(f"{name}{i + 1}", otherwise) for name, otherwise in zip(in_rows, empty, strict=True)]
         table.add_row(joint_name(form, i), *cells)
     yield table
+    if (free & ~determined).any():
+        length, angle = (f"{SCREEN[unit][0] * TOLERANCE[unit]:.2g}" for unit in ("m", "rad"))
+        yield Text(
+            "In brackets: these data do not determine the number. Its prior does, which is the nominal one "
+            f"± {length} mm or {angle} deg."
+        )
     if form.sliding:
         yield Text(
             "P: a prismatic joint, whose axis is drawn through the origin of the frame before it; b is a shift along y "
@@ -236,13 +250,13 @@ def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     found = f"{number(1e3 * noise.position)} mm"
     if noise.orientation is not None:
         found += f", {number(np.rad2deg(noise.orientation))} deg"
-    if noise.declared is None:
-        yield Text(f"Noise per axis: not declared for every measured quantity; the residuals have {found}.")
+    ratio = noise.over_declared
+    if noise.declared is None or ratio is None:
+        yield Text(f"Noise per axis: not declared; the residuals have {found}.")
         return
-    declared = f"{number(1e3 * noise.declared[0])} mm"
-    if noise.declared[1] is not None:
-        declared += f", {number(np.rad2deg(noise.declared[1]))} deg"
-    ratio = noise.position / noise.declared[0]
+    parts = zip(noise.declared, ("m", "rad"), strict=True)
+    told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
+    declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
     verdict = "as declared" if ratio < ABOVE_NOISE else f"{ratio:.0f} times it: this geometry does not explain the rest"
     yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")
 

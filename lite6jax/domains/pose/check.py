@@ -190,7 +190,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     )
     share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
     noise = solution.noise
-    declared = noise.declared[0] * np.sqrt(3) if noise and noise.declared else 0.0
+    declared = (noise.declared[0] or 0.0) * np.sqrt(3) if noise and noise.declared else 0.0
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
