@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, arm_reference
+from lite6jax.cli.arguments import ArmName, arm_reference, pairs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.join import join
 from lite6jax.errors import InputError
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lite6jax.domains.pose.inspection import Inspection
+    from lite6jax.recordings.fault import DataFault
     from lite6jax.recordings.raw import RawTable
 
 _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -71,12 +72,14 @@ class Init:
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings.ros import ArmJoints
+        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
-        from lite6jax.report import inspection, screen
+        from lite6jax.report import checks, inspection, screen
 
-        settings = _pairs("--set", self.set, parsed=True)
-        given = _pairs("--column", self.column)
+        settings = pairs("--set", self.set, parsed=True)
+        given = pairs("--column", self.column)
+        declared_settings(None, None, settings)
         joined = join(self.source, load_nominal(self.arm), given, self.force)
         source, given = (self.source[0], given) if joined is None else (str(joined.path), dict(joined.given))
         path, topics = split_topics(source)
@@ -103,36 +106,37 @@ class Init:
             arm = arm or _asked_arm(found)
             if arm != self.arm:  # the joint states of a log are in the units of its joints
                 file, table, columns, notes = opened()
-            answered = _asked_pose(found := look()) | _asked_columns(found)
-            given |= answered
-            settings |= _asked(found, settings)
-            found, shown = look(), arm == self.arm and not answered
+            before = dict(given)
+            given |= _asked_pose(look())
+            given |= _asked_columns(look())
+            settings |= _asked(look(), settings)
+            found, shown = look(), arm == self.arm and given == before
         if found.undecided:
-            raise InputError(f"{file}: {inspection.choice_of_pose(found, settings.get('pose_source'))}")
+            raise InputError(f"{file}: {inspection.choice_of_pose(found)}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         if found.computed:
             settings.setdefault("pose_source", "controller_fk")
-        self._check(found, table, settings, file, notes)
+        self._check(found, table, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
         made = [] if joined is None else [joined.write(self.force)]
         made.append(write_atomically(sidecar, text, self.force))
+        faults = _gross_faults(source, found, notes)
         if self.json:
-            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            told = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
+            print(json.dumps({**found.to_dict(), **told}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
+        screen.show(checks.fault_lines(faults))
         screen.show(screen.notes(notes))
         screen.written(made)
         screen.show(inspection.next_steps(found, settings, source))
         return DONE
 
-    def _check(
-        self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path", notes: list[str]
-    ) -> None:
+    def _check(self, found: "Inspection", table: "RawTable", path: "Path", notes: list[str]) -> None:
         """Refuses what the other commands would refuse, before anything is written."""
-        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated
         from lite6jax.report.inspection import no_angles
 
@@ -145,29 +149,26 @@ class Init:
                 f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
                 f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
             )
-        declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof
         tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
 
 
+def _gross_faults(source: str, found: "Inspection", notes: list[str]) -> "tuple[DataFault, ...]":
+    """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
+    from lite6jax.domains.pose.screening.screen import screen as screened
+    from lite6jax.recordings import read_recording
+
+    if found.arm is None or found.of("q") is None or found.of("position") is None:
+        return ()
+    try:
+        return screened(read_recording(source), allow_undecided=True, coarse=True).found
+    except InputError as error:  # of too few rows, and the like: the table was recognised all the same
+        notes.append(str(error))
+        return ()
+
+
 def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:
-    """`name=value` by name; with `parsed`, values as YAML has them."""
-    import yaml
-
-    found: dict[str, Any] = {}
-    for pair in given:
-        name, mark, value = pair.rpartition("=") if not parsed else pair.partition("=")
-        if not mark or not name or not value or len(pair) > 1000:
-            raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if parsed else 'COLUMN=MEANING'}")
-        try:
-            found[name] = yaml.safe_load(value) if parsed else value
-        except yaml.YAMLError as error:
-            raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
-    return found
 
 
 def _asked_arm(found: "Inspection") -> str | None:
@@ -183,7 +184,7 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
     answers = {}
     for key in (*wanted, *(("torque_source",) if torques else ())):
-        if key in settings:
+        if key in settings or (key == "pose_source" and found.computed):
             continue
         question, choices = _QUESTIONS[key]
         answers[key] = _answer(question, choices, "unknown")

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal, NamedTuple, final
+from unicodedata import normalize
 
 import numpy as np
 
@@ -28,17 +29,33 @@ _UNUSED = {
     *("mode", "bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success"),
     *("task", "next", "frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist"),
     *("linear", "angular", "offset", "inertia", "cog", "com", "imu", "gyro", "mag", "gravity", "normal"),
-    *("ext", "external", "extax", "eax"),  # external axes are no joints of the arm
 }
 _QUANTITIES = {
     "temp": {"temp", "temperature", "temperatures"},
     "current": {"current", "currents", "amps"},
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"},
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot"},
-    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta"},
+    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }
-_JOINT = {"q", "joint", "joints", "jnt", "jt", "axis", "achse", "gelenk", "theta", "th", "angle", "angles", "servo"}
-_JOINT |= {"motor"}
+_JOINT = {
+    "q",
+    "joint",
+    "joints",
+    "jnt",
+    "jt",
+    "axis",
+    "achse",
+    "gelenk",
+    "qpos",
+    "theta",
+    "th",
+    "angle",
+    "angles",
+    "servo",
+}
+_JOINT |= {"motor", "j"}
+_EXTERNAL = {"ext", "external", "extax", "eax"}
+"""Axes beside the arm, and torques from outside."""
 _PLACE = {"position", "positions", "pos"}
 _MOVED = {"translation", "trans", "tvec", "xyz"}
 _TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "rvec", "euler", "rpy", "attitude", "ori"}
@@ -61,41 +78,44 @@ _SENSOR = {
     ),
     *("meas", "measured"),
 }
-_POSE = {"pose", "cartesian", "cart", "point"} | (_CONTROLLER - {"robot", "controller"}) | (_SENSOR - _MEASURED)
+_POSE = {"pose", "cartesian", "cart", "point", "tracker", "marker"} | (_CONTROLLER - {"robot", "controller", "rtde"})
 _SHARED = _PLACE | _MOVED | _TURNED | {"pose", "cartesian", "cart", "point", "data", "header", "matrix", "transform"}
-_SHARED |= {"q", "r", "t", "o"}
 """Words that do not say whose a pose is."""
 _TIMES = {"time", "timestamp", "datetime", "stamp", "elapsed", "clock"}
 _CLOCKS = {"t", "index", "s", "header", "robot", "ros", "sys", "system", "host", "pc", "local", "unix", "epoch", "rel"}
 """Beside which `t` is a time still."""
 _AIR = {"ambient", "amb", "room", "air", "env", "environment"}
 _RUNS = {"run", "episode", "trial", "segment"}
-_UNITS = {
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
-    **dict.fromkeys(("rad_per_s", "rad/s", "rads", "radps"), "rad_per_s"),
-    **dict.fromkeys(("deg_per_s", "deg/s", "°/s", "dps", "degps"), "deg_per_s"),
-    **dict.fromkeys(("rad_per_s2", "rad/s2", "rad/s^2", "rad/s²"), "rad_per_s2"),
-    **dict.fromkeys(("deg_per_s2", "deg/s2", "deg/s^2", "deg/s²", "°/s²", "°/s^2"), "deg_per_s2"),
-    **dict.fromkeys(("m_per_s", "m/s", "mps"), "m_per_s"),
-    **dict.fromkeys(("mm_per_s", "mm/s"), "mm_per_s"),
-    **dict.fromkeys(("m_per_s2", "m/s2", "m/s^2", "m/s²"), "m_per_s2"),
-    **dict.fromkeys(("mm_per_s2", "mm/s2", "mm/s^2", "mm/s²"), "mm_per_s2"),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("nm", "n_m", "n.m", "n*m"), "Nm"),
-    **dict.fromkeys(("mnm",), "mNm"),
-    **dict.fromkeys(("n", "newton", "newtons"), "N"),
-    **dict.fromkeys(("kn",), "kN"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
-    **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "µs", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanoseconds"), "ns"),
-    **dict.fromkeys(("degc", "c", "celsius", "°c"), "degC"),
-    **dict.fromkeys(("kg",), "kg"),
+_LENGTHS = {
+    "rad": "rad radian radians",
+    "deg": "deg degree degrees °",
+    "m": "m meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
 }
+_RATES = {"per_s": "{}_per_s {}/s {}ps", "per_s2": "{}_per_s2 {}/s2 {}/s^2 {}/s²"}
+_OTHERS = {
+    "Nm": "nm n_m n.m n*m",
+    "mNm": "mnm",
+    "N": "n newton newtons",
+    "kN": "kn",
+    "A": "a amp amps ampere",
+    "mA": "ma",
+    "s": "s sec second seconds",
+    "ms": "ms msec milliseconds",
+    "us": "us usec µs microseconds",
+    "ns": "ns nsec nanoseconds",
+    "degC": "degc c celsius °c",
+    "kg": "kg",
+    "rad_per_s": "rads",
+    "deg_per_s": "dps",
+}
+_UNITS = {word: unit for unit, words in (_LENGTHS | _OTHERS).items() for word in words.split()}
+_UNITS |= {
+    form.format(word): f"{unit}_{rate}"
+    for (unit, words), (rate, forms) in product(_LENGTHS.items(), _RATES.items())
+    for word, form in product(words.split(), forms.split())
+}
+"""Units as `columns.py` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
@@ -112,14 +132,14 @@ _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
     ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
-    tuple("slurbt"),
     tuple("sleurbt"),
+    tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
 KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "position", "rotation", "time", "payload", "ambient", "run")
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
-_COMPONENT = re.compile(r"(|p|t|pos|q|o|quat|r|rot)([wxyz])|roll|pitch|yaw|alpha|beta|gamma")
+_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
 _TRIPLES = (
     (("roll", "pitch", "yaw"), RPY, "likely"),
@@ -200,15 +220,15 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
         joint_names: of the arm, along it, where it has some.
     """
     words = [_taken_apart(name) for name in names]
-    found = [*_labelled(words, joint_names)]
+    found = [*_joint_labels(words, joint_names)]
     labelled = {name for block in found for name in block.columns}
     words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
-    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbered(words)]
+    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
     place = {name: k for k, name in enumerate(names)}
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
 
 
-def chosen(found: Sequence[Block], dof: int | None = None) -> list[Block]:
+def choose(found: Sequence[Block], dof: int | None = None) -> list[Block]:
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
 
     Args:
@@ -235,12 +255,10 @@ def sources(found: Sequence[Block]) -> list[Source]:
     places = [block for block in places if block.weak < 2] or places
     places = [block for block in places if block.rank < 2] or places
     turns = [block for block in found if block.kind == "rotation"]
-    by_words = {block.source: block for block in reversed(places)}
     listed = []
-    for words, place in reversed(by_words.items()):
-        own = [block for block in turns if block.source == words]
-        others = {block.source for block in turns}
-        if not own and len(by_words) == 1 and others == {()}:
+    for place in places:
+        own = [block for block in turns if block.source == place.source]
+        if not own and len(places) == 1 and {block.source for block in turns} == {()}:
             own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
         listed.append(Source(place, tuple(own)))
     return listed
@@ -271,7 +289,7 @@ def _taken_apart(name: str) -> _Word:
     letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
     if match and (letter is None or letter.search(name[: match.start(1)])):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text.translate(_GREEK))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", normalize("NFKC", text).translate(_GREEK))
     every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts, number, component = [*every], None, None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
@@ -279,13 +297,14 @@ def _taken_apart(name: str) -> _Word:
     digits = [k for k, part in enumerate(parts) if part.isdecimal()]
     if len(letters) == 1 and not digits:  # axis_A … axis_F
         number = _NUMBERS.index(parts.pop(letters[0])) + 1
+    elif places:
+        component = parts.pop(at := places[-1])
+        if at and len(component) == 1 and parts[at - 1] in {*"ptqr"}:
+            component = parts.pop(at - 1) + component  # q_w is qw
+        implied = next((word for start, word in _IMPLIED.items() if component in {start + axis for axis in "wxyz"}), "")
+        component, parts = (component[-1], [*parts, implied]) if implied else (component, parts)
     elif parts and parts[-1] in {*"abcpr"}:
         component = parts.pop()
-    elif places:
-        kind, axis = (_COMPONENT.fullmatch(part := parts.pop(places[-1])) or ["", ""]).groups()  # type: ignore
-        component = axis if kind in _IMPLIED or kind == "" else part
-        parts += [_IMPLIED[kind]] if kind in _IMPLIED else []
-        parts = ["quat" if part == "q" else part for part in parts]
     elif digits:
         number = int(parts.pop(digits[-1])[:9])
     return _Word(name, tuple(parts), number, component, unit, every)
@@ -298,7 +317,7 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     if listed and listed[0] == "current" and present & {*_JOINT, *_PLACE, *_POSE}:
         present = present - {"current"} if not present <= {"current", "joint", "motor"} else present
     said = next((quantity for quantity, own in _QUANTITIES.items() if own & present), None)
-    if said is None and present & {*_JOINT, *_PLACE, "j", "a", "state"}:
+    if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
         said = "q"
     stated = {*units} - {None}
     if not stated or (said is not None and stated <= units_allowed(said) | units_allowed(said, True)):
@@ -321,14 +340,28 @@ def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: ob
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
 
 
-def _source(words: Iterable[str]) -> tuple[str, ...]:
-    return tuple(sorted(set(words) - _SHARED))
+def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
+    """The words that say whose a pose is; letters such as the T of `T00` do not."""
+    return tuple(sorted(set(words) - _SHARED - {*letters}))
 
 
-def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
+def _form(words: Iterable[str]) -> dict[str, object]:
+    """The form of three numbers of a rotation that words say, and how sure that is."""
+    if {"rotvec", "rvec"} & {*words}:
+        return {"form": VECTOR}
+    return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
+
+
+def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
     taken: set[str] = set()
-    for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS)):
+    state = [
+        "_".join(word.every[2:])
+        for word in words
+        if word.every[:2] == ("observation", "state") and word.number is word.component is None
+        if not _UNUSED & set(word.every)
+    ]
+    for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
         labels = [_taken_apart(name).every for name in names]
         labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
         if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
@@ -345,18 +378,6 @@ def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Bl
                 for block in _block(kind, [group[k] for k in range(len(labels))], rest, weak=weak):
                     taken |= set(block.columns)
                     yield block
-    for prefix in (("observation", "state"), ("action",)):
-        members = [
-            word
-            for word in words
-            if word.words[: len(prefix)] == prefix
-            and len(word.words) > len(prefix)
-            and word.number is word.component is None
-            and word.name not in taken
-            and not _UNUSED & set(word.words)
-        ]
-        if len(members) > 1:
-            yield from _block("q", members, prefix, weak=1, rank=2 * (prefix == ("action",)))
 
 
 def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
@@ -371,17 +392,18 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
     found = []
     for (said, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
         if [*sorted(group)] == [(first + i, first + j) for i, j in np.ndindex(shape)]:
-            found.append((said, shape, [group[at] for at in sorted(group)]))
+            found.append((said, shape, [group[at] for at in sorted(group)], "likely"))
     for said, group in flat.items():
         shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(group))
         if shape and sorted(group) == [min(group) + k for k in range(len(group))] and min(group) < 2:
-            found.append((said, shape, [group[k] for k in sorted(group)]))
-    for (said, shape, members), turned in product(found, (False, True)):
+            found.append((said, shape, [group[k] for k in sorted(group)], "assumed"))
+    for (said, shape, members, sure), turned in product(found, (False, True)):
         names = np.array([word.name for word in members], object)
         grid = names.reshape(shape[::-1]).T if turned else names.reshape(shape)
         words_of = {word.name: word for word in members}
-        same = {"source": (*_source(said), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
+        same = {"source": (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
         same |= {"matrix": tuple(grid.ravel()), "unit": None}
+        same |= {"sure": sure if shape == (3, 3) else "certain"}  # of others the numbers show the order
         same |= {"rank": 2} if said[-1:] == ("c",) else {}
         yield from _block("rotation", [words_of[name] for name in grid[:3, :3].ravel()], said, form=MATRIX, **same)
         if shape[1] == 4:
@@ -412,17 +434,16 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
         if word.component is not None and _quantity(set(word.words) - {*_POSE, *_PLACE}) in (None, "q"):
             groups.setdefault(word.words, {}).setdefault(word.component, word)
     for said, group in groups.items():
-        turned, source = bool(_TURNED & set(said)), _source(said)
+        turned = bool(_TURNED & set(said))
+        source = _source(said)
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
             yield from _block("rotation", members, said, form=QUATERNION, source=source)
         elif turned and len(place) == 3:
-            form = VECTOR if {"rotvec", "rvec"} & set(said) else RPY if "rpy" in said else None
-            sure = "certain" if form == VECTOR else "likely"
-            yield from _block("rotation", place, said, form=form, sure=sure, source=source)
+            yield from _block("rotation", place, said, source=source, **_form(said))
         elif len(place) == 3 and not _JOINT & set(said):
-            weak = 0 if set(said) & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
+            weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)
         for parts, form, sure in _TRIPLES:
             if {*parts} <= {*group}:
@@ -432,7 +453,7 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
                 yield from _block("rotation", members, said, form=form, sure=sure, source=source)
 
 
-def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
+def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
     groups: dict[tuple[str, ...], dict[int, _Word]] = {}
     for word in words:
@@ -442,12 +463,11 @@ def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
         count, present = len(group), set(said)
         if sorted(group) not in ([*range(count)], [*range(1, count + 1)]):
             continue
-        members, same = [group[number] for number in sorted(group)], {"source": _source(said)}
+        members, same = [group[number] for number in sorted(group)], {"source": _source(said, "qrt")}
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
         if turned and count in (3, 4):
-            form = VECTOR if {"rotvec", "rvec"} & present else RPY if "rpy" in present else None
-            yield from _block("rotation", members, said, form=form if count == 3 else None, **same)
+            yield from _block("rotation", members, said, **same, **(_form(said) if count == 3 else {}))
             continue
         if count == 4 and present <= {"q"} | _TURNED:
             yield from _block("rotation", members, said, weak=1, **same)  # if of unit length
@@ -455,7 +475,7 @@ def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], said, **same)
                 yield from _block("rotation", members[3:], said, **same) if count > 3 else ()
-        elif not posed and kind is not None:
+        elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)
             yield from _block(kind, members, said, weak=0 if strong else 1)
             if kind == "q" and count == 3 and not strong:  # position_0 … position_2 beside joints of another name

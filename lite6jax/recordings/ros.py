@@ -224,7 +224,7 @@ def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple
 
 
 def _split(name: str, types: Mapping[str, str]) -> _Chosen:
-    topic, mark, child = name.rpartition(":")
+    topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
     return _Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name)
 
 

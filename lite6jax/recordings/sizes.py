@@ -71,7 +71,7 @@ def increases(time: Array, run: Array | None = None) -> bool:
     return not steps.size or float(np.mean(steps <= 0)) <= BACK
 
 
-def of_unit_length(quaternion: Array) -> bool:
+def has_unit_length(quaternion: Array) -> bool:
     """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
     length = np.linalg.norm(quaternion[np.isfinite(quaternion).all(1)], axis=1)
     length = length[length > 0]
@@ -91,7 +91,7 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
     there = position[np.isfinite(position)]
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
-    if servo and largest <= PERCENT:
+    if servo and WIDE_RAD < largest <= PERCENT:
         return Decision("deg", "assumed", "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
@@ -134,16 +134,18 @@ def length_unit(position: Array) -> Decision:
 
 def current_unit(current: Array) -> Decision:
     """`mA` or `A`."""
-    largest = _largest(current)
-    large = largest > LARGE_A
-    return Decision("mA" if large else "A", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(current, LARGE_A, "A", "mA")
 
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`."""
-    largest = _largest(torque)
-    large = largest > LARGE_NM
-    return Decision("mNm" if large else "Nm", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+
+
+def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
+    largest = _largest(values)
+    large = largest > limit
+    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
 def time_unit(time: Array, position: Array | None) -> Decision:
@@ -190,7 +192,8 @@ def rotation_form(
         or nothing.
     """
     named = None if form is None else "scalar_first" if form == QUATERNION else form[0]
-    by_names = None if named is None else Decision(named, sure, "name" if sure != "assumed" else "usual_name", {})
+    reason = "usual_name" if sure == "assumed" else "orthogonal" if form == MATRIX and sure == "certain" else "name"
+    by_names = None if named is None else Decision(named, sure, reason, {})
     if rotation.shape[1] in (4, len(MATRIX)):
         return by_names or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
     there = rotation[np.isfinite(rotation).all(1)]

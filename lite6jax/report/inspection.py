@@ -8,11 +8,11 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.inspection import Inspection, PoseSource
+from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.naming import unit_of, units_allowed
+from lite6jax.recordings.naming import Role, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 
 _KINDS = {
@@ -39,14 +39,6 @@ _SLIDES = {
 _UNITS = {
     "rad": "radians",
     "deg": "degrees",
-    "rad_per_s": "rad/s",
-    "deg_per_s": "deg/s",
-    "rad_per_s2": "rad/s²",
-    "deg_per_s2": "deg/s²",
-    "m_per_s": "m/s",
-    "mm_per_s": "mm/s",
-    "m_per_s2": "m/s²",
-    "mm_per_s2": "mm/s²",
     "m": "metres",
     "mm": "millimetres",
     "Nm": "N m",
@@ -194,14 +186,15 @@ def source_statement(source: PoseSource) -> str:
     return said + (f"; the nominal arm reproduces it to {1e3 * source.error:.3g} mm." if source.error < 1e3 else ".")
 
 
-def choice_of_pose(found: Inspection, pose_source: str | None) -> str:
+def choice_of_pose(found: Inspection) -> str:
     """Several poses of which none is taken, and how to say which is meant."""
     said = " ".join(map(source_statement, found.sources))
+    roles: list[Role | None] = [source.role for source in found.sources]
+    keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
+    ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
     ignored = (command_line("--column", f"{name}=ignore").partition(" ")[2] for name in found.sources[0].columns)
-    remedy = f"leave those out that are not meant, such as {' '.join(ignored)}"
-    if pose_source is None and {source.role for source in found.sources} == {"controller", "sensor"}:
-        remedy = "choose by --set pose_source=laser_tracker (motion_capture, camera, or controller_fk), or " + remedy
-    return f"it holds {len(found.sources)} poses. {said} {remedy[0].upper()}{remedy[1:]}"
+    ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
+    return f"it holds {len(found.sources)} poses. {said} Choose by {', or '.join(ways)}"
 
 
 def statement(meaning: Meaning) -> str:
@@ -211,7 +204,8 @@ def statement(meaning: Meaning) -> str:
     if meaning.form is not None:
         said += f", {_FORMS[meaning.form.choice]} ({_sure(meaning.form)})"
     if meaning.unit.choice:
-        unit = _UNITS.get(meaning.unit.choice, meaning.unit.choice)
+        unit = meaning.unit.choice
+        unit = _UNITS.get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
     said += "."
     if block.rivals:
@@ -249,6 +243,7 @@ def _reason(decision: Decision) -> str:
         "within_reach": "they spread over {spread:.3g}",
         "largest": "the largest is {largest:.3g}",
         "usual": "the usual unit",
+        "orthogonal": "in no other order are they rotations",
         "usual_name": "as these names are usually meant",
         "usual_quaternion": "as ROS writes it",
         "largest_angle": "the largest is {largest:.3g}",
@@ -275,7 +270,8 @@ def arm_statement(found: Inspection) -> str:
         return f"Arm: {found.arm.name}, as given; there are no poses to compare it with."
     near = f"its nominal kinematics agree with the poses to {1e3 * found.error:.3g} mm (median)"
     if found.error > 0.05:
-        return f"Arm: {found.arm.name}, but {near}: check the arm, the order of the joints and their signs."
+        missed = f"its nominal kinematics miss the poses by {1e3 * found.error:.3g} mm (median)"
+        return f"Arm: {found.arm.name}, as given; as the columns are read, {missed}."
     others = "; ".join(f"{name} to {1e3 * error:.3g} mm" for name, error in found.arms[1:3])
     return f"Arm: {found.arm.name}; {near}" + (f", {others}." if others else ".")
 
@@ -367,6 +363,11 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     ]
     if doubtful:
         yield Text(f"Check in the sidecar what was assumed: {', '.join(doubtful)}.")
+    said = settings.get("pose_source", "unknown")
+    if found.computed and said not in ("controller_fk", "unknown"):
+        yield Text(f"The poses were computed, not measured by a {said}: errors of the arm do not show in them.")
+    elif said == "unknown" and any(source.taken and source.role == "controller" for source in found.sources):
+        yield Text("The poses have a name of the controller's. If it computed them, write pose_source: controller_fk.")
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return

@@ -124,20 +124,19 @@ NO_MISMATCH = {
 }
 """Faults that make poses miss the arm grossly, each as a clause that rules it out."""
 _REMEDIES = {
-    "declared_frame": "The frame was fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
-    "declared_tool": "The tool was fitted. Declare the tool that was set in the controller, or tool: unknown",
-    "inverted_poses": "They were inverted. Write the poses of what moves with the flange, in the frame of what stands "
-    "still",
-    "mirrored_sensor": "The axes were turned into right-handed ones. Export the poses in right-handed axes",
-    "coupled_joint": "The columns were uncoupled. Write each joint's own angle, as the driver (ROS) has it",
+    "declared_frame": "The frame is fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
+    "declared_tool": "The tool is fitted. Declare the tool that was set in the controller, or tool: unknown",
+    "inverted_poses": "Write the poses of what moves with the flange, in the frame of what stands still",
+    "mirrored_sensor": "Export the poses in right-handed axes",
+    "coupled_joint": "Write each joint's own angle, as the driver (ROS) has it",
 }
 
 
 def _mismatch(n: Numbers, code: str) -> str:
     sentence = f"{_capital(_changed(code, n))}. "
     sentence += (
-        f"The median error falls from {_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm with the "
-        "correction, which was applied. "
+        f"With the correction, which is made whenever the file is read, the median error falls from "
+        f"{_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
     )
     if n["alternatives"]:
         sentence += f"The same poses would result where {' or where '.join(map(_together, n['alternatives']))}. "

@@ -16,7 +16,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
-from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
+from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
@@ -33,7 +33,7 @@ from lite6jax.recordings.columns import (
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
-from lite6jax.recordings.orientations import no_rotations, quaternions
+from lite6jax.recordings.orientations import is_no_rotation, quaternions
 
 Array = NDArray[np.floating]
 
@@ -45,6 +45,10 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
+WIDEST_ANGLE = 1e3
+"""Beyond, numbers are no angles of an orientation, in whatever unit."""
+BEYOND = 1e100
+"""No quantity is as large: such numbers are read as missing here, and refused or dropped by what reads the table."""
 SENSORS = ("laser_tracker", "motion_capture", "camera")
 """The values of `pose_source` of what was measured."""
 
@@ -169,22 +173,30 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {name: values for name, values in columns if values is not None and np.isfinite(values).any()}
-    texts = tuple(name for name, values in columns if name not in numbers)
+    numbers = {
+        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
+    }
+    numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
+    texts = tuple(name for name, values in columns if values is None)
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
     free = [name for name in numbers if given.get(name) != IGNORED]
-    possible, denied = _possible(naming.candidates(free, () if arm is None else arm.joint_names), numbers)
-    slots = _given_slots({name: said for name, said in given.items() if name in numbers})
-    blocks = _with_given(naming.chosen(possible, None if arm is None else arm.dof), slots)
-    blocks = _fitting(blocks, given, arm)
+    joint_names = () if arm is None else arm.joint_names
+    possible, denied = _possible(naming.candidates(free, joint_names), numbers)
+    slots = _slots({name: said for name, said in given.items() if name in numbers})
+    blocks = _merge_given(naming.choose(possible, None if arm is None else arm.dof), slots)
+    blocks = _split_by_joint(blocks, given, arm)
     joints = {name for block in blocks for name in block.columns}
-    poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    poses = _merge_given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    kept = {block.source for block in poses if block.kind == "position"}
+    lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
+    poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _at_poses(numbers, [*blocks, *poses], source)
-    readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
-    taken = _taken(readings, pose_source)
-    found = _Reading(arm=arm) if taken is None else readings[taken]
+    readings = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    readings = [reading for reading in readings if reading.travel > 0] or readings
+    taken = _choose_pose(readings, pose_source)
+    found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
     nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
     agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
     if found.rotation is not None and given.keys() >= set(found.rotation.columns):
@@ -196,7 +208,7 @@ def inspect(
     return Inspection(
         meanings=meanings,
         given=given,
-        unused=tuple(name for name in numbers if name not in used),
+        unused=tuple(name for name, values in columns if values is not None and name not in used),
         texts=tuple(name for name in texts if name not in given),
         denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
@@ -226,17 +238,26 @@ def computed_by_controller(error: float, step: float) -> bool:
 
     Args:
         error: m, the median distance of the positions from those of the arm's nominal kinematics.
-        step: m, how far apart positions are that are written alike (`written_step`); 0 of all digits.
+        step: m, how far apart positions are that are written alike (`digit_step`); 0 of all digits.
     """
     return error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
 
 
-def written_step(values: Array) -> float:
+def digit_step(values: Array) -> float:
     """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
-    there = np.unique(np.round(values[np.isfinite(values)], 12))[:500]
+    there = values[np.isfinite(values)]
+    there = there[:: max(len(there) // 1000, 1)]
     digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
     place = next(digits, None)
     return 0.0 if place is None else 10.0**-place
+
+
+def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
+    """Which of several poses may be of a source: those of its name, else those that do not say whose they are."""
+    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
+    every = [*range(len(roles))]
+    named, open_ = ([k for k in every if roles[k] == of] for of in (role, None))
+    return every if role is None else named or open_ or every
 
 
 class _Reading(NamedTuple):
@@ -285,88 +306,93 @@ def _near(name: str, names: Sequence[str]) -> str:
 
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
     """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
-    whole = {block.columns[0] for block in found if block.kind == "run" and _whole(numbers[block.columns[0]])}
-    run = next((numbers[block.columns[0]] for block in found if block.columns[0] in whole), None)
+    run: Array | None = None
+    unit_length: set[tuple[str, ...]] = set()
     possible: list[Block] = []
     denied: dict[str, str] = {}
-    unit = {block.columns for block in found if block.kind == "rotation" and len(block.columns) == 4
-            and sizes.of_unit_length(_stacked(numbers, block.columns))}  # fmt: skip
-    for block in found:
-        if block.kind == "time":
-            objection = "" if sizes.increases(numbers[block.columns[0]], run) else "time"
-        elif block.kind == "run":
-            objection = "" if block.columns[0] in whole else "run"
+    for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
+        names = block.matrix or block.columns
+        step = 1 if block.kind in ("run", "time") else max(len(numbers[names[0]]) // _ENOUGH, 1)
+        values = np.stack([numbers[name][::step] for name in names], 1)
+        if block.kind == "run":
+            there = values[np.isfinite(values)]
+            right = bool((there == np.round(there)).all())
+            run = values[:, 0] if right and run is None else run
         elif block.matrix:
-            objection = "" if _matrix(_stacked(numbers, block.matrix)) else "matrix"
+            right = _matrix(values)
         elif block.kind == "rotation" and len(block.columns) == 4:
-            objection = "" if block.columns in unit else "quaternion"
+            right = sizes.has_unit_length(values)
+            unit_length |= {block.columns} if right else set()
+        elif block.kind == "rotation":
+            right = bool(np.nanmax(np.abs(values), initial=0.0) < WIDEST_ANGLE)
         else:
-            objection = "joints" if block.kind == "q" and block.columns in unit else ""
-        if not objection:
+            right = block.kind != "time" or sizes.increases(values[:, 0], run)
+            right = right and not (block.kind == "q" and block.columns in unit_length)
+        if right:
             possible.append(block)
-        elif objection == "time" or (objection == "quaternion" and not block.weak):
-            denied |= dict.fromkeys(block.columns, objection)
-    return possible, denied
-
-
-def _whole(run: Array) -> bool:
-    there = run[np.isfinite(run)]
-    return bool((there == np.round(there)).all())
+        elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
+            denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
+    return [block for block in found if block in possible], denied
 
 
 def _matrix(entries: Array) -> bool:
     """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
     M = entries[np.isfinite(entries).all(1)]
-    M = M.reshape(len(M), -1, 3 if entries.shape[1] == 9 else 4)
-    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9)) | (np.abs(M[:, 3:] - [0, 0, 0, 1]) > 1e-6).any((1, 2))
+    M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
+    wrong = is_no_rotation(M[:, :3, :3].reshape(-1, 9))
+    if M.shape[1] == 4:
+        wrong |= (np.abs(M[:, 3] - [0, 0, 0, 1]) > 1e-6).any(1)
     return bool(len(M)) and float(np.mean(wrong)) < 0.1
 
 
+_ENOUGH = 5000
+"""Rows that show whether numbers are quaternions or rotations."""
+_XYZ = ("x", "y", "z")
 _Slots = Mapping[tuple[str, int], tuple[str, str]]
 
 
-def _given_slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
+def _slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
     """Of quantities, and of which joint, the column that is given and its unit."""
     said = {name: known_column(own) for name, own in given.items() if own != IGNORED}
     return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
 
 
-def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+def _merge_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """With the columns that are given in their places, of all but poses."""
     found = {block.kind: block for block in blocks}
     own = {name for name, _ in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
         told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
         units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
-        block = found.get(kind)
-        columns = {} if block is None else dict(enumerate(block.columns, int(is_per_joint(kind))))
-        if not own & set(columns.values()) and sorted(told) == [*range(1, len(told) + 1)]:
-            columns = {}  # all are given
-        columns = {joint: name for joint, name in columns.items() if name not in own} | told
-        if sorted(columns) == [*range(int(is_per_joint(kind)), len(columns) + int(is_per_joint(kind)))]:
-            unit = units.pop() if len(units) == 1 and columns == told else None if block is None else block.unit
-            found[kind] = Block(kind, tuple(columns[k] for k in sorted(columns)), unit or None)
+        first = 1 if is_per_joint(kind) else 0
+        before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
+        whole = sorted(told) == [*range(first, first + len(told))] and not own & set(before.values())
+        columns = told if whole else {joint: name for joint, name in before.items() if name not in own} | told
+        if sorted(columns) == [*range(first, first + len(columns))]:
+            unit = units.pop() if len(units) == 1 and columns == told else found[kind].unit if kind in found else None
+            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit or None)
     return [found[kind] for kind in naming.KINDS if kind in found]
 
 
-def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
-    for form in (("x", "y", "z"), QUATERNION, MATRIX, *ANGLES):
-        if all((part, 0) in slots for part in form):
-            columns, units = zip(*(slots[part, 0] for part in form), strict=True)
-            kind = "position" if form == ("x", "y", "z") else "rotation"
-            words = naming.source_words(columns)
-            placed = next((block.source for block in found if block.kind == "position"), words)
-            found = [block for block in found if block.kind != kind and not set(columns) & set(block.columns)]
-            unit = units[0] if len({*units}) == 1 and units[0] else None
-            turned = kind == "rotation"
-            source = placed if turned else words
-            found.append(Block(kind, columns, unit, form if turned else None, "certain", source=source))
+    for form in (_XYZ, QUATERNION, MATRIX, *ANGLES):
+        if not all((part, 0) in slots for part in form):
+            continue
+        columns, units = zip(*(slots[part, 0] for part in form), strict=True)
+        unit = units[0] or None if len({*units}) == 1 else None
+        if form == _XYZ:
+            block = Block("position", columns, unit, source=naming.source_words(columns))
+        else:
+            source = next((other.source for other in found if other.kind == "position"), ())
+            block = Block("rotation", columns, unit, form, source=source)
+        others = (other for other in found if other.kind != block.kind and not {*columns} & {*other.columns})
+        found = [*others, block]
     return found
 
 
-def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
+def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
@@ -397,23 +423,21 @@ def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None)
     return found
 
 
-def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
+def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
     position = _stacked(numbers, source.position.columns)
-    travel = float(np.max(np.ptp(position[np.isfinite(position).all(1)], axis=0), initial=0.0))
+    there = position[np.isfinite(position).all(1)]
+    travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
     best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
-    of_joints = {
-        slides: next((b for b in blocks if b.kind == "q" and b.slides == slides), None) for slides in (False, True)
-    }
-    columns = dict(sorted(pair for b in of_joints.values() if b for pair in zip(b.joints, b.columns, strict=True)))
+    q = {block.slides: block for block in blocks if block.kind == "q"}
+    columns = dict(sorted(pair for block in q.values() for pair in zip(block.joints, block.columns, strict=True)))
     if not columns:
         return best
-    sliding = tuple(joint - 1 for block in of_joints.values() if block and block.slides for joint in block.joints)
-    arms = [
-        one for one in ([arm] if arm else bundled_of(len(columns))) if (one.dof, one.sliding) == (len(columns), sliding)
-    ]
-    angle, slide = (b.unit if b else None for b in of_joints.values())
-    joint, least = _stacked(numbers, [*columns.values()]), np.inf
+    sliding = tuple(joint - 1 for joint in q[True].joints) if True in q else ()
+    arms = bundled_of(len(columns)) if arm is None else [arm]
+    arms = [one for one in arms if (one.dof, one.sliding) == (len(columns), sliding)]
+    angle, slide = (q[slides].unit if slides in q else None for slides in (False, True))
+    joint, wobbles = _stacked(numbers, [*columns.values()]), []
     for rotation in source.rotations or (None,):
         parts = [joint, position]
         if rotation is not None:
@@ -424,41 +448,37 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
         turn = None if rotation is None or len(rotation.columns) != 3 else rotation.unit
         tried = [(one, agreement(one, pose, angle, slide, source.position.unit, turn)) for one in arms]
         tried = sorted(tried, key=lambda entry: entry[1].error)
-        chosen, agreed = _chosen(arm, tried)
+        chosen, agreed = _choose_arm(arm, tried)
         if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
-        wobble = np.inf if agreed.form is None else agreed.form.numbers["error"]
-        if not best.tried or wobble < least:
-            least, computed = wobble, bool(tried) and _computed(tried[0][1], pose)
+        wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
+        if len(wobbles) == 1 or wobbles[-1] < min(wobbles[:-1]):
+            computed = bool(tried) and _computed(tried[0][1], pose)
             best = best._replace(rotation=rotation, arm=chosen, tried=tried, agreed=agreed, computed=computed)
+    if best.agreed.form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
+        return best._replace(agreed=best.agreed._replace(form=best.agreed.form._replace(sure="likely")))
     return best
 
 
 def _computed(agreed: Agreement, pose: Pose) -> bool:
     if not agreed.close or agreed.spread < LEAST_TRAVEL_M:
         return False
-    step = written_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
-    turn = written_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
+    step = digit_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
+    turn = digit_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
     return computed_by_controller(agreed.error, np.hypot(step, turn * agreed.spread * pose.joint.shape[1] ** 0.5))
 
 
-def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
+def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
-    pool = [k for k, reading in enumerate(readings) if reading.travel > 0] or [*range(len(readings))]
-    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
-    if role is not None:
-        for of in (role, None):
-            if own := [k for k in pool if readings[k].role == of]:
-                pool = own
-                break
+    pool = poses_of([reading.role for reading in readings], pose_source)
     if len({readings[k].role for k in pool}) == 1:
         turned = [k for k in pool if readings[k].rotation is not None]
         pool = turned if len(turned) == 1 else pool
     return pool[0] if len(pool) == 1 else None
 
 
-def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
+def _choose_arm(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
     """The arm whose kinematics decide, where it agrees; the nearest bundled one where no other is as near."""
     if not tried:
         return arm, NO_AGREEMENT

@@ -125,7 +125,7 @@ def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple
 def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if block.slides:
         return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
-    servo = all(name.lower().endswith(".pos") for name in block.columns)  # as LeRobot names them
+    servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
     return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
 
 

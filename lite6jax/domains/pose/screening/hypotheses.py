@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.domains.pose.rigid_arm import GAUGE, RigidArm, rigid_arm
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
+from lite6jax.fitting.problem import TOLERANCE
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
@@ -330,7 +331,7 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     changes = []
     for i, value in total.items():
         quarters = np.round(value / (np.pi / 2)) * np.pi / 2
-        value = float(quarters if abs(value - quarters) < GAUGE["rad"] else value)
+        value = float(quarters if abs(value - quarters) < TOLERANCE["rad"] else value)
         changes += [Change("joint_turns", (i,), value)] if value else []
     return tuple(changes)
 

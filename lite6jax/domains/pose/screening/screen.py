@@ -10,6 +10,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_radians, require_samples
 
@@ -24,6 +25,7 @@ def screen(
     corrections: Corrections | None = None,
     factory: FactoryCalibration | None = None,
     allow_undecided: bool = False,
+    coarse: bool = False,
 ) -> Screened:
     """The recording without the faults of its data, and those faults.
 
@@ -35,6 +37,7 @@ def screen(
         corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
         allow_undecided: whether poses may miss the arm grossly for one of several reasons that fit alike.
+        coarse: whether only faults that show without a fit are looked for.
 
     Raises:
         InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch, or as
@@ -45,6 +48,8 @@ def screen(
     state = Screened(recording, arm, geometry, corrections or Corrections(), factory=factory)
     fitted = False
     for entry in SCREENS:
+        if coarse and entry.needs == "fit":
+            break
         if entry.needs != "recording" and state.rigid is None:
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
