@@ -103,6 +103,22 @@ def test_what_nothing_explains_is_said_to_be_that(capsys, tmp_path, measured):
     assert "is a calibration error" not in flat(out)
 
 
+def test_another_arm_is_named(capsys, tmp_path):
+    rng = np.random.default_rng(6)
+    ur5e = load_bundled("ur5e")
+    q = lite6_positions(rng, 60)
+    poses = perturb_poses(
+        rng, six_parameter_poses(perturbed(rng, ur5e.kinematics), q) @ ur5e.T_joint_flange, 2e-5, 1e-4
+    )
+    path = table(tmp_path / "run.csv", q, poses, RIGHT | {"arm": "ur10e"})
+    code, out, _ = run(capsys, "check", path)
+    assert code == 0
+    assert "The poses are not those of a ur10e" in flat(out)
+    assert "calibration error" not in flat(out)
+    for command in ("fit", "diagnose"):
+        assert "but of a ur5e" in refused(capsys, command, path)
+
+
 def test_what_is_not_decided_is_not_applied(capsys, tmp_path, measured):
     """Joints 4 and 6 turn about one axis while joint 5 rests at zero, against each other: one of two signs is wrong."""
     q, _ = measured

@@ -24,6 +24,7 @@ NAMES = {
     "mirrored_sensor": "Left-handed sensor",
     "coupled_joint": "Coupled joints",
     "undecided": "Undecided mismatch",
+    "other_arm": "Another arm",
     "unexplained": "Unexplained mismatch",
     "computed_pose": "Computed poses",
     "frame_jump": "Frame jump",
@@ -152,6 +153,14 @@ def _undecided(rows: Sequence[int], n: Numbers) -> str:
     )
 
 
+def _other_arm(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"The poses are not those of a {n['declared']}, whose nominal kinematics miss them by "
+        f"{_mm(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {_mm(n['corrected_error_m'])} mm. Name that "
+        "arm."
+    )
+
+
 def _unexplained(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and by {_mm(n['fitted_error_m'])} mm "
@@ -216,7 +225,7 @@ def _frame(n: Numbers) -> str:
     about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
     said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
     if np.linalg.norm(shift) > 2e-3:
-        said += f" and stands at ({', '.join(map(_mm, shift))}) mm"
+        said += f" and stands at ({', '.join(_mm(x, 4) for x in shift)}) mm"
     if about == "about z" and abs(angle - np.pi) < 0.02:
         said += ", as base_link and base of Universal Robots are to each other"
     return said
@@ -422,6 +431,7 @@ FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "commanded_joints": _commanded,
     **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in NO_MISMATCH},
     "undecided": _undecided,
+    "other_arm": _other_arm,
     "unexplained": _unexplained,
     "computed_pose": _computed_pose,
     "joint_turns": _joint_turns,

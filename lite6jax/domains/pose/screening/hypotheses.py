@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
+from lite6jax.arms.bundled import bundled_of
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
@@ -143,6 +144,7 @@ class Comparison(NamedTuple):
         alternatives: hypotheses that fit as well; where none is taken, two or more that cannot be told apart.
         fitted_error: m, the median with the geometry fitted, where that is too large for any arm; else None.
         one_point: whether the positions are one point, so that nothing was compared.
+        other_arm: a bundled arm whose nominal kinematics agree where those of the declared one do not.
     """
 
     error: float
@@ -152,6 +154,7 @@ class Comparison(NamedTuple):
     alternatives: tuple[Hypothesis, ...] = ()
     fitted_error: float | None = None
     one_point: bool = False
+    other_arm: str | None = None
 
 
 def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
@@ -164,7 +167,7 @@ def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
 def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
     """What is wrong with a recording that misses the arm grossly; what was ruled out where nothing is."""
     compared = compare_hypotheses(state, options)
-    if compared.found is not None or compared.alternatives or compared.fitted_error is not None:
+    if compared.found or compared.alternatives or compared.other_arm or compared.fitted_error is not None:
         return Detection(compared)
     numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
     if compared.one_point:
@@ -178,6 +181,10 @@ def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
 def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOptions) -> Screened:
     """The recording as the best hypothesis has it; as it is where several fit alike, or none does."""
     arm = state.rigid_arm
+    if compared.other_arm is not None:
+        errors = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
+        named = {"declared": arm.arm.name, "arm": compared.other_arm}
+        return state.corrected(DataFault("other_arm", (), named | errors))
     if compared.fitted_error is not None:
         errors = {"median_error_m": compared.error, "fitted_error_m": compared.fitted_error}
         return state.corrected(DataFault("unexplained", (), errors | {"best_alternative_m": compared.corrected_error}))
@@ -217,6 +224,10 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
         return Comparison(error, limit)
     allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
     near = _search(few, options, allowed)
+    other, left = _nearest_arm(few)
+    unfitted = [_median_error(_free_frames(few, undo(h, few.recording))) for h in near]
+    if left <= min([allowed, error / options.clearly_nearer, *unfitted]):
+        return Comparison(error, limit, None, left, other_arm=other)
     fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
     errors = [_median_error(fit) for _, fit in fits]
     least = min(errors, default=np.inf)
@@ -334,6 +345,18 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
         value = float(quarters if abs(value - quarters) < TOLERANCE["rad"] else value)
         changes += [Change("joint_turns", (i,), value)] if value else []
     return tuple(changes)
+
+
+def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
+    """The other bundled arm whose nominal kinematics agree best, and its median error in m."""
+    arms = [one for one in bundled_of(few.recording.dof) if one.sliding == few.recording.sliding]
+    errors = [
+        (_median_error(_free_frames(rigid_arm(few.recording, one, "free"), few.recording)), one.name)
+        for one in arms
+        if one.name != few.arm.name
+    ]
+    error, name = min(errors, default=(np.inf, None))
+    return name, error
 
 
 def _rigid(state: Screened, recording: Recording) -> RigidArm:

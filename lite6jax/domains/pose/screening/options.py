@@ -86,6 +86,9 @@ class ScreeningOptions:
     fitted_ratio: float = option(
         3.0, "median error over the least up to which a correction is fitted", "a fit changes the order of few"
     )
+    clearly_nearer: float = option(
+        20.0, "ratio of median errors by which another bundled arm must agree better", "arms differ by centimetres"
+    )
     most_changes: int = option(3, "faults that a hypothesis joins, a set of signs counted as one", "bounds the time")
     worth_another: float = option(
         0.7, "ratio by which another change must reduce the error, or the search ends", "a right change halves it"

@@ -40,7 +40,8 @@ def screen(
         coarse: whether only faults that show without a fit are looked for.
 
     Raises:
-        InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch, or as
+        InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch,
+            poses of another arm, or as
             `recording_problem`.
     """
     require_samples(recording, 1)
@@ -56,6 +57,13 @@ def screen(
         if entry.needs == "fit" and not fitted:
             state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
         state = _applied(entry, state, options)
+        if state.count("other_arm") and not allow_undecided:
+            n = state.found[-1].numbers
+            raise InputError(
+                f"{recording.source}: its poses are not those of a {n['declared']} (off by "
+                f"{1e3 * n['median_error_m']:.4g} mm, median) but of a {n['arm']} ({1e3 * n['corrected_error_m']:.3g} "
+                f"mm); name that arm with --arm, or in the sidecar"
+            )
         if state.count("undecided") and not allow_undecided:
             error = 1e3 * state.found[-1].numbers["median_error_m"]
             raise InputError(
