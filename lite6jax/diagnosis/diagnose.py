@@ -17,7 +17,7 @@ from lite6jax.diagnosis.heldout import HeldOut, held_out_ahead, held_out_errors,
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.pose.screening.screen import screen_rows
+from lite6jax.domains.pose.screening.screen import screen, screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import InputError, require_type
@@ -73,6 +73,8 @@ def diagnose(
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening)
+        # what cannot be read at all ends here, before any process has begun
+        screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
         if (likely := likely_folds(rows.recording, options)) is not None:
             held_out_ahead(rows.recording, arm, geometry, options, likely, effects, factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):

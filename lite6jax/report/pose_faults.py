@@ -156,8 +156,8 @@ def _undecided(rows: Sequence[int], n: Numbers) -> str:
 def _other_arm(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"The poses are not those of a {n['declared']}, whose nominal kinematics miss them by "
-        f"{_mm(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {_mm(n['corrected_error_m'])} mm. Name that "
-        "arm."
+        f"{_mm(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {_mm(n['corrected_error_m'])} mm. "
+        "Name that arm."
     )
 
 

@@ -305,7 +305,7 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
         beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
         if not beam:
             break
-        for h in beam if scored[beam[0]] > options.unfitted_ratio * allowed else ():
+        for h in beam[: options.zeros_first] if scored[beam[0]] > options.unfitted_ratio * allowed else ():
             zeros = _zeros(rows, h)
             if zeros:
                 refined = _joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
@@ -349,12 +349,13 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
 
 def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
     """The other bundled arm whose nominal kinematics agree best, and its median error in m."""
-    arms = [one for one in bundled_of(few.recording.dof) if one.sliding == few.recording.sliding]
-    errors = [
-        (_median_error(_free_frames(rigid_arm(few.recording, one, "free"), few.recording)), one.name)
-        for one in arms
-        if one.name != few.arm.name
-    ]
+    declared_tool = np.linalg.inv(few.arm.T_joint_flange) @ few.T_flange_tool
+    errors = []
+    for one in bundled_of(few.recording.dof):
+        if one.sliding == few.recording.sliding and one.name != few.arm.name:
+            tool = one.T_joint_flange @ declared_tool
+            start = few.start._replace(geometry=one.kinematics.ravel(), T_flange_tool=tool)  # type: ignore[arg-type]
+            errors.append((_median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
     error, name = min(errors, default=(np.inf, None))
     return name, error
 

@@ -80,6 +80,7 @@ class ScreeningOptions:
     pairs_first: int = option(
         8, "best hypotheses that are joined with further changes, and best ones that are fitted", "bounds the time"
     )
+    zeros_first: int = option(3, "best hypotheses beside which zeros of any angle are fitted", "each takes a fit")
     unfitted_ratio: float = option(
         2.0, "ratio by which the allowed error may be exceeded before a fit", "frames in closed form are less exact"
     )
