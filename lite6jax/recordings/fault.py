@@ -31,7 +31,8 @@ class DataFault:
         mirrored_sensor         axes (reversed, such as "z", or exchanged, such as "xy"), and those of a mismatch
         declared_frame          translation_m and rotation_rad of the base in it, and those of a mismatch
         declared_tool           translation_m on the flange, and those of a mismatch
-        (mismatch)              median_error_m, corrected_error_m, alternatives: lists of faults that fit as well
+        (mismatch)              of the last of several: median_error_m, corrected_error_m, and alternatives, lists of
+                                faults that fit as well
         undecided               those of a mismatch; nothing was corrected
         other_arm               declared, arm, median_error_m, corrected_error_m
         unexplained             median_error_m, fitted_error_m, best_alternative_m

@@ -134,6 +134,8 @@ _REMEDIES = {
 
 
 def _mismatch(n: Numbers, code: str) -> str:
+    if "median_error_m" not in n:
+        return f"{_capital(_changed(code, n))}, beside what follows."
     sentence = f"{_capital(_changed(code, n))}. "
     sentence += (
         f"With the correction, which is made whenever the file is read, the median error falls from "

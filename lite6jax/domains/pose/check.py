@@ -115,8 +115,8 @@ def check_recording(
     recording, arm = screened.recording, screened.arm
     assert arm is not None
     causes = _joint_limits(recording, arm)
-    # beside a mismatch that nothing explains, no share of the error means anything
-    if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained")):
+    # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
+    if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
         causes += [*_recorded_tool_offset(recording, arm, options), *_geometry_and_outliers(recording, arm, options)]
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 

@@ -363,6 +363,13 @@ class TestColumns:
         assert found.keys() == {2, 3, 5}
         np.testing.assert_allclose([found[2], found[3], found[5]], off[[1, 2, 4]], atol=0.03)
 
+    def test_a_sign_and_its_zero(self, folder, still):
+        """The axis of a joint drawn the other way round, and its zero elsewhere: q2 = 90° - column."""
+        recording = Made(folder, seed=9, **SETUPS["free"]).recording(still)
+        screened = screen(joints_changed(recording, lambda q: q.__setitem__((slice(None), 1), np.pi / 2 - q[:, 1])))
+        assert names(screened) == ["mirrored_joint", "joint_turns"]
+        np.testing.assert_allclose(screened.recording.joint_position, recording.joint_position, atol=1e-12)
+
     def test_inverted_poses(self, seven):
         """A camera on the flange that sees a board."""
         R = Rotation.from_quat(np.roll(seven.quaternion, -1, 1))

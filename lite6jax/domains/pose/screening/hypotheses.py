@@ -197,13 +197,13 @@ def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOp
     found = compared.found
     rigid = rigid_arm(undo(found, arm.recording), arm.arm, state.geometry, state.factory)
     for change in found:
-        own = dict(change.numbers)
+        own = dict(change.numbers) | (numbers if change is found[-1] else {})
         if change.code == "declared_frame":
             own |= _frame_numbers(rigid.T_sensor_base)
         if change.code == "declared_tool":
             tool = np.linalg.inv(arm.arm.T_joint_flange) @ rigid.T_flange_tool
             own["translation_m"] = tool[:3, 3].tolist()
-        state = state.corrected(DataFault(change.code, (), own | numbers), rigid=rigid)
+        state = state.corrected(DataFault(change.code, (), own), rigid=rigid)
     return state.transformed(lambda recording: undo(found, recording))
 
 
@@ -287,7 +287,11 @@ def single_changes(recording: Recording) -> Iterator[Hypothesis]:
         yield tuple(Change("mirrored_joint", (i,)) for i in joints)
     for i in turning:
         yield from ((Change("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
-        yield from ((Change("joint_turns", (i,), quarters * np.pi / 2),) for quarters in (2, -2, 1, -1))
+    for i in _with_zeros(recording):
+        for quarters in (2, -2, 1, -1):
+            zero = Change("joint_turns", (i,), quarters * np.pi / 2)
+            yield (zero,)
+            yield (Change("mirrored_joint", (i,)), zero)
     for i in turning:
         for j in {i - 1, i + 1} & set(turning):
             yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
@@ -305,7 +309,8 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
         beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
         if not beam:
             break
-        for h in beam[: options.zeros_first] if scored[beam[0]] > options.unfitted_ratio * allowed else ():
+        missed = scored[beam[0]] > options.unfitted_ratio * allowed
+        for h in [*([()] if not changes else []), *beam[: options.zeros_first]] if missed else ():
             zeros = _zeros(rows, h)
             if zeros:
                 refined = _joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
@@ -326,9 +331,7 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     arm = _free_frames(few, undo(hypothesis, few.recording))
     settings, dof = arm.recording.settings, arm.recording.dof
     free_frame, free_tool = settings.pose_frame != "base", settings.tool == "unknown"
-    turning = [i for i in range(dof) if i not in arm.recording.sliding]
-    # a free frame and a free orientation of the tool take up the zeros of the first and the last joint
-    zeros = turning[int(free_frame) : len(turning) - int(free_tool)]
+    zeros = _with_zeros(arm.recording)
     unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in range(arm.rows)] * free_tool
     unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
     precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros))]
@@ -358,6 +361,12 @@ def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
             errors.append((_median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
     error, name = min(errors, default=(np.inf, None))
     return name, error
+
+
+def _with_zeros(recording: Recording) -> list[int]:
+    """The joints whose zeros the poses show: a free frame and a free tool take up those of the first and the last."""
+    first, last = recording.settings.pose_frame != "base", recording.settings.tool == "unknown"
+    return [i for i in range(int(first), recording.dof - int(last)) if i not in recording.sliding]
 
 
 def _rigid(state: Screened, recording: Recording) -> RigidArm:
@@ -417,7 +426,7 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis, options: ScreeningO
 
 
 def _whole_turns_apart(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ by whole turns of joints, or not at all."""
+    """Whether two hypotheses differ by whole turns of joints, or by no more than a calibration corrects."""
 
     def turned(hypothesis: Hypothesis) -> tuple[Hypothesis, Mapping[int, float]]:
         zeros = {c.joints[0]: float(c.value) for c in hypothesis if c.code == "joint_turns"}
@@ -425,7 +434,7 @@ def _whole_turns_apart(a: Hypothesis, b: Hypothesis) -> bool:
 
     (rest_a, zeros_a), (rest_b, zeros_b) = turned(a), turned(b)
     apart = [(zeros_a.get(i, 0.0) - zeros_b.get(i, 0.0)) / (2 * np.pi) for i in {*zeros_a, *zeros_b}]
-    return rest_a == rest_b and bool(np.allclose(apart, np.round(apart)))
+    return rest_a == rest_b and bool(np.allclose(apart, np.round(apart), atol=TOLERANCE["rad"] / (2 * np.pi)))
 
 
 def _reflection(axes: str) -> Array:
