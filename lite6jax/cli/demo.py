@@ -30,6 +30,7 @@ class Demo:
     For example:
 
         lite6jax demo
+        lite6jax demo first_look
     """
 
     folder: Annotated[Positional[Path | None], arg(metavar="DIR")] = None

@@ -45,7 +45,7 @@ FOUND = [
     (DataFault("joint_turns", (5, 10), {"joints": [2]}), "Joint 2 is off by whole turns in 2 rows."),
     (
         DataFault("joint_turns", (), {"joint": 2, "added_rad": -1.5707963, **COLUMNS}),
-        "The zero of joint 2 is off by +90 deg.",
+        "The column of joint 2 has its zero off by +90 deg.",
     ),
     (
         DataFault("orientation_convention", (), {"convention": "scalar_last", **COLUMNS}),
@@ -61,7 +61,7 @@ FOUND = [
                 "alternatives": [[{"fault": "joint_turns", "joint": 2, "added_rad": 3.1415926536}]],
             },
         ),
-        "It is indistinguishable from another correction: the zero of joint 2 is off by half a turn.",
+        "The same poses would result where the column of joint 2 has its zero off by half a turn.",
     ),
     (DataFault("frame_jump", (62, 63), JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
     (
@@ -140,10 +140,10 @@ COLUMN_ERRORS = {"median_error_m": 3e-4, "suspected_above_m": 7.48e-3}
 RULED_OUT = [
     (DataFault("time_order", (), {"samples": 40, "timed": False}), "The 40 rows have no times"),
     (DataFault("repeated_rows", (), {"samples": 40}), "None of the 40 rows repeats"),
-    (DataFault("swapped_joints", (), COLUMN_ERRORS), "column errors are suspected above 7.48 mm"),
+    (DataFault("swapped_joints", (), COLUMN_ERRORS), "such faults are suspected above 7.48 mm"),
     (
         DataFault("mirrored_joint", (), {**COLUMN_ERRORS, "best_alternative_m": 0.1}),
-        "no correction of columns reduces it below 100 mm",
+        "the best correction leaves 100 mm",
     ),
     (DataFault("joint_turns", (), {"outside_limits_rad": 0.0}), "all are within their limits"),
     (DataFault("frame_jump", (), {"reason": "chance", "p_value": 1.0, "samples": 40}), "no frame jump (p = 1)"),
@@ -212,7 +212,7 @@ def test_what_rules_a_fault_out_is_stated(fault, words):
 def test_columns_that_the_same_numbers_rule_out_share_a_sentence():
     faults = [DataFault(code, (), COLUMN_ERRORS) for code in ("swapped_joints", "mirrored_joint")]
     assert ruled_out_statements(faults) == [
-        "No joints are swapped and no joint has its sign reversed: the median error is 0.3 mm; column errors are "
+        "No joints are swapped and no joint has its sign reversed: the median error is 0.3 mm; such faults are "
         "suspected above 7.48 mm."
     ]
 

@@ -117,7 +117,9 @@ def check_recording(
     causes = _joint_limits(recording, arm)
     # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
     if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
-        causes += [*_recorded_tool_offset(recording, arm, options), *_geometry_and_outliers(recording, arm, options)]
+        tool = _recorded_tool_offset(recording, arm, options)
+        likely = any(cause.numbers["likely"] for cause in tool)
+        causes += [*tool, *_geometry_and_outliers(recording, arm, options, likely)]
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
 
@@ -179,7 +181,8 @@ def _one_point(recording: Recording) -> bool:
     return touches_one_point(recording, recording.settings.position_noise_m or UNDECLARED_NOISE[0])
 
 
-def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
+def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions, tool_offset: bool) -> list[Cause]:
+    """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
     solution = fit_recording(recording, arm, geometry="free")
     if _one_point(recording):
         before, after = (float(np.median(e.position)) for e in (solution.nominal_errors, solution.errors))
@@ -193,7 +196,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
-    if kind == "geometry" and before > options.calibration_reach * arm.reach:
+    if kind == "geometry" and not tool_offset and before > options.calibration_reach * arm.reach:
         kind = "too_far"
     numbers = {
         "kind": kind,
