@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-RECORDING = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5,0.6,0.2,0.1,0.3\n" * 12
+RECORDING = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n" + "0.1,0.2,0.3,0.4,0.5,0.6\n" * 12
 
 
 def in_a_new_process(code, *arguments):

@@ -156,7 +156,7 @@ def test_what_diagnose_refuses(capsys, arm, recorded, tmp_path):
     out = tmp_path / "d.json"
     calibration = write_factory(LITE6.kinematics, tmp_path / "factory.yaml")
     assert refused(capsys, "diagnose", calibration, "--out", out) == (
-        f"{calibration}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)"
+        f"{calibration}: is a calibration; give a recording (.csv, .parquet, .mcap, .bag)"
     )
     joints = write_recording(Recording.from_arrays(static_motion(1, 5)["joint_position"]), tmp_path / "joints.csv")
     said = refused(capsys, "diagnose", joints, "--out", out)

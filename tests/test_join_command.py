@@ -64,7 +64,7 @@ def test_two_files_become_one_table(tmp_path, capsys):
         zip("xyz", np.where(lost[:, None], 0, 1e3 * point).T, strict=True)
     )
     tracker = write(tmp_path / "tracker.csv", columns)
-    code, out, err = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
+    code, out, err = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes", width=300)
     assert (code, err) == (0, "")
     said = flat(out)
     ahead = float(re.search(r"clock of robot.csv is ahead of that of tracker.csv by (-?[\d.]+) s", said)[1])
@@ -96,7 +96,7 @@ def test_captures_without_times_are_paired_in_their_order(tmp_path, capsys):
     robot = write(tmp_path / "r.csv", {f"joint{k + 1}": column for k, column in enumerate(np.rad2deg(motion(at)).T)})
     point, _ = tracked(motion, at, rng)
     tracker = write(tmp_path / "t.csv", dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * point[1:].T, strict=True)))
-    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
+    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes", width=300)
     assert code == 0
     assert f"{len(at) - 1} joint states and poses were captured one by one and are paired in their order" in flat(out)
     assert "the first 1 and the last 0 joint states of r.csv are left out" in flat(out)
@@ -123,7 +123,7 @@ def test_captures_at_times_are_found_in_a_log(tmp_path, capsys):
     tracker = write(
         tmp_path / "t.csv", {"time_s": at + 77} | dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * point.T, strict=True))
     )
-    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
+    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes", width=300)
     assert code == 0
     assert "the arm stood still at the poses" in flat(out)
     recording = read_recording(tmp_path / "r_t.csv")
@@ -175,7 +175,7 @@ def test_a_motion_that_repeats_itself_is_not_decided(tmp_path, capsys):
     # where both are stamped by the time of day, the least offset is meant
     robot = robot_file(tmp_path, motion, start=1.76e9)
     write(tracker, {"time_s": shown + OFFSET + 1.76e9 + 0.2} | dict(zip("xyz", point.T, strict=True)))
-    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
+    code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes", width=300)
     assert code == 0
     ahead = float(re.search(r"ahead of that of tracker.csv by (-?[\d.]+) s", flat(out))[1])
     assert ahead == pytest.approx(-0.2, abs=1e-4)
@@ -195,7 +195,7 @@ def test_points_on_one_body_become_its_pose(tmp_path, capsys):
     columns = {f"joint_{k + 1}": column for k, column in enumerate(motion(at).T)}
     columns |= {f"Marker{p + 1} {axis}": points[:, p, k] for p in range(4) for k, axis in enumerate("XYZ")}
     table = write(tmp_path / "mocap.csv", columns)
-    code, out, _ = run(capsys, "init", table, "--arm", "lite6", "--yes")
+    code, out, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", width=300)
     assert code == 0
     assert "4 points (Marker1 X, Marker2 X, Marker3 X, Marker4 X) keep their distances" in flat(out)
     assert "5 rows without a pose" in flat(out)
@@ -220,7 +220,7 @@ def test_points_that_move_against_each_other_are_no_body(tmp_path, capsys):
     columns |= {f"tcp_{axis}": points[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"{name}_{axis}": rng.normal(size=60) for name in ("cup", "box") for axis in "xyz"}
     table = write(tmp_path / "scene.csv", columns)
-    code, _, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", "--column", "cup_x=ignore")
+    code, _, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", "--column", "cup_x=ignore", width=300)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.csv"] + ["scene.yaml"] * (code == 0)
 
 
@@ -235,7 +235,7 @@ def test_joints_follow_from_the_poses_of_the_controller(tmp_path, capsys):
     at, shown = sensor_times(rng, 12.0)
     point, _ = tracked(motion, at, rng)
     tracker = write(tmp_path / "tracker.csv", {"time_s": shown} | dict(zip("xyz", point.T, strict=True)))
-    code, out, _ = run(capsys, "init", tracker, robot, "--arm", "lite6", "--yes")
+    code, out, _ = run(capsys, "init", tracker, robot, "--arm", "lite6", "--yes", width=300)
     assert code == 0
     said = flat(out)
     assert (

@@ -74,7 +74,7 @@ KINDS = [
 
 @pytest.mark.parametrize(("change", "declared", "said"), KINDS, ids=[kind[0].__name__ for kind in KINDS])
 def test_check_names_what_is_wrong(capsys, tmp_path, measured, change, declared, said):
-    code, out, _ = run(capsys, "check", table(tmp_path / "run.csv", *change(*measured), RIGHT | declared))
+    code, out, _ = run(capsys, "check", table(tmp_path / "run.csv", *change(*measured), RIGHT | declared), width=300)
     assert code == 0
     assert said in flat(out)
     assert "Nothing is missing" not in flat(out)
@@ -84,11 +84,11 @@ def test_the_commands_agree(capsys, tmp_path, measured):
     said = "Joint 3 is coupled to joint 2 in its column: q3 = column + q2"
     path = table(tmp_path / "run.csv", *against_the_horizontal(*measured))
     for command in (("fit", path), ("diagnose", path, "--quick", "--out", tmp_path / "d.json")):
-        code, out, _ = run(capsys, *command)
+        code, out, _ = run(capsys, *command, width=300)
         assert code == 0
         assert said in flat(out), command[0]
     given = [f"--set={key}={value}" for key, value in RIGHT.items()]
-    code, out, _ = run(capsys, "init", path, "--arm", "lite6", "--yes", "--force", *given)
+    code, out, _ = run(capsys, "init", path, "--arm", "lite6", "--yes", "--force", *given, width=300)
     assert code == 0
     assert said in flat(out)
     assert "its nominal kinematics miss the poses by" in flat(out)
@@ -97,7 +97,7 @@ def test_the_commands_agree(capsys, tmp_path, measured):
 def test_what_nothing_explains_is_said_to_be_that(capsys, tmp_path, measured):
     q, poses = measured
     path = table(tmp_path / "run.csv", np.random.default_rng(3).permutation(q), poses)
-    code, out, _ = run(capsys, "check", path)
+    code, out, _ = run(capsys, "check", path, width=300)
     assert code == 0
     assert "That is no calibration error. No change of frame, tool, axes, order, signs, zeros or units" in flat(out)
     assert "is a calibration error" not in flat(out)
@@ -111,7 +111,7 @@ def test_another_arm_is_named(capsys, tmp_path):
         rng, six_parameter_poses(perturbed(rng, ur5e.kinematics), q) @ ur5e.T_joint_flange, 2e-5, 1e-4
     )
     path = table(tmp_path / "run.csv", q, poses, RIGHT | {"arm": "ur10e"})
-    code, out, _ = run(capsys, "check", path)
+    code, out, _ = run(capsys, "check", path, width=300)
     assert code == 0
     assert "The poses are not those of a ur10e" in flat(out)
     assert "calibration error" not in flat(out)
@@ -130,7 +130,7 @@ def test_what_is_not_decided_is_not_applied(capsys, tmp_path, measured):
     poses = perturb_poses(np.random.default_rng(5), six_parameter_poses(LITE6, q), 2e-5, 1e-4)
     path = table(tmp_path / "run.csv", q * [1, 1, 1, 1, 1, -1], poses)
     before = path.read_bytes(), path.with_suffix(".yaml").read_bytes()
-    code, out, _ = run(capsys, "check", path)
+    code, out, _ = run(capsys, "check", path, width=300)
     assert code == 0
     assert "Nothing was corrected. Find out which it is" in flat(out)
     for command in ("fit", "diagnose"):

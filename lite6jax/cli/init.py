@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, final
 
 from tyro.conf import Positional, UseAppendAction, arg
@@ -122,7 +123,7 @@ class Init:
         text = inspection.sidecar_text(found, settings, file.name)
         made = [] if joined is None else [joined.write(self.force)]
         made.append(write_atomically(sidecar, text, self.force))
-        faults = _gross_faults(source, found, notes)
+        faults = _gross_faults(source, found, settings, notes)
         if self.json:
             told = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
             print(json.dumps({**found.to_dict(), **told}, indent=1, allow_nan=False))
@@ -153,13 +154,20 @@ class Init:
         tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
 
 
-def _gross_faults(source: str, found: "Inspection", notes: list[str]) -> "tuple[DataFault, ...]":
+def _gross_faults(
+    source: str, found: "Inspection", settings: Mapping[str, Any], notes: list[str]
+) -> "tuple[DataFault, ...]":
     """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
+    from lite6jax.domains.pose.screening.options import ScreeningOptions
+
+    if found.arm is None or found.of("q") is None or found.of("position") is None or not isfinite(found.error):
+        return ()
+    declared = settings.get("pose_frame") == "base" or settings.get("tool", "unknown") != "unknown"
+    if not declared and found.error <= ScreeningOptions().suspect_reach * found.arm.reach:
+        return ()  # nothing is declared that could be wrong, and the nominal arm agrees
     from lite6jax.domains.pose.screening.screen import screen as screened
     from lite6jax.recordings import read_recording
 
-    if found.arm is None or found.of("q") is None or found.of("position") is None:
-        return ()
     try:
         return screened(read_recording(source), allow_undecided=True, coarse=True).found
     except InputError as error:  # of too few rows, and the like: the table was recognised all the same

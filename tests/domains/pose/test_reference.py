@@ -524,7 +524,7 @@ def test_what_the_command_refuses(capsys, files, tmp_path):
     out = tmp_path / "d.json"
     calibration = write_factory(LITE6.kinematics, tmp_path / "factory.yaml")
     assert refused(capsys, "diagnose", ours, "--reference", calibration, "--out", out) == (
-        f"{calibration}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)"
+        f"{calibration}: is a calibration; give a recording (.csv, .parquet, .mcap, .bag)"
     )
     assert "none.csv" in refused(capsys, "diagnose", ours, "--reference", tmp_path / "none.csv", "--out", out)
     other = write_recording(simulator(rigid(LITE6.kinematics), static_motion(5, SAMPLES)), tmp_path / "other.csv")
