@@ -76,7 +76,7 @@ class Init:
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
-        from lite6jax.report import checks, inspection, screen
+        from lite6jax.report import inspection, screen
 
         settings = pairs("--set", self.set, parsed=True)
         given = pairs("--column", self.column)
@@ -130,7 +130,10 @@ class Init:
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
-        screen.show(checks.fault_lines(faults))
+        if faults:
+            from lite6jax.report import checks
+
+            screen.show(checks.fault_lines(faults))
         screen.show(screen.notes(notes))
         screen.written(made)
         screen.show(inspection.next_steps(found, settings, source))
