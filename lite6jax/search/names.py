@@ -125,9 +125,13 @@ def _with_slow_waves(
 
 
 def _causes(problem: Problem, terms: Sequence[SelectedTerm]) -> int:
-    """How many effects these are: the slow waves of a site have one cause, such as a circle that is off centre."""
+    """How many causes these have: the slow waves of a site have one, such as a circle that is off centre.
+
+    So have the usual effects of a site: friction is Coulomb's and viscous, and that both are there is no coincidence.
+    """
     slow = [tested.term.site for tested in terms if tested.term in slow_waves(problem, tested.term.site)]
-    return len(terms) - len(slow) + len(set(slow))
+    usual = [tested.term.site for tested in terms if tested.term.usual]
+    return len(terms) - sum(len(sites) - len(set(sites)) for sites in (slow, usual))
 
 
 def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:

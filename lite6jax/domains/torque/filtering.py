@@ -24,6 +24,8 @@ Array = NDArray[np.floating]
 
 _ORDER = 4
 """Of the Butterworth filter; run forwards and backwards."""
+_RESOLVED = 5.12
+"""s of a segment of a spectrum: what it resolves is then the same at every sampling rate."""
 _ABOVE_FLOOR = 10.0
 """Power spectral density over its floor from which a quantity is taken as signal."""
 _BANDWIDTH = 0.99
@@ -140,7 +142,7 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
     """
     rate, runs = chosen.rate, chosen.runs
     q, v = recording.joint_position.T, np.asarray(recording.velocities()).T
-    cutoff = 1.5 * max(_signal_band(row, runs, rate) for row in v)
+    cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
     cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
     given = recording.joint_acceleration
@@ -270,14 +272,19 @@ def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array
     """Frequencies and power spectral density of the longest run."""
     longest = max(_each(runs), key=lambda r: r.stop - r.start)
     part = row[longest]
-    return welch(part - part.mean(), rate, nperseg=min(len(part), 512))
+    return welch(part - part.mean(), rate, nperseg=min(len(part), round(_RESOLVED * rate)))
 
 
-def _signal_band(row: Array, runs: NDArray[np.integer], rate: float) -> float:
-    """Hz up to which a row exceeds the floor of its spectrum."""
+def _signal_band(row: Array, runs: NDArray[np.integer], rate: float, cutoff: float) -> float:
+    """Hz up to which a row exceeds the floor of its spectrum.
+
+    The floor is that of the octave above the `cutoff` in Hz of torques. Controllers low-pass the velocities that they
+    differentiate, so that at the highest frequencies there is less noise than at those that matter.
+    """
     f, power = _spectrum(row, runs, rate)
-    floor = float(np.median(power[len(power) // 2 :]))
-    above = np.flatnonzero(power > _ABOVE_FLOOR * max(floor, 1e-300))
+    first = min(int(np.searchsorted(f, cutoff)), len(f) // 2)
+    floor = float(np.median(power[first : max(2 * first, first + 1)]))
+    above = np.flatnonzero(power[:first] > _ABOVE_FLOOR * max(floor, 1e-300))
     return float(f[above[-1]]) if above.size else float(f[1])
 
 

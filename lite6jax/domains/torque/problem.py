@@ -173,7 +173,7 @@ class TorqueProblem:
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
-        """Stribeck friction at a few of its speeds."""
+        """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds."""
         return tuple(effect for effect in torque_shaped(self.data.motion) if effect.label not in self.refused)
 
     @lazy
