@@ -24,6 +24,8 @@ from lite6jax.recordings import (
     write_recording,
 )
 from lite6jax.recordings.checksums import KEY
+from lite6jax.recordings.ros import ArmJoints
+from lite6jax.recordings.sources import open_table
 
 SAMPLES = 60
 LITE6 = load_bundled("lite6")
@@ -198,6 +200,52 @@ def _of_recording(read: Recording) -> Seen:
     return Seen(repr((columns, read.motion, read.row.tolist(), read.settings)), read.notes)
 
 
+def _exported(folder: Path) -> Path:
+    """Such as a spreadsheet gives: a title, groups, names, units, decimal commas, Latin-1."""
+    read = recording()
+    assert read.position is not None
+    lines = [
+        "Messung 7;" + 8 * ";",
+        "",
+        "Gelenke" + 6 * ";" + "Pose;;",
+        ";".join([*map("J{}".format, range(1, 7)), *"XYZ"]),
+    ]
+    lines.append(";".join(6 * ["[°]"] + 3 * ["[mm]"]))
+    table = np.hstack([np.rad2deg(read.joint_position), 1e3 * read.position])
+    lines += [";".join(f"{value:.3f}".replace(".", ",") for value in row) for row in table]
+    path = folder / "run7.csv"
+    path.write_bytes("\r\n".join([*lines, ""]).encode("latin-1"))
+    return path
+
+
+def _listed(folder: Path) -> Path:
+    """Lists in cells, as numpy writes them."""
+    read = recording()
+    assert read.position is not None
+    rows = [
+        f'{k},"{q}",{p.tolist()}\n' for k, (q, p) in enumerate(zip(read.joint_position, read.position, strict=True))
+    ]
+    path = folder / "run7.txt"
+    path.write_text("t,q,position\n" + "".join(rows))
+    return path
+
+
+def _aligned(folder: Path) -> Path:
+    """Columns of a fixed width below comments."""
+    path = folder / "run7.dat"
+    np.savetxt(
+        path, recording().joint_position, "%12.6f", header="run 7\n" + " ".join(map("q{}_rad".format, range(1, 7)))
+    )
+    return path
+
+
+def _read_table(path: Path) -> Seen:
+    notes: list[str] = []
+    _, table = open_table(path, (), ArmJoints(), notes)
+    columns = [(name, None if values is None else values.tolist()) for name, values in table.numbers()]
+    return Seen(repr(columns), tuple(notes))
+
+
 def _targets(folder: Path) -> Path:
     path = folder / "targets.csv"
     path.write_text("note,x_m,y_m,z_m,payload_kg\na,0.2,0.1,0.3,0\nb,0.25,-0.1,0.2,0.5\n")
@@ -254,6 +302,9 @@ PARQUET = Reader("parquet", _written(".parquet", bound=True), _read_recording, s
 PARQUET_ALONE = Reader("parquet, page checksums alone", _written(".parquet", bound=False), _read_recording)
 SIDECAR = Reader("sidecar", _written(".csv", bound=True), _read_recording, sidecar_path, sealed=True)
 SIDECAR_BY_HAND = Reader("sidecar by hand", _written(".csv", bound=False), _read_recording, sidecar_path)
+EXPORTED = Reader("table of a spreadsheet", _exported, _read_table)
+LISTED = Reader("table of lists", _listed, _read_table)
+ALIGNED = Reader("aligned text", _aligned, _read_table)
 TARGETS = Reader("targets", _targets, _read_targets)
 DESCRIPTION = Reader(
     "description",
@@ -274,7 +325,7 @@ URDF = Reader(
 MCAP = Reader("mcap", _mcap, lambda path: _of_recording(read_recording(f"{path}#/joint_states", dof=LITE6.dof)))
 READERS = (
     *(CSV, CSV_BY_HAND, PARQUET, PARQUET_ALONE, SIDECAR, SIDECAR_BY_HAND, TARGETS, DESCRIPTION, FACTORY, TABLE),
-    *(URDF, MCAP),
+    *(URDF, MCAP, EXPORTED, LISTED, ALIGNED),
 )
 
 
@@ -303,6 +354,7 @@ def _in_folder(command: str) -> Callable[[Path, Path], list[str]]:
 
 
 COMMANDS = (
+    Command("init a table", EXPORTED, _plain("init", "--arm", "lite6", "--yes", "--force")),
     Command("check a csv", CSV_BY_HAND, _plain("check")),
     Command("check a factory file", FACTORY, _plain("check")),
     Command("fit a csv", CSV_BY_HAND, _plain("fit", "--out", "{out}/model.json", "--force")),

@@ -148,7 +148,7 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
         for output in (sidecar, arm):
             with pytest.raises(InputError, match="is read by this command and would be replaced"):
                 refuse_inputs([output], [str(tmp_path / source)])
-    refuse_inputs([sidecar, arm], [tmp_path / "run7.txt"])
+    refuse_inputs([sidecar, arm], [tmp_path / "run7.doc"])
 
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):

@@ -180,6 +180,87 @@ def test_on_a_terminal_it_asks_for_what_it_assumes(tmp_path, capsys, monkeypatch
     assert columns == {"q0": "q1_deg", "q1": "q2_deg", "current_0": "current1_mA", "current_1": "current2_mA"}
 
 
+@pytest.fixture
+def two_poses(tmp_path, measured):
+    """A log of a controller, exact to the digits that it writes, beside what a tracker measured."""
+    q, poses = measured
+    computed = six_parameter_poses(LITE6, q)[:, :3, 3]
+    columns = {f"actual_q_{k}": q[:, k] for k in range(6)}
+    columns |= {f"actual_TCP_pose_{k}": computed[:, k] for k in range(3)}
+    columns |= {f"tracker_{axis}": 1e3 * poses[:, k, 3] for k, axis in enumerate("xyz")}
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.6f", ",", header=",".join(columns), comments="")
+    return path
+
+
+def test_the_pose_of_the_source_that_is_declared_is_taken(two_poses, capsys):
+    said = refused(capsys, "init", two_poses, "--arm", "lite6", "--yes")
+    assert said.startswith(f"{two_poses}: it holds 2 poses. Pose actual_TCP_pose_0, actual_TCP_pose_1, actual_TCP_pose")
+    assert "the controller's, computed from the joints: the nominal arm reproduces it to 0.00" in said
+    assert "Pose tracker_x, tracker_y, tracker_z: a sensor's; the nominal arm reproduces it to" in said
+    keys = "--set pose_source=laser_tracker (or motion_capture, camera), or --set pose_source=controller_fk, or leaving"
+    assert f"Choose by {keys} out what is not meant, such as --column" in said
+    assert not two_poses.with_suffix(".yaml").exists()
+    ignored = said.partition("such as ")[2].split()
+    for options, column in (
+        (["--set", "pose_source=laser_tracker"], "tracker_x"),
+        (["--set", "pose_source=controller_fk"], "actual_TCP_pose_0"),
+        (ignored, "tracker_x"),
+    ):
+        code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", "--force", *options, width=200)
+        assert code == 0
+        assert out.count("It is taken.") == 1 - (options == ignored)
+        columns = yaml.safe_load(two_poses.with_suffix(".yaml").read_text())["columns"]
+        assert columns[column] in ("x_m", "x_mm")
+        assert sorted(columns.values()).count("ignore") == 3
+    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--json", "--force", "--set", "pose_source=camera")
+    assert [(pose["computed"], pose["taken"]) for pose in json.loads(out)["poses"]] == [(True, False), (False, True)]
+
+
+def test_on_a_terminal_it_asks_which_pose_is_meant(two_poses, capsys, monkeypatch):
+    answers = iter(["tracker_x", "measured", "laser_tracker", "", ""])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
+    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6")
+    assert code == 0
+    assert "Tool position: tracker_x, tracker_y, tracker_z, in millimetres (certain" in flat(out)
+    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "laser_tracker"
+
+
+def test_a_pose_that_the_controller_computed_is_said_to_be(two_poses, capsys):
+    ignored = [f"--column=tracker_{axis}=ignore" for axis in "xyz"]
+    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, width=200)
+    assert code == 0
+    assert "The poses are the controller's own computation from the joints: no sensor is that exact." in out
+    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "controller_fk"
+    declared = ["--set", "pose_source=camera", "--force"]
+    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, *declared, width=200)
+    assert code == 0
+    assert "The poses were computed, not measured by a camera: errors of the arm do not show in them." in out
+    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "camera"  # said, and not corrected
+
+
+def test_normalised_joints_are_not_taken_for_degrees(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "run7.csv"
+    names = [f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]
+    values = np.random.default_rng(0).uniform(-99, 99, (30, 5))
+    np.savetxt(path, values, "%.3f", ",", header=",".join(names), comments="")
+    said = refused(capsys, "init", path, "--yes")
+    assert "joints shoulder_pan.pos … wrist_roll.pos look like LeRobot's normalised values (-100 to 100 of each" in said
+    assert "record again with use_degrees=True" in said
+    degrees = said.partition("If they are degrees, say so: ")[2].split()
+    assert run(capsys, "init", path, "--yes", *degrees)[0] == 0
+    np.testing.assert_allclose(np.rad2deg(read_recording(path).joint_position), values, atol=1e-3)
+    answers = iter(["", "deg", ""])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
+    code, out, _ = run(capsys, "init", path, "--force")
+    assert code == 0
+    assert "they may be normalised: -100 to 100 of each joint's range" in flat(out)
+    np.savetxt(path, np.round(2048 + 20 * values), "%d", ",", header=",".join(names), comments="")
+    assert "look like raw ticks of servos (4096 a turn)" in refused(capsys, "init", path, "--yes", "--force")
+
+
 @pytest.mark.parametrize("width", [40, 60, 200])
 def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
     _, out, _ = run(capsys, "init", recorded, width=width)
@@ -192,17 +273,22 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
 def test_torques_without_a_column_of_times(capsys, tmp_path):
     path = tmp_path / "log.csv"
     rows = [f"{10 * k},{k / 10},{0.1 * k},{1 + k},{2 - k}" for k in range(20)]
-    path.write_text("\n".join(["Zeit [ms],pos_0,pos_1,torque_0,torque_1", *rows]) + "\n")
+    path.write_text("\n".join(["Zeit,pos_0,pos_1,torque_0,torque_1", *rows]) + "\n")
     code, out, _ = run(capsys, "init", path, "--yes", width=200)
     assert code == 0
     said = "Torques need times, and no column looks like them: say in the sidecar which it is, such as"
-    assert f"{said} `Zeit [ms]: time_ms`." in out
+    assert f"{said} `Zeit: time_s`." in out
+    assert "Motion: static" in out
     sidecar = path.with_suffix(".yaml")
-    sidecar.write_text(sidecar.read_text().replace("Zeit [ms]: ignore", "Zeit [ms]: time_ms"))
+    sidecar.write_text(sidecar.read_text().replace("Zeit: ignore", "Zeit: time_ms").replace("static", "trajectory"))
     assert read_recording(path).time[-1] == pytest.approx(0.19)
-    code, out, _ = run(capsys, "init", path, "--yes", "--column", "Zeit [ms]=time_ms", "--force", width=200)
+    code, out, _ = run(capsys, "init", path, "--yes", "--column", "Zeit=time_ms", "--force", width=200)
     assert code == 0
     assert "Torques need times" not in out
+    assert "Motion: trajectory; its time step is 0.01 s." in out  # decided with what is given
+    assert read_settings(sidecar).motion == "trajectory"
+    assert run(capsys, "init", path, "--yes", "--column", "Zeit=time_ms", "--set", "motion=static", "--force")[0] == 0
+    assert read_settings(sidecar).motion == "static"
 
 
 @pytest.mark.parametrize("folder", [".", "..", "../.."])

@@ -61,6 +61,7 @@ COLUMNS = {
     ),
     **dict.fromkeys(("rotx", "roty", "rotz"), "the same as Rx(rotx) Ry(roty) Rz(rotz) (Stäubli, Mecademic)"),
     **dict.fromkeys(("alpha", "beta", "gamma"), "the same as Rz(alpha) Ry(beta) Rz(gamma) (Kawasaki, Doosan)"),
+    **dict.fromkeys(columns.MATRIX, "the same as a rotation matrix, row by row"),
     "ambient": "temperature of the surroundings",
     "payload": "mass at the flange; 0 where the column is missing",
     "run": "an integer that changes where a new run starts",

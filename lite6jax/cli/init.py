@@ -52,6 +52,8 @@ class Init:
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
     """What a column is, such as joint_1=q1_deg, tcp_x=x_mm, or foo=ignore. May be repeated."""
+    names: str = ""
+    """What the columns of a table without names are, in order: q1_deg,q2_deg,x_mm; nothing for one to be ignored."""
     set: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="KEY=VALUE")] = ()
     """A key of the sidecar, such as pose_frame=base or tool=none. May be repeated."""
     yes: bool = False
@@ -66,6 +68,7 @@ class Init:
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings.ros import ArmJoints
+        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
         from lite6jax.report import inspection, screen
@@ -74,7 +77,7 @@ class Init:
         sidecar = sidecar_path(path)
         settings = _pairs("--set", self.set, parsed=True)
         given = _pairs("--column", self.column)
-        check_writable(sidecar, self.force)
+        declared_settings(None, None, settings)
         arm, shown = self.arm, False
 
         def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
@@ -83,27 +86,35 @@ class Init:
             return place, table, list(table.numbers()), notes
 
         def look() -> "Inspection":
-            return inspect(columns, load_nominal(arm), given, str(file))
+            said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
+            return inspect(columns, load_nominal(arm), given, str(file), **said)
 
         file, table, columns, notes = opened()
+        check_writable(sidecar, self.force)
+        given = table.renamed(str(file), given, self.names)
         found = look()
         if not (self.yes or self.json) and _on_a_terminal():
             screen.show(inspection.inspection_report(found, str(file)))
             arm = arm or _asked_arm(found)
             if arm != self.arm:  # the joint states of a log are in the units of its joints
                 file, table, columns, notes = opened()
-            answered = _asked_columns(look())
-            given |= answered
-            settings |= _asked(found, settings)
-            found, shown = look(), arm == self.arm and not answered
+            before = dict(given)
+            given |= _asked_pose(look())
+            given |= _asked_columns(look())
+            settings |= _asked(look(), settings)
+            found, shown = look(), arm == self.arm and given == before
+        if found.undecided:
+            raise InputError(f"{file}: {inspection.choice_of_pose(found)}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
-        self._check(found, table, settings, file)
+        if found.computed:
+            settings.setdefault("pose_source", "controller_fk")
+        self._check(found, table, file)
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
-            print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
@@ -112,18 +123,20 @@ class Init:
         screen.show(inspection.next_steps(found, settings, self.source))
         return DONE
 
-    def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
+    def _check(self, found: "Inspection", table: "RawTable", path: "Path") -> None:
         """Refuses what the other commands would refuse, before anything is written."""
-        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated
+        from lite6jax.report.inspection import no_angles
 
-        if found.of("q") is None and not any(name.startswith("q1_") for name in found.given.values()):
+        q = found.of("q")
+        if q is not None and q.unit.reason in ("percent", "ticks"):
+            raise InputError(f"{path}: {no_angles(q)}")
+        if q is None and not any(name.startswith("q1_") for name in found.given.values()):
             listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
             raise InputError(
                 f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
                 f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
             )
-        declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof
         tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
 
@@ -161,11 +174,24 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
     answers = {}
     for key in (*wanted, *(("torque_source",) if torques else ())):
-        if key in settings:
+        if key in settings or (key == "pose_source" and found.computed):
             continue
         question, choices = _QUESTIONS[key]
         answers[key] = _answer(question, choices, "unknown")
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
+
+
+def _asked_pose(found: "Inspection") -> dict[str, str]:
+    """The columns of the poses that are not meant, to be ignored, where several are there and none is taken."""
+    from lite6jax.report.inspection import source_statement
+
+    if not found.undecided:
+        return {}
+    for source in found.sources:
+        print(source_statement(source))
+    names = [source.columns[0] for source in found.sources]
+    answer = _answer("Which pose is meant?", names, names[-1])
+    return {name: "ignore" for source in found.sources if source.columns[0] != answer for name in source.columns}
 
 
 def _asked_columns(found: "Inspection") -> dict[str, str]:

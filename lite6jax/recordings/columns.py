@@ -29,10 +29,12 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
 """The other forms of an orientation (`orientations.py`). Without their unit they are any column of the user's own."""
 _OF_ANGLES = tuple(part for form in ANGLES for part in form)
+MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
+"""A rotation matrix, row by row."""
 _SCALAR = {
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     **{axis: {"m": 1.0, "mm": 1e3} for axis in "xyz"},
-    **{part: {"": 1.0} for part in QUATERNION},
+    **{part: {"": 1.0} for part in (*QUATERNION, *MATRIX)},
     **dict.fromkeys(_OF_ANGLES, _ANGLE),
     "ambient": {"degC": 1.0},
     "payload": {"kg": 1.0},
@@ -187,11 +189,13 @@ class _Problems:
 
     @staticmethod
     def _group(quantity: str) -> str:
-        return "xyz" if quantity in ("x", "y", "z") else "quaternion" if quantity in QUATERNION else quantity
+        return next((group[0] for group in (("x", "y", "z"), QUATERNION) if quantity in group), quantity)
 
 
 def _column(name: str, own: str, index: int, problems: _Problems) -> Column | None:
     """The column that a name means; `own` is its name in the file, for messages."""
+    if name in MATRIX:
+        return Column(own, index, name, 0, "", 1.0)
     match = _NAME.fullmatch(name)
     quantity = match["quantity"].lower() if match else ""
     per_joint = quantity in _PER_JOINT
@@ -275,9 +279,9 @@ def _check_kinds(found: Mapping[str, Column], problems: _Problems) -> None:
 
 def _check_groups(found: Mapping[str, Column], problems: _Problems) -> None:
     given = []
-    for group in (("x", "y", "z"), QUATERNION, *ANGLES):
+    for group in (("x", "y", "z"), QUATERNION, MATRIX, *ANGLES):
         missing = [quantity for quantity in group if spelled(quantity) not in found]
-        if len(missing) < len(group) and len(group) > 1 and group != ("x", "y", "z"):
+        if len(missing) < len(group) and group != ("x", "y", "z"):
             given.append(group)
         if missing and len(missing) < len(group) and not problems.quantities & set(group):
             problems.say(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
@@ -332,6 +336,11 @@ def is_per_joint(quantity: str) -> bool:
 def is_standard(name: str) -> bool:
     """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
     return name in _TEXTS or _STD.fullmatch(name) is not None or _column(name, name, 0, _Problems()) is not None
+
+
+def known_column(name: str) -> Column | None:
+    """What a name of a recording's column says; None where it is none."""
+    return _column(name, name, 0, _Problems())
 
 
 def is_refused(name: str) -> bool:

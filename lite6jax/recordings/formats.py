@@ -38,9 +38,9 @@ def read_recording(
     """Reads a recording and its sidecar.
 
     Args:
-        path: a `.csv`, `.parquet`, `.mcap` or `.bag` file, or the folder of a rosbag2 or of a LeRobot data set; the
-            sidecar is the `.yaml` of the same stem, if there is one. Of a log with several topics of a type,
-            `run.mcap#/joint_states,/pose` names those to be read.
+        path: a table (`.csv`, `.tsv`, `.txt`, `.dat`, `.log`, `.parquet`), a `.mcap` or `.bag` file, or the folder of a
+            rosbag2 or of a LeRobot data set; the sidecar is the `.yaml` of the same stem, if there is one. Of a log
+            with several topics of a type, `run.mcap#/joint_states,/pose` names those to be read.
         dof: the number of joints expected, where the arm is known.
         arm: whose recording it is, or what is known of its joints: the joint states of a log do not say which are in m
             and N, and often not their order. By default the arm that the sidecar declares. A table's columns say both.
@@ -110,7 +110,7 @@ def read_targets(
     """Reads poses to be reached, in the columns of a recording: positions, orientations or not, joints or not.
 
     Args:
-        path: a `.csv` or `.parquet` file; the sidecar as in `read_recording`.
+        path: a table, as in `read_recording`; the sidecar as in `read_recording`.
         dof: the arm's number of joints.
         joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
         reach: in m, to recognise millimetres; unchecked without.
@@ -186,7 +186,7 @@ def _read(
 ) -> tuple[Path, Table]:
     path, table = open_table(path, topics, of_arm, notes, kinds)
     dof = of_arm.dof
-    renamed = sidecar.columns
+    renamed = table.renamed(str(path), sidecar.columns)
     read = tabulated(
         table.names, str(path), table.load, notes, dof=dof, renamed=renamed, joints_optional=joints_optional
     )

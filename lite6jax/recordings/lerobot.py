@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pa_compute
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import Column
-from lite6jax.recordings.raw import RawTable, parquet_schema, read_parquet
+from lite6jax.recordings.raw import RawTable, is_list, parquet_schema, read_parquet, within
 from lite6jax.recordings.table import Loaded, no_numbers
 from lite6jax.storage import read_text
 
@@ -35,7 +34,7 @@ def of_lerobot(folder: Path) -> RawTable:
     columns: list[tuple[str, str, int | None]] = []
     for name in kinds.names:
         size = _size(features.get(name, {}))
-        if _is_list(kinds.field(name).type):
+        if is_list(kinds.field(name).type):
             columns += [(f"{name}.{part}", name, k) for k, part in enumerate(_parts(features.get(name, {}), size))]
         else:
             columns.append((name, name, None))
@@ -58,13 +57,8 @@ def _read(path: Path, names: Sequence[str]) -> pa.Table:
 
 def _part(column: pa.ChunkedArray, index: int | None) -> pa.ChunkedArray | str:
     """One number of a list, or the column itself."""
-    if index is None:
-        return no_numbers(column.type, "") or column
-    try:
-        parts = [pa_compute.call_function("list_element", [chunk, index]).cast(pa.float64()) for chunk in column.chunks]
-    except pa.ArrowException as error:
-        return f"its lists differ in length ({error})"[:100]
-    return pa.chunked_array(parts, pa.float64())
+    part = within(column, [] if index is None else [index])
+    return part if isinstance(part, str) else no_numbers(part.type, "") or part
 
 
 def _features(path: Path) -> Mapping[str, Mapping[str, Any]]:
@@ -93,7 +87,3 @@ def _parts(feature: Mapping[str, Any], size: int) -> list[str]:
     if isinstance(names, list) and len(names) == size and all(isinstance(name, str) for name in names):
         return [*map(str, names)] if len(set(names)) == size else [str(k) for k in range(size)]
     return [str(k) for k in range(size)]
-
-
-def _is_list(kind: pa.DataType) -> bool:
-    return pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)

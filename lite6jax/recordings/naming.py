@@ -1,105 +1,155 @@
-"""What people's own column names say: which columns are joint positions, poses, torques, times, and in which unit.
+"""What people's own column names may say: all blocks of columns that could be joints, poses, torques or times.
 
 Names are split into words (`actual_TCP_pose_0`, `joint_1.position`, `/arm/q[3]`), words into a quantity, a number or a
-component, and columns that differ only in that are one block. What no name says is left to the numbers (`sizes.py`).
+component, and columns that differ only in that are one block. A unit in a name binds: no other quantity may have it.
+Which blocks are taken is decided for the table as a whole (`domains.pose.inspection`), where the numbers may object.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import NamedTuple, final
+from typing import Literal, NamedTuple, final
+from unicodedata import normalize
 
-from lite6jax.recordings.columns import ANGLES, QUATERNION, units_of
+import numpy as np
+
+from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, is_per_joint, is_standard, units_of
 from lite6jax.recordings.ros import UR_JOINTS
+from lite6jax.recordings.sizes import Sureness
 
 VECTOR, RPY, XYZ, ZYZ = ANGLES
+Role = Literal["controller", "sensor"]
 
 _MEASURED = {"actual", "measured", "feedback", "real", "act", "meas", "present"}
 _WANTED = {"target", "commanded", "command", "cmd", "desired", "goal", "setpoint", "reference", "ref", "action", "des"}
+_WANTED |= {"d"}  # libfranka
 _UNUSED = {
     *("force", "wrench", "ft", "error", "err", "residual", "std", "sigma", "var", "cov", "covariance", "status"),
     *("mode", "bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success"),
-    *("task", "next"),
-    *("frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist", "linear", "angular"),
-    *("offset", "inertia", "cog"),
+    *("task", "next", "frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist"),
+    *("linear", "angular", "offset", "inertia", "cog", "com", "imu", "gyro", "mag", "gravity", "normal"),
 }
 _QUANTITIES = {
     "temp": {"temp", "temperature", "temperatures"},
     "current": {"current", "currents", "amps"},
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"},
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot"},
-    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot"},
+    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }
-_JOINT = {"q", "joint", "joints", "jnt", "axis", "achse", "gelenk", "theta", "th", "angle", "angles", "servo", "motor"}
-_PLACE = {"position", "positions", "pos", "translation"}
-_POSE = {"pose", "tcp", "tool", "ee", "eef", "effector", "flange", "cartesian", "cart", "tracker", "marker", "point"}
-_TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "euler", "rpy", "attitude", "ori"}
-_SCALARS = {
-    "time": {"time", "timestamp", "datetime", "t", "stamp", "elapsed", "clock"},
-    "payload": {"payload"},
-    "ambient": {"ambient"},
-    "run": {"run", "episode", "trial", "segment"},
+_JOINT = {
+    "q",
+    "joint",
+    "joints",
+    "jnt",
+    "jt",
+    "axis",
+    "achse",
+    "gelenk",
+    "qpos",
+    "theta",
+    "th",
+    "angle",
+    "angles",
+    "servo",
 }
-_UNITS = {
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
-    **dict.fromkeys(("rad_per_s", "rad/s", "rads", "radps"), "rad_per_s"),
-    **dict.fromkeys(("deg_per_s", "deg/s", "dps", "degps"), "deg_per_s"),
-    **dict.fromkeys(("rad_per_s2", "rad/s2", "rad/s^2", "rad/s²"), "rad_per_s2"),
-    **dict.fromkeys(("deg_per_s2", "deg/s2", "deg/s^2", "deg/s²"), "deg_per_s2"),
-    **dict.fromkeys(("m_per_s", "m/s", "mps"), "m_per_s"),
-    **dict.fromkeys(("mm_per_s", "mm/s"), "mm_per_s"),
-    **dict.fromkeys(("m_per_s2", "m/s2", "m/s^2", "m/s²"), "m_per_s2"),
-    **dict.fromkeys(("mm_per_s2", "mm/s2", "mm/s^2", "mm/s²"), "mm_per_s2"),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("nm", "n_m", "n.m", "n*m"), "Nm"),
-    **dict.fromkeys(("mnm",), "mNm"),
-    **dict.fromkeys(("n", "newton", "newtons"), "N"),
-    **dict.fromkeys(("kn",), "kN"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
-    **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "µs", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanoseconds"), "ns"),
-    **dict.fromkeys(("degc", "c", "celsius", "°c"), "degC"),
-    **dict.fromkeys(("kg",), "kg"),
+_JOINT |= {"motor", "j"}
+_EXTERNAL = {"ext", "external", "extax", "eax"}
+"""Axes beside the arm, and torques from outside."""
+_PLACE = {"position", "positions", "pos"}
+_MOVED = {"translation", "trans", "tvec", "xyz"}
+_TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "rvec", "euler", "rpy", "attitude", "ori"}
+_CONTROLLER = {"tcp", "tool", "ee", "eef", "effector", "flange", "robot", "controller", "fk", "rtde"}
+_SENSOR = {
+    *("tracker", "marker", "leica", "laser", "lt", "faro", "vicon", "optitrack", "mocap", "motive", "qualisys", "tag"),
+    *(
+        "apriltag",
+        "aruco",
+        "charuco",
+        "board",
+        "camera",
+        "cam",
+        "sensor",
+        "reflector",
+        "smr",
+        "probe",
+        "polaris",
+        "ndi",
+    ),
+    *("meas", "measured"),
 }
+_POSE = {"pose", "cartesian", "cart", "point", "tracker", "marker"} | (_CONTROLLER - {"robot", "controller", "rtde"})
+_SHARED = _PLACE | _MOVED | _TURNED | {"pose", "cartesian", "cart", "point", "data", "header", "matrix", "transform"}
+"""Words that do not say whose a pose is."""
+_TIMES = {"time", "timestamp", "datetime", "stamp", "elapsed", "clock"}
+_CLOCKS = {"t", "index", "s", "header", "robot", "ros", "sys", "system", "host", "pc", "local", "unix", "epoch", "rel"}
+"""Beside which `t` is a time still."""
+_AIR = {"ambient", "amb", "room", "air", "env", "environment"}
+_RUNS = {"run", "episode", "trial", "segment"}
+_LENGTHS = {
+    "rad": "rad radian radians",
+    "deg": "deg degree degrees °",
+    "m": "m meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+}
+_RATES = {"per_s": "{}_per_s {}/s {}ps", "per_s2": "{}_per_s2 {}/s2 {}/s^2 {}/s²"}
+_OTHERS = {
+    "Nm": "nm n_m n.m n*m",
+    "mNm": "mnm",
+    "N": "n newton newtons",
+    "kN": "kn",
+    "A": "a amp amps ampere",
+    "mA": "ma",
+    "s": "s sec second seconds",
+    "ms": "ms msec milliseconds",
+    "us": "us usec µs microseconds",
+    "ns": "ns nsec nanoseconds",
+    "degC": "degc c celsius °c",
+    "kg": "kg",
+    "rad_per_s": "rads",
+    "deg_per_s": "dps",
+}
+_UNITS = {word: unit for unit, words in (_LENGTHS | _OTHERS).items() for word in words.split()}
+_UNITS |= {
+    form.format(word): f"{unit}_{rate}"
+    for (unit, words), (rate, forms) in product(_LENGTHS.items(), _RATES.items())
+    for word, form in product(words.split(), forms.split())
+}
+"""Units as `columns.py` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
 _SPLIT_STAMP = re.compile(r"stamp\W*_?n?(?:ano)?secs?\s*$", re.IGNORECASE)
-_ROBOTS = (UR_JOINTS, ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"))
-"""Names of all joints in their order: of Universal Robots' driver, and on their teach pendant."""
 _LETTERS = {
-    "a": re.compile(r"curr|amp", re.IGNORECASE),
-    "c": re.compile(r"temp|ambient", re.IGNORECASE),
-    "n": re.compile(r"tau|torque|effort|trq|force", re.IGNORECASE),
+    "a": re.compile(r"curr|amp|[\[(]", re.IGNORECASE),
+    "c": re.compile(r"temp|ambient|(?:^|_)t(?:_|$)|[\[(]", re.IGNORECASE),
+    "n": re.compile(r"tau|torque|effort|trq|force|[\[(]", re.IGNORECASE),
+    "s": re.compile(r"t|stamp|clock|elapsed|[\[(]", re.IGNORECASE),
 }
-"""Units that are letters by which columns are numbered too, with the words beside which they are units."""
-_ALLOWED = {
-    "q": {"rad", "deg"},
-    "dq": {"rad_per_s", "deg_per_s"},
-    "ddq": {"rad_per_s2", "deg_per_s2"},
-    "tau": {"Nm", "mNm"},
-    "current": {"A", "mA"},
-    "temp": {"degC"},
-    "position": {"m", "mm"},
-    "rotation": {"rad", "deg"},
-    "time": {"s", "ms", "us", "ns"},
-    "payload": {"kg"},
-    "ambient": {"degC"},
-    "run": set(),
-}
-KINDS = tuple(_ALLOWED)
-_AXES = {axis: k for k, axis in enumerate("xyz")}
-_COMPONENTS = {"qw": "w", "qx": "x", "qy": "y", "qz": "z", "ow": "w", "ox": "x", "oy": "y", "oz": "z"}
+"""Units that are letters by which columns are numbered too, with what stands beside them where they are units."""
+_GREEK = str.maketrans({"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "ω": " dq ", "α": " alpha ", "β": " beta "})
+_ROBOTS = (
+    UR_JOINTS,
+    ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
+    ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
+    tuple("sleurbt"),
+    tuple("slurbt"),
+)
+"""Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
+KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "position", "rotation", "time", "payload", "ambient", "run")
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
-_SEPARATE = {"rx": 0, "ry": 1, "rz": 2}
-_NAMED = {"roll": 0, "pitch": 1, "yaw": 2}
+_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
+_IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
+_TRIPLES = (
+    (("roll", "pitch", "yaw"), RPY, "likely"),
+    (("rx", "ry", "rz"), None, "assumed"),
+    (("alpha", "beta", "gamma"), None, "assumed"),
+    (("w", "p", "r"), RPY, "likely"),
+    (("c", "b", "a"), RPY, "assumed"),
+    (("a", "b", "c"), RPY, "assumed"),
+)
+"""Components of three angles, what they usually are, and how sure that is: A B C is KUKA's order or Mitsubishi's."""
 
 
 @final
@@ -109,9 +159,14 @@ class Block:
 
     Attributes:
         kind: one of `KINDS`; `position` and `rotation` of the tool, the others as in `columns.py`.
-        columns: along the arm; x y z; the rotation's components, a quaternion's as `form` says.
+        columns: along the arm; x y z; the rotation's components, a quaternion's as `form` says, a matrix row by row.
         unit: that the names say; None where they do not.
         form: of a rotation, the names that it has in `columns.py`; None where names do not say it.
+        sure: how sure the form is.
+        rank: 0 of what is called measured, 2 of what is called commanded, else 1.
+        weak: how little the names say that it is of this kind.
+        source: words that say whose a pose is.
+        matrix: all columns of the matrix of which it is a part, row by row.
         rivals: the first columns of blocks that may be meant instead.
         joints: whose the columns are, counted from 1; empty where they are of all joints in order, or of none.
         slides: whether these joints are prismatic.
@@ -121,42 +176,98 @@ class Block:
     columns: tuple[str, ...]
     unit: str | None = None
     form: tuple[str, ...] | None = None
+    sure: Sureness = "certain"
+    rank: int = 1
+    weak: int = 0
+    source: tuple[str, ...] = ()
+    matrix: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     joints: tuple[int, ...] = ()
     slides: bool = False
 
 
+class Source(NamedTuple):
+    """A pose by one source: its position, and the readings of its orientation of which one is right."""
+
+    position: Block
+    rotations: tuple[Block, ...]
+
+    @property
+    def role(self) -> Role | None:
+        """Whose the pose is by its name: the controller's, a sensor's, or not said."""
+        words = set(self.position.source)
+        if words & _CONTROLLER and not words & _SENSOR - _MEASURED:
+            return "controller"  # `measured_tcp_x` too
+        return "sensor" if words & _SENSOR else None
+
+
 class _Word(NamedTuple):
-    """A name taken apart: what its block shares, the number or component, and the unit."""
+    """A name taken apart: what its block shares, the number or component, the unit, and all of its words."""
 
     name: str
     words: tuple[str, ...]
     number: int | None
     component: str | None
     unit: str | None
+    every: tuple[str, ...]
 
 
-def blocks(names: Sequence[str]) -> list[Block]:
-    """The blocks that names show, at most one of each kind: what was measured rather than what was wanted.
+def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Block]:
+    """The blocks that names may mean; a column may be in several.
 
     Args:
         names: of the columns that hold numbers, in order.
+        joint_names: of the arm, along it, where it has some.
     """
     words = [_taken_apart(name) for name in names]
-    found = [*_of_robots_with_names(words)]
-    used = {name for block in found for name in block[2].columns}
-    words = [word for word in words if word.name not in used and not _UNUSED & set(word.words)]
-    found += [*_scalars(words), *_components(words), *_numbered(words)]
-    return _chosen(found)
+    found = [*_labelled(words, joint_names)]
+    labelled = {name for block in found for name in block.columns}
+    words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
+    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbered(words)]
+    place = {name: k for k, name in enumerate(names)}
+    return sorted(found, key=lambda block: min(place[name] for name in block.columns))
 
 
-_Ranked = tuple[int, int, Block]
-"""How far from measured, how weak the name is, and the block."""
+def chosen(found: Sequence[Block], dof: int | None = None) -> list[Block]:
+    """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
+
+    Args:
+        found: of `candidates`.
+        dof: the number of joints, where known; fewer columns are not those of all joints.
+    """
+    taken: list[Block] = []
+    for kind in (kind for kind in KINDS if kind not in ("position", "rotation")):
+        used = {name for block in taken for name in block.columns}
+        usual = sorted(
+            (block for block in found if block.kind == kind and not used & set(block.columns)),
+            key=lambda block: (is_per_joint(kind) and len(block.columns) < (dof or 0), block.rank, block.weak),
+        )
+        if usual:
+            best = usual[0]
+            alike = [block for block in usual[1:] if (block.rank, block.weak) == (best.rank, best.weak)]
+            taken.append(replace(best, rivals=tuple(block.columns[0] for block in alike)))
+    return taken
+
+
+def sources(found: Sequence[Block]) -> list[Source]:
+    """The poses among blocks, each of one source; what was commanded only where nothing was measured."""
+    places = [block for block in found if block.kind == "position"]
+    places = [block for block in places if block.weak < 2] or places
+    places = [block for block in places if block.rank < 2] or places
+    turns = [block for block in found if block.kind == "rotation"]
+    listed = []
+    for place in places:
+        own = [block for block in turns if block.source == place.source]
+        if not own and len(places) == 1 and {block.source for block in turns} == {()}:
+            own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
+        listed.append(Source(place, tuple(own)))
+    return listed
 
 
 def units_allowed(kind: str, slides: bool = False) -> set[str]:
     """The units that a kind of block may have."""
-    return set(units_of(kind, True)) if slides else _ALLOWED[kind]
+    quantity = {"position": "x", "rotation": "rx"}.get(kind, kind)
+    return set(units_of(quantity, slides)) - {""}
 
 
 def unit_of(name: str) -> str | None:
@@ -164,186 +275,208 @@ def unit_of(name: str) -> str | None:
     return _taken_apart(name).unit
 
 
+def source_words(names: Iterable[str]) -> tuple[str, ...]:
+    """The words by which the columns of one pose say whose it is."""
+    listed = [_taken_apart(name).words for name in names]
+    return tuple(word for word in _source(listed[0]) if all(word in words for words in listed))
+
+
 def _taken_apart(name: str) -> _Word:
     text, unit = name, None
     match = _UNIT.search(name)
     if match and _SPLIT_STAMP.search(name):
         match = None  # whole seconds alone are no time
-    letter = None if match is None else _LETTERS.get(match[1])  # pose_a, pose_b, pose_c are angles
-    if match and (letter is None or letter.search(name)):
+    letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
+    if match and (letter is None or letter.search(name[: match.start(1)])):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
-    parts = re.findall(r"[a-z]+|\d+", spaced.lower())
-    number, component = None, None
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", normalize("NFKC", text).translate(_GREEK))
+    every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
+    parts, number, component = [*every], None, None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
-    if len(letters) == 1 and not any(map(str.isdecimal, parts)):  # axis_A … axis_F
+    places = [k for k, part in enumerate(parts) if _COMPONENT.fullmatch(part)]
+    digits = [k for k, part in enumerate(parts) if part.isdecimal()]
+    if len(letters) == 1 and not digits:  # axis_A … axis_F
         number = _NUMBERS.index(parts.pop(letters[0])) + 1
-    elif parts and parts[-1] in {*_AXES, "w", *_COMPONENTS, *_SEPARATE, *_NAMED, "a", "b", "c", "p", "r"}:
+    elif places:
+        component = parts.pop(at := places[-1])
+        if at and len(component) == 1 and parts[at - 1] in {*"ptqr"}:
+            component = parts.pop(at - 1) + component  # q_w is qw
+        implied = next((word for start, word in _IMPLIED.items() if component in {start + axis for axis in "wxyz"}), "")
+        component, parts = (component[-1], [*parts, implied]) if implied else (component, parts)
+    elif parts and parts[-1] in {*"abcpr"}:
         component = parts.pop()
-    else:
-        at = [k for k, part in enumerate(parts) if part.isdecimal()]
-        if at:
-            number = int(parts.pop(at[-1])[:9])
-    return _Word(name, tuple(parts), number, component, unit)
+    elif digits:
+        number = int(parts.pop(digits[-1])[:9])
+    return _Word(name, tuple(parts), number, component, unit, every)
 
 
-def _quantity(words: Iterable[str]) -> str | None:
-    """What words say is measured at a joint; None where they say nothing of one."""
+def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | None:
+    """What words and units say is measured at a joint; None where they say nothing of one, or contradict."""
     listed = list(words)
     present = set(listed)
     if listed and listed[0] == "current" and present & {*_JOINT, *_PLACE, *_POSE}:
         present = present - {"current"} if not present <= {"current", "joint", "motor"} else present
-    for quantity, said in _QUANTITIES.items():
-        if said & present:
-            return quantity
-    return "q" if present & {*_JOINT, *_PLACE, "j", "a", "state"} else None
+    said = next((quantity for quantity, own in _QUANTITIES.items() if own & present), None)
+    if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
+        said = "q"
+    stated = {*units} - {None}
+    if not stated or (said is not None and stated <= units_allowed(said) | units_allowed(said, True)):
+        return said
+    bound = [kind for kind in KINDS[:6] if stated <= units_allowed(kind)]
+    return bound[0] if said in (None, "q") and len(bound) == 1 else None
 
 
-def _rank(words: Iterable[str]) -> int:
-    present = set(words)
-    return 2 if present & _WANTED else 0 if present & _MEASURED else 1
-
-
-def _unit_of(kind: str, words: Sequence[_Word]) -> str | None:
+def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: object) -> Iterator[Block]:
+    """Columns as a block, unless their units are of something else."""
     units = {word.unit for word in words}
     unit = units.pop() if len(units) == 1 else None
-    return unit if unit in _ALLOWED[kind] else None
+    allowed = units_allowed(kind) | units_allowed(kind, True)
+    if not (units | {unit}) - {None} <= allowed:
+        return
+    present = set(said)
+    rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
+    unit = unit if unit in units_allowed(kind) else None
+    options = {"rank": rank, "unit": unit} | options
+    yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
 
 
-def _of_robots_with_names(words: Sequence[_Word]) -> list[_Ranked]:
-    """Joints without numbers: Universal Robots' names, and those of a LeRobot data set's state, in their order."""
-    found: list[_Ranked] = []
-    by_frame: dict[tuple[tuple[str, ...], str, str], dict[str, str]] = {}
-    for robot, word in product(_ROBOTS, words):
-        text = "_".join(re.findall(r"[a-z]+|\d+", word.name.lower()))
-        for part in robot:
-            if part in text:
-                before, _, after = text.partition(part)
-                by_frame.setdefault((robot, before, after), {})[part] = word.name
-    for (robot, before, after), joints in by_frame.items():
-        if len(joints) == len(robot):
-            said = [*before.split("_"), *after.split("_")]
-            columns = tuple(joints[part] for part in robot)
-            members = [word for word in words if word.name in columns]
-            kind = _quantity([part for part in said if part]) or "q"
-            found.append((_rank(said), 0, Block(kind, columns, _unit_of(kind, members))))
-    taken = {name for _, _, block in found for name in block.columns}
-    for prefix, rank in ((("observation", "state"), 0), (("action",), 2)):
-        members = [
-            word
-            for word in words
-            if word.words[: len(prefix)] == prefix
-            and len(word.words) > len(prefix)
-            and word.number is None
-            and word.component is None
-            and word.name not in taken
-            and not _UNUSED & set(word.words)
-        ]
-        if len(members) > 1:
-            columns = tuple(word.name for word in members)
-            found.append((rank, 1, Block("q", columns, _unit_of("q", members))))
-    return found
+def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
+    """The words that say whose a pose is; letters such as the T of `T00` do not."""
+    return tuple(sorted(set(words) - _SHARED - {*letters}))
 
 
-def _scalars(words: Sequence[_Word]) -> list[_Ranked]:
-    found: list[_Ranked] = []
+def _form(words: Iterable[str]) -> dict[str, object]:
+    """The form of three numbers of a rotation that words say, and how sure that is."""
+    if {"rotvec", "rvec"} & {*words}:
+        return {"form": VECTOR}
+    return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
+
+
+def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
+    """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
+    taken: set[str] = set()
+    state = [
+        "_".join(word.every[2:])
+        for word in words
+        if word.every[:2] == ("observation", "state") and word.number is word.component is None
+        if not _UNUSED & set(word.every)
+    ]
+    for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
+        labels = [_taken_apart(name).every for name in names]
+        labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
+        if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
+            continue  # numbers say which joint it is
+        groups: dict[tuple[str, ...], dict[int, _Word]] = {}
+        for (k, label), word in product(enumerate(labels), words):
+            at = next((i for i in range(len(word.every)) if label and word.every[i : i + len(label)] == label), None)
+            if at is not None and word.name not in taken:
+                rest = (*word.every[:at], "", *word.every[at + len(label) :])
+                groups.setdefault(rest, {})[k] = word
+        for rest, group in groups.items():
+            kind = _quantity(rest, (word.unit for word in group.values())) or "q"
+            if labels and len(group) == len(labels) and not _UNUSED & set(rest):
+                for block in _block(kind, [group[k] for k in range(len(labels))], rest, weak=weak):
+                    taken |= set(block.columns)
+                    yield block
+
+
+def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
+    """Homogeneous and rotation matrices, by two indices (`T00`, `r_1_1`) or by one in either order (`O_T_EE_0`)."""
+    pairs: dict[tuple[str, ...], dict[tuple[int, int], _Word]] = {}
+    flat: dict[tuple[str, ...], dict[int, _Word]] = {}
     for word in words:
-        if word.component is not None or (word.number is not None and len(word.words) > 1):
+        if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.every)):
+            pairs.setdefault(tuple(match[1].split()), {})[int(match[2]), int(match[3])] = word
+        if word.number is not None and {*word.words} & {*_TURNED, "r", "t", "pose", "matrix", "transform"}:
+            flat.setdefault(word.words, {})[word.number] = word
+    found = []
+    for (said, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
+        if [*sorted(group)] == [(first + i, first + j) for i, j in np.ndindex(shape)]:
+            found.append((said, shape, [group[at] for at in sorted(group)], "likely"))
+    for said, group in flat.items():
+        shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(group))
+        if shape and sorted(group) == [min(group) + k for k in range(len(group))] and min(group) < 2:
+            found.append((said, shape, [group[k] for k in sorted(group)], "assumed"))
+    for (said, shape, members, sure), turned in product(found, (False, True)):
+        names = np.array([word.name for word in members], object)
+        grid = names.reshape(shape[::-1]).T if turned else names.reshape(shape)
+        words_of = {word.name: word for word in members}
+        same = {"source": (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
+        same |= {"matrix": tuple(grid.ravel()), "unit": None}
+        same |= {"sure": sure if shape == (3, 3) else "certain"}  # of others the numbers show the order
+        same |= {"rank": 2} if said[-1:] == ("c",) else {}
+        yield from _block("rotation", [words_of[name] for name in grid[:3, :3].ravel()], said, form=MATRIX, **same)
+        if shape[1] == 4:
+            yield from _block("position", [words_of[name] for name in grid[:3, 3]], said, **same)
+
+
+def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
+    for word in words:
+        present, stated = set(word.words), word.unit
+        if word.component is not None or word.number is not None or not present:
             continue
-        for kind, said in _SCALARS.items():
-            if said & set(word.words) and word.number is None:
-                weak = len(set(word.words) - said - {"index", "s", "header"})
-                found.append((1, weak, Block(kind, (word.name,), _unit_of(kind, [word]))))
-                break
-    return found
+        timed = stated in units_allowed("time")
+        weak = len(present - _TIMES - {"index", "s", "header"})
+        if present & _TIMES or (present & {"t"} and present <= _CLOCKS) or timed:
+            yield from _block("time", [word], (), weak=weak if present & _TIMES else weak + 1)
+        elif present & _AIR and (stated == "degC" or present & {"t", "temp", "temperature", "ambient"}):
+            yield from _block("ambient", [word], ())
+        elif "payload" in present:
+            yield from _block("payload", [word], (), weak=len(present) - 1)
+        elif present & _RUNS:
+            yield from _block("run", [word], (), weak=len(present - _RUNS - {"index"}))
 
 
-def _components(words: Sequence[_Word]) -> list[_Ranked]:
+def _components(words: Sequence[_Word]) -> Iterator[Block]:
     """Positions and rotations whose columns end in x, y, z, w, roll, rx and the like."""
     groups: dict[tuple[str, ...], dict[str, _Word]] = {}
     for word in words:
         if word.component is not None and _quantity(set(word.words) - {*_POSE, *_PLACE}) in (None, "q"):
             groups.setdefault(word.words, {}).setdefault(word.component, word)
-    found: list[_Ranked] = []
     for said, group in groups.items():
         turned = bool(_TURNED & set(said))
-        rank, weak = _rank(said), 0 if _POSE & set(said) or not said else 1
-        separate = {_COMPONENTS[part]: word for part, word in group.items() if part in _COMPONENTS}
-        quaternion = separate or ({part: group[part] for part in "wxyz" if part in group} if turned else {})
-        if {*quaternion} == {*"wxyz"}:
-            members = [quaternion[part] for part in "wxyz"]
-            found.append((rank, weak, Block("rotation", _names(members), None, QUATERNION)))
-        elif turned and {*"xyz"} <= {*group}:
-            members = [group[part] for part in "xyz"]
-            form = VECTOR if "rotvec" in said else RPY if "rpy" in said else None
-            found.append((rank, weak, Block("rotation", _names(members), _unit_of("rotation", members), form)))
-        if not turned and {*"xyz"} <= {*group}:
-            members = [group[part] for part in "xyz"]
-            found.append((rank, weak, Block("position", _names(members), _unit_of("position", members))))
-        for parts, form in (
-            (tuple(_NAMED), RPY),
-            (tuple(_SEPARATE), None),
-            (("w", "p", "r"), RPY),
-            (("c", "b", "a"), RPY),
-        ):
+        source = _source(said)
+        place = [group[axis] for axis in "xyz" if axis in group]
+        if turned and {*"wxyz"} <= {*group}:
+            members = [group[part] for part in "wxyz"]
+            yield from _block("rotation", members, said, form=QUATERNION, source=source)
+        elif turned and len(place) == 3:
+            yield from _block("rotation", place, said, source=source, **_form(said))
+        elif len(place) == 3 and not _JOINT & set(said):
+            weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
+            yield from _block("position", place, said, source=source, weak=weak)
+        for parts, form, sure in _TRIPLES:
             if {*parts} <= {*group}:
                 members = [group[part] for part in parts]
-                found.append((rank, weak, Block("rotation", _names(members), _unit_of("rotation", members), form)))
-    return found
+                if all(is_standard(word.name) for word in members):
+                    form, sure = next((form for form in ANGLES if form == parts), form), "certain"
+                yield from _block("rotation", members, said, form=form, sure=sure, source=source)
 
 
-def _numbered(words: Sequence[_Word]) -> list[_Ranked]:
+def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
     groups: dict[tuple[str, ...], dict[int, _Word]] = {}
     for word in words:
         if word.number is not None:
             groups.setdefault(word.words, {}).setdefault(word.number, word)
-    found: list[_Ranked] = []
     for said, group in groups.items():
-        count, rank = len(group), _rank(said)
+        count, present = len(group), set(said)
         if sorted(group) not in ([*range(count)], [*range(1, count + 1)]):
             continue
-        members = [group[number] for number in sorted(group)]
-        posed = bool(_POSE & set(said))
-        kind = _quantity(set(said) - _POSE if posed else said)
-        if posed and kind in (None, "q") and not _JOINT & set(said):
-            found += [(rank, 0, block) for block in _of_pose(members)]
-        elif posed:
-            continue  # velocities and forces of the tool
-        elif _TURNED & set(said) and count in (3, 4):
-            found += [(rank, 0, Block("rotation", _names(members), _unit_of("rotation", members)))]
-        elif kind is not None:
-            strong = kind != "q" or bool({*_JOINT} & set(said))
-            found.append((rank, 0 if strong else 1, Block(kind, _names(members), _unit_of(kind, members))))
-    return found
-
-
-def _of_pose(members: Sequence[_Word]) -> list[Block]:
-    """Three numbers of a position, and three or four of a rotation."""
-    if len(members) not in (3, 6, 7):
-        return []
-    position, rotation = members[:3], members[3:]
-    blocks = [Block("position", _names(position), _unit_of("position", position))]
-    return blocks + ([Block("rotation", _names(rotation), _unit_of("rotation", rotation))] if rotation else [])
-
-
-def _chosen(found: Sequence[_Ranked]) -> list[Block]:
-    """Of each kind the block that was measured and is named most clearly, with what it was preferred to."""
-    chosen = []
-    joints = {block.columns for _, _, block in found if block.kind == "q"}
-    for kind in KINDS:
-        candidates = sorted((entry for entry in found if entry[2].kind == kind), key=lambda entry: entry[:2])
-        if kind == "position" and not candidates:  # position_0 … position_2 beside joints of another name
-            candidates = [entry for entry in found if entry[2].kind == "q" and len(entry[2].columns) == 3]
-            candidates = [entry for entry in candidates if entry[1] == 1 and len(joints) > 1]
-            candidates = [(rank, weak, replace(block, kind=kind)) for rank, weak, block in candidates]
-        if not candidates:
+        members, same = [group[number] for number in sorted(group)], {"source": _source(said, "qrt")}
+        posed, turned = bool(_POSE & present), bool(_TURNED & present)
+        kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
+        if turned and count in (3, 4):
+            yield from _block("rotation", members, said, **same, **(_form(said) if count == 3 else {}))
             continue
-        rank, weak, block = candidates[0]
-        rivals = tuple(other.columns[0] for r, w, other in candidates[1:] if (r, w) == (rank, weak))
-        chosen.append(replace(block, rivals=rivals))
-    return chosen
-
-
-def _names(members: Iterable[_Word]) -> tuple[str, ...]:
-    return tuple(word.name for word in members)
+        if count == 4 and present <= {"q"} | _TURNED:
+            yield from _block("rotation", members, said, weak=1, **same)  # if of unit length
+        if (posed or _MOVED & present) and kind in (None, "q") and not _JOINT & present:
+            if count in (3, 6, 7):
+                yield from _block("position", members[:3], said, **same)
+                yield from _block("rotation", members[3:], said, **same) if count > 3 else ()
+        elif not posed and kind is not None and not _EXTERNAL & present:
+            strong = kind != "q" or bool(_JOINT & present)
+            yield from _block(kind, members, said, weak=0 if strong else 1)
+            if kind == "q" and count == 3 and not strong:  # position_0 … position_2 beside joints of another name
+                yield from _block("position", members, said, weak=2, **same)

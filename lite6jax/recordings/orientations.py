@@ -7,6 +7,7 @@
 | `roll_rad pitch_rad yaw_rad` | Rz(yaw) Ry(pitch) Rx(roll) (UFACTORY, URDF; KUKA's C B A, Fanuc's W P R) |
 | `rotx_rad roty_rad rotz_rad` | Rx(rotx) Ry(roty) Rz(rotz) (Staubli, Mecademic) |
 | `alpha_rad beta_rad gamma_rad` | Rz(alpha) Ry(beta) Rz(gamma) (Kawasaki, Doosan) |
+| `r11 r12 r13 r21 … r33` | the matrix, row by row (of T from the sensor to the tool) |
 """
 
 from collections.abc import Mapping
@@ -14,7 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import ANGLES, QUATERNION, spelled
+from lite6jax.errors import InputError
+from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, spelled
 
 Array = NDArray[np.floating]
 
@@ -23,16 +25,28 @@ _EULER: dict[tuple[str, ...], str] = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
 """Intrinsic sequences in SciPy's spelling, in the order of the columns; of `RPY` in the reverse order."""
 
 
-def quaternions(form: tuple[str, ...], angles: Array) -> Array:
-    """`(sample, 4)` unit quaternions, scalar first, of `(sample, 3)` rad of one of `ANGLES`; NaN where one is."""
+NEARLY = 0.02
+"""Of R Rᵀ from the identity: as far off is a matrix of which two digits are written."""
+
+
+def quaternions(form: tuple[str, ...], values: Array) -> Array:
+    """`(sample, 4)` unit quaternions, scalar first, of a form in rad or without unit; NaN where a number is.
+
+    Args:
+        form: one of `ANGLES`, or `MATRIX`.
+        values: `(sample, part)`; of a matrix the nearest rotation is taken.
+    """
     from scipy.spatial.transform import Rotation
 
-    found = np.full((len(angles), 4), np.nan)
-    given = np.isfinite(angles).all(axis=1)
+    found = np.full((len(values), 4), np.nan)
+    given = np.isfinite(values).all(axis=1)
     if not given.any():
         return found
-    rows = angles[given]
-    if form == VECTOR:
+    rows = values[given]
+    if form == MATRIX:
+        left, _, right = np.linalg.svd(rows.reshape(-1, 3, 3))
+        rotation = Rotation.from_matrix(left * np.linalg.det(left @ right)[:, None, None] @ right)
+    elif form == VECTOR:
         rotation = Rotation.from_rotvec(rows)
     else:
         rotation = Rotation.from_euler(_EULER[form], rows[:, ::-1] if form == RPY else rows)
@@ -40,12 +54,30 @@ def quaternions(form: tuple[str, ...], angles: Array) -> Array:
     return found
 
 
-def with_quaternions(values: Mapping[str, Array]) -> dict[str, Array]:
-    """Columns in SI units by their names, with an orientation in another form replaced by its quaternions."""
+def no_rotations(matrix: Array) -> NDArray[np.bool_]:
+    """Of which rows `(sample, 9)`, without gaps, the matrix is no rotation: not orthogonal, or mirrored."""
+    R = matrix.reshape(-1, 3, 3)
+    with np.errstate(all="ignore"):
+        far = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > NEARLY
+        return np.isfinite(matrix).all(1) & (far | (np.linalg.det(R) < 0))
+
+
+def with_quaternions(values: Mapping[str, Array], source: str = "recording") -> dict[str, Array]:
+    """Columns in SI units by their names, with an orientation in another form replaced by its quaternions.
+
+    Raises:
+        InputError: a matrix that is no rotation.
+    """
     told = dict(values)
-    for form in ANGLES:
+    for form in (*ANGLES, MATRIX):
         names = [spelled(part) for part in form]
         if all(name in told for name in names):
-            angles = np.stack([told.pop(name) for name in names], axis=1)
-            told |= dict(zip(QUATERNION, quaternions(form, angles).T, strict=True))
+            parts = np.stack([told.pop(name) for name in names], axis=1)
+            if form == MATRIX and (wrong := np.flatnonzero(no_rotations(parts))).size:
+                turned = np.linalg.det(parts[wrong[0]].reshape(3, 3)) > 0
+                raise InputError(
+                    f"{source}: row {wrong[0] + 1}: r11 … r33 {'is not orthogonal' if turned else 'is mirrored'}, so "
+                    "it is no rotation; name its columns row by row, or remove the row"
+                )
+            told |= dict(zip(QUATERNION, quaternions(form, parts).T, strict=True))
     return told

@@ -1,19 +1,25 @@
 """A table of columns with any names, which are read when they are asked for."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pa_compute
 import pyarrow.parquet as pa_parquet
 
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import stream
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
-from lite6jax.recordings.columns import Column
+from lite6jax.recordings.columns import IGNORED, Column
 from lite6jax.recordings.table import Loaded, no_numbers
 
+LONGEST_LIST = 64
+"""Numbers in a list that are a column each; longer ones, such as pictures, are none."""
+_SAMPLE = 1000
+"""Rows by which the length of lists is found."""
 Load = Callable[[Mapping[str, Column]], Loaded]
 
 
@@ -23,10 +29,42 @@ class RawTable(NamedTuple):
     Attributes:
         names: of all columns, in order.
         load: the values of some, by any keys: of each an array, or what is wrong with it.
+        nameless: whether the file names no column, so that they are `column_1`, `column_2`, ….
     """
 
     names: Sequence[str]
     load: Load
+    nameless: bool = False
+
+    def renamed(self, source: str, given: Mapping[str, str], in_order: str = "") -> dict[str, str]:
+        """The names that columns are to have, by those that they have in the table.
+
+        Args:
+            source: what messages begin with.
+            given: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one alone.
+            in_order: of a table without names, the names of all columns between commas, empty for `IGNORED`.
+
+        Raises:
+            InputError: a table without names gets none, or not one for each column; or a table has them already.
+        """
+        listed = [name.strip() or IGNORED for name in in_order.split(",")] if in_order else []
+        if listed and not self.nameless:
+            raise InputError(f"{source}: names its columns already; say what they are by --column NAME=MEANING")
+        if listed and len(listed) != len(self.names):
+            raise InputError(
+                f"{source}: --names gives {len(listed)} names for {len(self.names)} columns; give each one"
+            )
+        if self.nameless and not (listed or given):
+            command = command_line("init", source, "--names", "q1_deg,q2_deg,...")
+            raise InputError(f"{source}: its first row holds numbers, and no line names the columns; `{command}` does")
+        of_part: dict[str, list[str]] = {}
+        for name in self.names:
+            of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
+        found = {}
+        for name, meaning in given.items():
+            alike = [] if name in self.names else of_part.get(name, [])
+            found[alike[0] if len(alike) == 1 else name] = meaning
+        return dict(zip(self.names, listed, strict=False)) | found
 
     def numbers(self) -> Iterator[tuple[str, np.ndarray | None]]:
         """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.
@@ -73,21 +111,77 @@ def of_stream(path: Path, notes: list[str]) -> RawTable:
 def of_parquet(path: Path) -> RawTable:
     """The table of a Parquet file; only the columns asked for are read.
 
+    Members of structs and elements of lists are a column each: `pose.position.x`, `q[0]`.
+
     Raises:
         InputError: damaged, or another kind of file; here and in `load`.
     """
     schema = parquet_schema(path)
+    nested = [field.name for field in schema if field.type.num_fields]
+    first = _parquet(path, lambda file: next(file.iter_batches(_SAMPLE, columns=nested), None)) if nested else None
+    leaves = [
+        leaf
+        for field in schema
+        for leaf in _leaves(
+            field.name, first[field.name] if first is not None and field.name in nested else pa.nulls(0, field.type)
+        )
+    ]
 
     def load(columns: Mapping[str, Column]) -> Loaded:
-        wrong = {key: no_numbers(schema.field(column.index).type, column.quantity) for key, column in columns.items()}
-        wanted = [schema.names[column.index] for key, column in columns.items() if not wrong[key]]
-        table = read_parquet(path, wanted)
-        return {
-            key: wrong[key] or table.column(table.column_names.index(schema.names[column.index]))
-            for key, column in columns.items()
-        }
+        loaded: dict[str, pa.Array | pa.ChunkedArray | str] = {}
+        wanted = {key: leaves[column.index] for key, column in columns.items()}
+        for key, leaf in wanted.items():
+            loaded[key] = no_numbers(leaf.kind, columns[key].quantity)
+        names = dict.fromkeys(leaf.path[0] for key, leaf in wanted.items() if not loaded[key])
+        table = read_parquet(path, [*map(str, names)])
+        for key, leaf in wanted.items():
+            top, *parts = leaf.path
+            loaded[key] = loaded[key] or within(table.column(table.column_names.index(str(top))), parts)
+        return loaded
 
-    return RawTable(schema.names, load)
+    return RawTable([leaf.name for leaf in leaves], load)
+
+
+class _Leaf(NamedTuple):
+    """Numbers within the structs and lists of a column: their name, the way to them, and their type."""
+
+    name: str
+    path: tuple[str | int, ...]
+    kind: pa.DataType
+
+
+def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...] = ()) -> Iterator[_Leaf]:
+    """What a column holds, by its first rows."""
+    path, kind = path or (name,), values.type
+    if pa.types.is_struct(kind):
+        for field in kind:
+            yield from _leaves(f"{name}.{field.name}", within(values, [field.name]), (*path, field.name))
+        return
+    first = values.drop_null()[:1] if is_list(kind) else values[:0]
+    size = len(first[0]) if len(first) else 0
+    if not 0 < size <= LONGEST_LIST:
+        yield _Leaf(name, path, kind)
+    for part in range(size if size <= LONGEST_LIST else 0):
+        yield from _leaves(f"{name}[{part}]" if size > 1 else name, within(first, [part]), (*path, part))
+
+
+def is_list(kind: pa.DataType) -> bool:
+    """Whether the values of a type are lists."""
+    return pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+
+
+def within(values: Any, path: Sequence[str | int]) -> Any:
+    """What stands in a column under these names of members and numbers of elements; or what is wrong with its lists."""
+    for part in path:
+        if isinstance(part, str):
+            values = pa_compute.call_function("struct_field", [values], pa_compute.StructFieldOptions([part]))
+            continue
+        sizes = pa_compute.call_function("min_max", [pa_compute.call_function("list_value_length", [values])])
+        least, most = sizes["min"].as_py(), sizes["max"].as_py()
+        if least is not None and least != most:
+            return f"its lists hold {least} to {most} numbers; give each row as many"
+        values = pa_compute.call_function("list_element", [values, part])
+    return values
 
 
 def parquet_schema(path: Path) -> pa.Schema:

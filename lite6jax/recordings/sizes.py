@@ -1,4 +1,4 @@
-"""Which unit numbers are in, by their size alone: degrees or radians, millimetres or metres, seconds or nanoseconds.
+"""What numbers say by themselves: the unit by their size, and whether they can be what their name says.
 
 What an arm's forward kinematics says, where the arm is known, weighs more (`domains.pose.readings`).
 """
@@ -9,16 +9,20 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import QUATERNION
+from lite6jax.recordings.columns import MATRIX, QUATERNION
 
 Array = NDArray[np.floating]
 Sureness = Literal["certain", "likely", "assumed"]
 """By name or by kinematics; by size; or the usual one, where neither tells."""
 
-WIDEST_RAD = 4 * np.pi
-"""Beyond, joint positions are degrees: no arm's joint turns twice either way."""
 WIDE_RAD = 2.1 * np.pi
-"""Beyond, they are likely to be."""
+"""Beyond, joint positions are likely to be degrees."""
+PERCENT = 100.0
+"""Within, joints of LeRobot may be in percent of each joint's range; beyond, angles are degrees for certain."""
+TURN_TICKS = 4096
+"""Ticks of a servo's encoder in a turn (Feetech, Dynamixel)."""
+BACK = 0.1
+"""Of the steps of a time, which may not increase: rows out of order, repeated rows, new runs."""
 MOVING_RAD = 0.5
 """Positions that spread so far are not degrees: an arm that is measured moves by more than a degree."""
 FAR_M = 10.0
@@ -58,14 +62,39 @@ def by_name(unit: str) -> Decision:
     return Decision(unit, "certain", "name", {})
 
 
-def angle_unit(position: Array) -> Decision:
-    """`deg` or `rad` of joint positions `(sample, joint)`; numbers that are not finite are ignored."""
+def increases(time: Array, run: Array | None = None) -> bool:
+    """Whether numbers `(sample,)` increase from row to row as times do; of another `run` they begin anew."""
+    there = np.isfinite(time)
+    steps = np.diff(time[there])
+    if run is not None:
+        steps = steps[np.diff(run[there]) == 0]
+    return not steps.size or float(np.mean(steps <= 0)) <= BACK
+
+
+def of_unit_length(quaternion: Array) -> bool:
+    """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
+    length = np.linalg.norm(quaternion[np.isfinite(quaternion).all(1)], axis=1)
+    length = length[length > 0]
+    return bool(length.size) and float(np.mean(np.abs(length - 1) < 0.01)) > 0.9
+
+
+def angle_unit(position: Array, servo: bool = False) -> Decision:
+    """`deg` or `rad` of joint positions `(sample, joint)`; numbers that are not finite are ignored.
+
+    Args:
+        position: the numbers.
+        servo: whether they are named as LeRobot names them, which writes percent of each joint's range too. What may
+            be none of both has the reason `percent` or `ticks`.
+    """
     largest, spread = _largest(position), _spread(position)
     said = {"largest": largest}
-    if largest > WIDEST_RAD:
-        return Decision("deg", "certain", "beyond_turns", said)
+    there = position[np.isfinite(position)]
+    if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
+        return Decision("deg", "assumed", "ticks", said)
+    if servo and largest <= PERCENT:
+        return Decision("deg", "assumed", "percent", said)
     if largest > WIDE_RAD:
-        return Decision("deg", "likely", "beyond_turns", said)
+        return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
     return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
 
 
@@ -105,16 +134,18 @@ def length_unit(position: Array) -> Decision:
 
 def current_unit(current: Array) -> Decision:
     """`mA` or `A`."""
-    largest = _largest(current)
-    large = largest > LARGE_A
-    return Decision("mA" if large else "A", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(current, LARGE_A, "A", "mA")
 
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`."""
-    largest = _largest(torque)
-    large = largest > LARGE_NM
-    return Decision("mNm" if large else "Nm", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+
+
+def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
+    largest = _largest(values)
+    large = largest > limit
+    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
 def time_unit(time: Array, position: Array | None) -> Decision:
@@ -145,28 +176,33 @@ def time_unit(time: Array, position: Array | None) -> Decision:
     return Decision("s", "assumed", "step", {"step_s": step, "speed": speed})
 
 
-def rotation_form(rotation: Array, unit: str | None, form: tuple[str, ...] | None) -> tuple[Decision, Decision]:
+def rotation_form(
+    rotation: Array, unit: str | None, form: tuple[str, ...] | None, sure: Sureness
+) -> tuple[Decision, Decision]:
     """The form and the unit of a rotation of which no arm tells more.
 
     Args:
-        rotation: `(sample, 3)` numbers, or `(sample, 4)` of a quaternion.
+        rotation: `(sample, 3)` numbers, `(sample, 4)` of a quaternion or `(sample, 9)` of a matrix.
         unit: of three numbers, where their names say it.
         form: where their names say it, as in `columns.py`.
+        sure: how sure the form is by the names.
 
     Returns:
-        the first name of a form in `columns.ANGLES`, `scalar_first` or `scalar_last`; and `rad`, `deg` or nothing.
+        the first name of a form in `columns.ANGLES` or of `MATRIX`, `scalar_first` or `scalar_last`; and `rad`, `deg`
+        or nothing.
     """
+    named = None if form is None else "scalar_first" if form == QUATERNION else form[0]
+    reason = "usual_name" if sure == "assumed" else "orthogonal" if form == MATRIX and sure == "certain" else "name"
+    by_names = None if named is None else Decision(named, sure, reason, {})
+    if rotation.shape[1] in (4, len(MATRIX)):
+        return by_names or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
     there = rotation[np.isfinite(rotation).all(1)]
-    if rotation.shape[1] == 4:
-        usual = Decision("scalar_last", "assumed", "usual_quaternion", {})
-        return (by_name("scalar_first" if form == QUATERNION else "scalar_last") if form else usual), by_name("")
     largest = _largest(there)
-    degrees = largest > 2.1 * np.pi
-    angle = Decision("deg" if degrees else "rad", "likely", "largest_angle", {"largest": largest})
+    angle = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
     angle = by_name(unit) if unit else angle
     norm = np.linalg.norm(there, axis=1) * (np.pi / 180 if angle.choice == "deg" else 1.0)
-    if form:
-        return by_name(form[0]), angle
+    if by_names:
+        return by_names, angle
     if np.mean(norm > 1.01 * np.pi) > 0.01:
         return Decision("roll", "likely", "beyond_half_turn", {"largest": float(norm.max())}), angle
     if angle.choice == "deg":

@@ -16,14 +16,15 @@ from lite6jax.recordings.rosbag import METADATA, read_bag
 from lite6jax.storage import check_readable, exists
 
 LOGS = (".mcap", ".db3", ".bag")
-TABLES = (".csv", ".parquet")
+TEXTS = (".csv", ".tsv", ".txt", ".dat", ".log")
+TABLES = (*TEXTS, ".parquet")
 SUFFIXES = (*TABLES, stream.SUFFIX, *LOGS)
 """Of the files that are recordings."""
-KINDS = "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
+KINDS = "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
 _ARMS = (".urdf", ".xacro", ".xml", ".mjcf")
 _EXCEL = (".xlsx", ".xls", ".xlsm", ".ods")
-_ARRAYS = (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather", ".txt", ".dat", ".tsv")
+_ARRAYS = (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather")
 
 
 def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
@@ -80,7 +81,7 @@ def open_table(
             return path, raw.of_arrays(read_mcap(path, topics, of_arm, notes))
         if suffix == ".parquet":
             return path, raw.of_parquet(path)
-        return path, of_csv(path, notes) if suffix == ".csv" else raw.of_stream(path, notes)
+        return path, of_csv(path, notes) if suffix in TEXTS else raw.of_stream(path, notes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
 
@@ -88,7 +89,7 @@ def open_table(
 def _other(kinds: Sequence[str]) -> str:
     if set(LOGS) <= set(kinds):
         return f"{KINDS}; convert it or correct the name"
-    return f"targets end in {' or '.join(kinds)}; convert it or correct the name"
+    return "targets end in .csv or .parquet; convert it or correct the name"
 
 
 def stranger(path: str | Path) -> str:
@@ -121,7 +122,7 @@ def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
 
 
 def _of_no_recording(path: Path) -> str:
-    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (*TABLES, ".mcap"))
+    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (".csv", ".parquet", ".mcap"))
     if not tables:
         return (
             "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "

@@ -176,7 +176,7 @@ def no_numbers(kind: pa.DataType, quantity: str) -> str:
 
     A time may be given by a clock.
     """
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind):
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
         return ""
     if quantity == "time" and holds_clock_times(kind):
         return ""
@@ -200,7 +200,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         InputError: a run that is not a whole number.
     """
     columns, joints = table.columns, table.joints
-    values = with_quaternions(table.values)
+    values = with_quaternions(table.values, source)
 
     def block(*names: str) -> np.ndarray | None:
         return np.column_stack([values[name] for name in names]) if names[0] in values else None

@@ -8,11 +8,11 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.inspection import Inspection
+from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.naming import unit_of, units_allowed
+from lite6jax.recordings.naming import Role, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 
 _KINDS = {
@@ -39,14 +39,6 @@ _SLIDES = {
 _UNITS = {
     "rad": "radians",
     "deg": "degrees",
-    "rad_per_s": "rad/s",
-    "deg_per_s": "deg/s",
-    "rad_per_s2": "rad/s²",
-    "deg_per_s2": "deg/s²",
-    "m_per_s": "m/s",
-    "mm_per_s": "mm/s",
-    "m_per_s2": "m/s²",
-    "mm_per_s2": "mm/s²",
     "m": "metres",
     "mm": "millimetres",
     "Nm": "N m",
@@ -64,7 +56,10 @@ _FORMS = {
     "roll": "roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)",
     "rotx": "angles Rx(rotx) Ry(roty) Rz(rotz)",
     "alpha": "Euler angles Rz(alpha) Ry(beta) Rz(gamma)",
+    "r11": "a rotation matrix row by row",
 }
+_DENIED = {"time": "called a time, but it does not increase", "quaternion": "called a quaternion, but not of length 1"}
+_ROLES = {"controller": "the controller's", "sensor": "a sensor's", None: "of a source that its name does not say"}
 _MANY = 3
 """Columns that are named one by one; of more, the first and the last."""
 
@@ -152,11 +147,54 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
         if recognised.get(own) == name:
             continue
         yield Padding(Text(f"{own}: {name}, as given."), (0, 0, 0, 2))
-    if found.unused or found.texts:
-        yield Padding(Text(f"Not used: {_listed((*found.unused, *found.texts))}."), (0, 0, 0, 2))
+    for own, why in found.denied.items():
+        yield Padding(Text(f"{own}: {_DENIED[why]}, so it is not used."), (0, 0, 0, 2))
+    rest = [name for name in (*found.unused, *found.texts) if name not in found.denied]
+    if rest:
+        yield Padding(Text(f"Not used: {_listed(rest)}."), (0, 0, 0, 2))
     yield ""
+    for source in found.sources if len(found.sources) > 1 else ():
+        yield Text(f"{source_statement(source)}{' It is taken.' if source.taken else ''}")
     yield Text(arm_statement(found))
+    if found.computed:
+        yield Text(
+            "The poses are the controller's own computation from the joints: no sensor is that exact. They show no "
+            "error of the arm; their pose_source is controller_fk."
+        )
     yield Text(f"Motion: {found.motion[0]}; {found.motion[1]}.")
+
+
+def no_angles(joints: Meaning) -> str:
+    """Joint positions that may be no angles, and what to do."""
+    named = (command_line("--column", f"{own}=q{k}_deg") for k, own in enumerate(joints.block.columns, 1))
+    degrees = " ".join(name.partition(" ")[2] for name in named)
+    if joints.unit.reason == "ticks":
+        wrong = "look like raw ticks of servos (4096 a turn), which are no angles: write (ticks - 2048) * 360 / 4096"
+    else:
+        wrong = (
+            "look like LeRobot's normalised values (-100 to 100 of each joint's calibrated range), which are no "
+            "angles: record again with use_degrees=True, or convert them by the ranges of the arm's calibration"
+        )
+    return f"joints {_columns(joints.block.columns)} {wrong}. If they are degrees, say so: {degrees}"
+
+
+def source_statement(source: PoseSource) -> str:
+    """One of several poses: whose it is, and how well the arm reproduces it."""
+    said = f"Pose {_columns(source.columns)}: {_ROLES[source.role]}"
+    if source.computed:
+        return f"{said}, computed from the joints: the nominal arm reproduces it to {1e3 * source.error:.2g} mm."
+    return said + (f"; the nominal arm reproduces it to {1e3 * source.error:.3g} mm." if source.error < 1e3 else ".")
+
+
+def choice_of_pose(found: Inspection) -> str:
+    """Several poses of which none is taken, and how to say which is meant."""
+    said = " ".join(map(source_statement, found.sources))
+    roles: list[Role | None] = [source.role for source in found.sources]
+    keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
+    ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
+    ignored = (command_line("--column", f"{name}=ignore").partition(" ")[2] for name in found.sources[0].columns)
+    ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
+    return f"it holds {len(found.sources)} poses. {said} Choose by {', or '.join(ways)}"
 
 
 def statement(meaning: Meaning) -> str:
@@ -166,7 +204,8 @@ def statement(meaning: Meaning) -> str:
     if meaning.form is not None:
         said += f", {_FORMS[meaning.form.choice]} ({_sure(meaning.form)})"
     if meaning.unit.choice:
-        unit = _UNITS.get(meaning.unit.choice, meaning.unit.choice)
+        unit = meaning.unit.choice
+        unit = _UNITS.get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
     said += "."
     if block.rivals:
@@ -196,12 +235,16 @@ def _reason(decision: Decision) -> str:
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
+        "percent": "the largest is {largest:.3g}, so they may be normalised: -100 to 100 of each joint's range",
+        "ticks": "whole numbers up to {largest:.4g}, so they may be ticks of servos, 4096 a turn",
         "within_turns": "none is beyond {largest:.3g}",
         "as_positions": "as the positions",
         "beyond_reach": "they spread over {spread:.4g}, beyond any arm's reach in metres",
         "within_reach": "they spread over {spread:.3g}",
         "largest": "the largest is {largest:.3g}",
         "usual": "the usual unit",
+        "orthogonal": "in no other order are they rotations",
+        "usual_name": "as these names are usually meant",
         "usual_quaternion": "as ROS writes it",
         "largest_angle": "the largest is {largest:.3g}",
         "beyond_half_turn": "they reach {largest:.3g} rad, and a rotation vector ends at half a turn",
@@ -319,6 +362,11 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     ]
     if doubtful:
         yield Text(f"Check in the sidecar what was assumed: {', '.join(doubtful)}.")
+    said = settings.get("pose_source", "unknown")
+    if found.computed and said not in ("controller_fk", "unknown"):
+        yield Text(f"The poses were computed, not measured by a {said}: errors of the arm do not show in them.")
+    elif said == "unknown" and any(source.taken and source.role == "controller" for source in found.sources):
+        yield Text("The poses have a name of the controller's. If it computed them, write pose_source: controller_fk.")
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return

@@ -85,6 +85,22 @@ def test_orientations_in_other_forms_become_quaternions(form, angles, unit):
     np.testing.assert_allclose((found.inv() * kept).magnitude(), 0, atol=1e-14)
 
 
+def test_a_rotation_matrix_becomes_a_quaternion():
+    table = {"q1_rad": Q[:, 0], **dict(zip(("x_m", "y_m", "z_m"), P.T, strict=True))}
+    entries = [f"r{i}{j}" for i in "123" for j in "123"]
+    written = np.round(TURNED.as_matrix().reshape(-1, 9), 4)
+    recording = Recording.from_dataframe(table | dict(zip(entries, written.T, strict=True)), motion="static")
+    found = Rotation.from_quat(recording.quaternion, scalar_first=True)
+    np.testing.assert_allclose((found.inv() * TURNED).magnitude(), 0, atol=2e-4)
+    for wrong, said in ((2.0, "is not orthogonal"), (-1.0, "is mirrored")):
+        broken = written.copy()
+        broken[7, :3] *= wrong
+        with pytest.raises(InputError, match=f"recording: row 8: r11 … r33 {said}, so it is no rotation"):
+            Recording.from_dataframe(table | dict(zip(entries, broken.T, strict=True)), motion="static")
+    with pytest.raises(InputError, match="r33 is missing; give all of r11 r12 r13 r21 r22 r23 r31 r32 r33, or none"):
+        Recording.from_dataframe(table | dict(zip(entries[:8], written.T, strict=False)))
+
+
 def test_without_their_unit_angles_are_any_columns():
     table = {"q1_rad": Q[:, 0], "alpha": Q[:, 0], "roll": Q[:, 0]}
     said = "ignored columns that mean nothing here: 'alpha' (meant alpha_rad?), 'roll' (meant roll_rad?)"
@@ -336,6 +352,67 @@ NAMINGS = {
             "run": ["episode_index"],
         },
     ),
+    "a quaternion q_w": (
+        [*joints("jt{}", first=1), "px", "py", "pz", "q_w", "q_x", "q_y", "q_z"],
+        {
+            "q": joints("jt{}", first=1),
+            "position": ["px", "py", "pz"],
+            "rotation": ["q_w", "q_x", "q_y", "q_z"],
+        },
+    ),
+    "opencv": (
+        [*joints("θ{}", first=1), *joints("tvec_{}", 3), *joints("rvec_{}", 3)],
+        {"q": joints("θ{}", first=1), "position": joints("tvec_{}", 3), "rotation": joints("rvec_{}", 3)},
+    ),
+    "an end effector's": (
+        [*joints("theta_{}", first=1), "tx", "ty", "tz", *(f"ee_quat_{c}" for c in "xyzw")],
+        {"q": joints("theta_{}", first=1), "position": ["tx", "ty", "tz"]},  # of another source
+    ),
+    "commanded and measured": (
+        [*joints("J{}", first=1), "x_cmd", "y_cmd", "z_cmd", "x_meas", "y_meas", "z_meas"],
+        {"q": joints("J{}", first=1), "position": ["x_meas", "y_meas", "z_meas"]},
+    ),
+    "yaskawa": (
+        ["T", "B", "R", "U", "L", "S", *"XYZ", "time"],
+        {"q": [*"SLURBT"], "position": [*"XYZ"], "time": ["time"]},
+    ),
+    "yaskawa, seven axes": ([f"pos_{axis} [°]" for axis in "SLEURBT"], {"q": [f"pos_{a} [°]" for a in "SLEURBT"]}),
+    "external axes": (
+        [
+            *("E1", "E2", "Ext1", "linear_axis", "ext_axis_1", *joints("A{}", first=1)),
+            *(*joints("tau_ext_{}"), *joints("temp_sensor_{}")),
+        ],
+        {"q": joints("A{}", first=1), "temp": joints("temp_sensor_{}")},
+    ),
+    "fanuc": (
+        [*joints("J{}", first=1), *"XYZWPR"],
+        {"q": joints("J{}", first=1), "position": [*"XYZ"], "rotation": [*"WPR"]},
+    ),
+    "motion capture": (
+        [
+            *("Frame", "Time (Seconds)", "flange/Mean Marker Error", *joints("q[{}]")),
+            *(f"flange/{kind}/{c}" for kind, parts in (("Rotation", "XYZW"), ("Position", "XYZ")) for c in parts),
+        ],
+        {
+            "q": joints("q[{}]"),
+            "position": [f"flange/Position/{c}" for c in "XYZ"],
+            "rotation": [f"flange/Rotation/{c}" for c in "WXYZ"],
+            "time": ["Time (Seconds)"],
+        },
+    ),
+    "units that bind": (
+        [
+            *(*joints("Achse {} [°]", first=1), *joints("M{} [Nm]", first=1), *joints("T{}_degC", first=1)),
+            *("T (°C)", "t/s", "q7_kg", "T_room_degC"),
+        ],
+        {
+            "q": joints("Achse {} [°]", first=1),
+            "tau": joints("M{} [Nm]", first=1),
+            "temp": joints("T{}_degC", first=1),
+            "time": ["t/s"],
+            "ambient": ["T_room_degC"],
+        },
+    ),
     "positions of a point beside joints": (
         [*joints("theta_{}", 4), *joints("position_{}", 3)],
         {"q": joints("theta_{}", 4), "position": joints("position_{}", 3)},
@@ -343,19 +420,56 @@ NAMINGS = {
 }
 
 
+def meant(names, joint_names=()):
+    """The blocks of a table by their names alone, and of the first of its poses."""
+    found = naming.candidates(names, joint_names)
+    blocks = naming.chosen(found)
+    used = {name for block in blocks for name in block.columns}
+    poses = naming.sources([block for block in found if not used & set(block.columns)])
+    return [*blocks, *([poses[0].position, *poses[0].rotations[:1]] if poses else [])], len(poses)
+
+
 @pytest.mark.parametrize("case", NAMINGS)
 def test_names_are_understood(case):
     names, wanted = NAMINGS[case]
-    found = naming.blocks(names)
+    found, poses = meant(names)
     assert {block.kind: [*block.columns] for block in found} == wanted
     assert [block.rivals for block in found] == [()] * len(found)
+    assert poses <= 1
+
+
+@pytest.mark.parametrize("pattern", ["T{}{}", "T_{}_{}", "pose[{}][{}]", "pose[{}]", "O_T_EE_{}"])
+@pytest.mark.parametrize("shape", [(3, 4), (4, 4)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_matrices_are_understood(pattern, shape, first):
+    one = pattern.count("{}") == 1
+    places = [(k,) for k in range(12 if shape == (3, 4) else 16)] if one else [*np.ndindex(shape)]
+    names = [pattern.format(*(first + index for index in place)) for place in places]
+    found = [block for block in naming.candidates(names) if block.kind in ("position", "rotation")]
+    grid = np.reshape(names, shape)
+    by_rows = {block.kind: block for block in found if not block.weak}
+    assert by_rows["position"].columns == tuple(grid[:3, 3])
+    assert by_rows["rotation"].columns == tuple(grid[:3, :3].ravel())
+    grid = np.reshape(names, shape[::-1]).T
+    by_columns = {block.kind: block for block in found if block.weak}
+    assert by_columns["position"].columns == tuple(grid[:3, 3])
+
+
+def test_joints_have_the_names_that_the_arm_gives_them():
+    names = ["elevator.pos", "time", "claw.pos", "swivel.pos", "elevator.vel", "swivel.vel"]
+    found = {block.kind: block.columns for block in meant(names, ("swivel_joint", "elevator"))[0]}
+    assert found == {
+        "q": ("swivel.pos", "elevator.pos"),
+        "dq": ("swivel.vel", "elevator.vel"),
+        "time": ("time",),
+    }
 
 
 def test_the_names_of_a_recording_mean_what_they_say():
     names = ["time_ms", "q1_rad", "q2_rad", "dq1_rad_per_s", "dq2_rad_per_s", "ddq1_deg_per_s2", "ddq2_deg_per_s2"]
     names += ["tau1_mNm", "tau2_mNm", "current1_A", "current2_A", "temp1_degC", "temp2_degC", "ambient_degC"]
     names += ["payload_kg", "run", "x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg"]
-    found = {block.kind: block for block in naming.blocks(names)}
+    found = {block.kind: block for block in meant(names)[0]}
     assert {kind: block.unit for kind, block in found.items()} == {
         "q": "rad",
         "dq": "rad_per_s",
@@ -378,13 +492,13 @@ def test_units_stand_at_the_end_of_names_in_many_ways():
     said = {"tcp x [mm]": "mm", "tcp_x_mm": "mm", "tcp.x (m)": "m", "tcp_x": None}
     for name, unit in said.items():
         names = [name.replace("x", axis, 1) if "x" in name else name for axis in "xyz"]
-        (block,) = naming.blocks(names)
+        ((block,), _) = meant(names)
         assert (block.kind, block.unit) == ("position", unit)
-    (block,) = naming.blocks(["pose_a", "pose_b", "pose_c"])
+    (_, block), _ = meant([f"pose_{part}" for part in "xyzabc"])
     assert (block.kind, block.columns) == ("rotation", ("pose_c", "pose_b", "pose_a"))  # not amperes and degrees
 
 
 def test_what_may_be_meant_instead_is_named():
     names = [*joints("left_joint_{}"), *joints("right_joint_{}")]
-    (block,) = naming.blocks(names)
+    ((block,), _) = meant(names)
     assert (block.columns[0], block.rivals) == ("left_joint_0", ("right_joint_0",))

@@ -178,8 +178,7 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         ("\n\n", "is empty; record again"),
         (f"{JOINTS}", "has column names but no rows; record again"),
         (f"{JOINTS}\n", "has column names but no rows; record again"),
-        ("0.1,0.2\n0.3,0.4\n", "line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ..."),
-        ("\n" + FINE, "line 1 is empty; it must name the columns"),
+        ("0.1,0.2\n0.3,0.4\n", "its first row holds numbers, and no line names the columns; `lite6jax init"),
         (
             FINE + "0.1,0.2,0.3",
             "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated; complete",
@@ -198,24 +197,31 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         ),
         (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),
-        (FINE.encode("utf-16"), "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
-        ("Größe,".encode("latin-1") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
+        (FINE.encode("utf-16")[2:], "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
+        ("°,".encode("mac-roman") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
+        (("Größe," + FINE).encode("latin-1"), "row 1 has 5 of 6 columns, z_m is the first without a value"),
         (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
         (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns; remove the surplus fields"),
         (
             "q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n",
             "column q2_rad: row 2 holds '0.2', which is no number; give numbers with a decimal comma",
         ),
-        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
-        ("<html><body>404</body></html>\n", "has no joint positions; name their columns q1_rad ... qN_rad"),
+        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2 3\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
+        ("<html><body>404</body></html>\n", "is a page or XML, and no table; write its numbers as CSV"),
+        ('{"q1_rad": [0.1,\n0.2]}\n', "is JSON, and no table; write its numbers as CSV with a name for each column"),
+        (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
+        (
+            "q1_rad;q2_rad\n1.234,5;0,2\n",
+            "column q1_rad: row 1 holds '1.234,5', which may have a mark of thousands; give numbers with",
+        ),
         ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
         (
             "a" * 200_000 + "\n1\n",
-            "line 1 is no list of column names (field larger than field limit (131072)); check the file",
+            "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has 'aaaaaaa",
         ),
         ("q1_rad\n" + "1" * (1 << 22) + "\n1\n", "is not a table of numbers (straddling object"),
     ],
-    ids=range(22),
+    ids=range(25),
 )
 def test_a_csv_that_is_none(tmp_path, content, message):
     assert message in refusal(file(tmp_path, content))
@@ -239,11 +245,11 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("run7.txt", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        ("run7.npy", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         (
             "run7.doc",
-            "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; "
-            "convert it or correct the name",
+            "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot "
+            "data set; convert it or correct the name",
         ),
         ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),
@@ -252,7 +258,7 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 )
 def test_a_path_that_is_no_recording(tmp_path, name, message):
     (tmp_path / "folder.csv").mkdir()
-    (tmp_path / "run7.txt").write_text(FINE)
+    (tmp_path / "run7.npy").write_text(FINE)
     assert refusal(tmp_path / name) == message
 
 
@@ -279,13 +285,32 @@ def test_a_parquet_that_is_none(tmp_path):
     [
         (["a", "b"], "string"),
         ([True, False], "bool"),
-        ([[1.0], [2.0]], "list<element: double>"),
+        ([["a"], ["b"]], "string"),
+        ([[1.0] * 65] * 2, "list<element: double>"),
         (pa.array([1, 2], pa.timestamp("ms")), r"timestamp\[ms\]".replace("\\", "")),
     ],
 )
 def test_a_parquet_column_without_numbers(tmp_path, column, kind):
     path = parquet(tmp_path, q1_rad=[1.0, 2.0], q2_rad=column)
     assert refusal(path) == f"column q2_rad: holds {kind}, not numbers; write it as float64"
+
+
+def test_lists_and_structs_of_a_parquet_are_a_column_for_each_number(tmp_path):
+    path = parquet(
+        tmp_path,
+        state=pa.array([{"position": [0.1, 0.2], "stamp": None}, None, {"position": [0.3, 0.4], "stamp": 3}]),
+        tool=pa.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]], pa.list_(pa.float32(), 3)),
+        time_s=[[0.0], [1.0], [2.0]],
+    )
+    lines = [f"state.position[{k}]: q{k + 1}_rad" for k in range(2)] + [f"tool[{k}]: {'xyz'[k]}_mm" for k in range(3)]
+    path.with_suffix(".yaml").write_text("columns:\n  " + "\n  ".join(lines) + f"\n{SIDECAR}")
+    recording = read_recording(path)
+    assert recording.joint_position.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    assert (1e3 * recording.position).tolist() == [[1, 2, 3], [7, 8, 9]]
+    assert recording.time.tolist() == [0, 2]
+    assert refusal(parquet(tmp_path, q1_rad=[[1.0], [2.0, 3.0]])) == (
+        "column q1_rad: its lists hold 1 to 2 numbers; give each row as many"
+    )
 
 
 def test_a_parquet_may_hold_any_numbers_and_other_columns(tmp_path):

@@ -1,12 +1,13 @@
-"""What a table with column names of its own holds: by names, by the sizes of the numbers, and by an arm's kinematics.
+"""What a table with column names of its own holds: it is read as a whole.
 
-Names come first; what they leave open, such as units and the form of a rotation, the arm decides where one is known or
-recognised, and sizes decide elsewhere. Codes and numbers only: the words are those of `report.inspection`.
+Names give candidates for each quantity, units in names bind, and numbers may object. Of what is left open the arm's
+kinematics decide where one is known or recognised, and sizes elsewhere. What none decides is left to the caller. Codes
+and numbers only: the words are those of `report.inspection`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +15,60 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
-from lite6jax.domains.pose.meanings import Key, Meaning, key, meanings_of, motion_of, without_unit
-from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
+from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
+from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming
+from lite6jax.recordings import naming, sizes
 from lite6jax.recordings.columns import (
     ANGLES,
     IGNORED,
+    MATRIX,
     QUATERNION,
     differs_by_joint,
     is_per_joint,
     is_refused,
     is_standard,
+    known_column,
     nearest_known,
+    units_of,
 )
-from lite6jax.recordings.naming import Block
+from lite6jax.recordings.naming import Block, Role, Source
+from lite6jax.recordings.orientations import no_rotations, quaternions
 
 Array = NDArray[np.floating]
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `fitting.recognition`."""
+FINEST_SENSOR_M = 2e-5
+"""Above, an error may be a sensor's noise."""
+COMPUTED_M = 2e-6
+"""Below, it is none: controllers compute in single precision too."""
+LEAST_TRAVEL_M = 0.02
+"""Of positions of which is said that they are computed."""
+WIDEST_ANGLE = 1e3
+"""Beyond, numbers are no angles of an orientation, in whatever unit."""
+BEYOND = 1e100
+"""No quantity is as large: such numbers are read as missing here, and refused or dropped by what reads the table."""
+SENSORS = ("laser_tracker", "motion_capture", "camera")
+"""The values of `pose_source` of what was measured."""
+
+
+class PoseSource(NamedTuple):
+    """A pose of the table, by one source.
+
+    Attributes:
+        columns: of the position, and of the orientation where it has one.
+        role: whose it is by its name.
+        error: m, the median error with which the arm reproduces the positions; infinite where none does.
+        computed: whether that is as exact as only the controller's own computation.
+        taken: whether it is the one that the table is read with.
+    """
+
+    columns: tuple[str, ...]
+    role: Role | None
+    error: float
+    computed: bool
+    taken: bool
 
 
 @final
@@ -45,22 +80,26 @@ class Inspection:
         meanings: of the blocks that were recognised.
         given: columns whose meaning was given.
         unused: columns of numbers that mean nothing here, and `texts` those without numbers.
+        denied: those that are called times or quaternions and whose numbers are none, with `time` or `quaternion`.
         samples: rows.
         arm: given or recognised; None where it is neither.
         arms: name and error in m of the bundled arms that were tried, the nearest first.
         error: m, the median error of the arm as read; infinite where there is none, or no poses.
         motion: `static` or `trajectory`, and why in words.
+        sources: the poses; of several without one that is taken it is to be asked.
     """
 
     meanings: tuple[Meaning, ...]
     given: Mapping[str, str]
     unused: tuple[str, ...]
     texts: tuple[str, ...]
+    denied: Mapping[str, str]
     samples: int
     arm: Arm | None
     arms: tuple[tuple[str, float], ...]
     error: float
     motion: tuple[str, str]
+    sources: tuple[PoseSource, ...]
 
     @property
     def columns(self) -> dict[str, str]:
@@ -72,9 +111,21 @@ class Inspection:
         }
         taken = {without_unit(name) for name in self.given.values()}
         told = {own: IGNORED if without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
-        unused = {name: IGNORED for name in (*self.unused, *self.texts) if not is_standard(name)}
-        needed = any(own != name for own, name in told.items()) or any(map(is_refused, unused))
+        unused = {name: IGNORED for name in self.texts if not is_standard(name)}
+        read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
+        unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
+        needed = read or any(own != name for own, name in told.items()) or any(map(is_refused, unused))
         return told | unused if needed else {}
+
+    @property
+    def undecided(self) -> bool:
+        """Whether there are several poses and none is taken."""
+        return bool(self.sources) and not any(source.taken for source in self.sources)
+
+    @property
+    def computed(self) -> bool:
+        """Whether the poses that are taken are the controller's own computation."""
+        return any(source.taken and source.computed for source in self.sources)
 
     def of(self, kind: str) -> Meaning | None:
         """The meaning of a kind of block: of revolute joints where there are some."""
@@ -87,10 +138,12 @@ class Inspection:
                 "columns": self.columns,
                 "blocks": [meaning.to_dict() for meaning in self.meanings],
                 "unused": [*self.unused, *self.texts],
+                "denied": dict(self.denied),
                 "samples": self.samples,
                 "arm": None if self.arm is None else self.arm.name,
                 "arms_m": dict(self.arms),
                 "motion": self.motion[0],
+                "poses": [source._asdict() for source in self.sources],
             }
         )
 
@@ -100,6 +153,8 @@ def inspect(
     arm: Arm | None = None,
     given: Mapping[str, str] | None = None,
     source: str = "recording",
+    pose_source: str | None = None,
+    motion: str | None = None,
 ) -> Inspection:
     """What a table holds.
 
@@ -108,6 +163,8 @@ def inspect(
         arm: whose recording it is; where not given, every bundled one of as many joints is tried.
         given: columns with the names that they have in a recording, where the caller knows better; or `IGNORED`.
         source: what messages begin with.
+        pose_source: what measured the poses, as in a sidecar; of several poses it decides which are taken.
+        motion: where it is known.
 
     Raises:
         InputError: a column that is given is not there, or there are no rows.
@@ -116,33 +173,106 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {name: values for name, values in columns if values is not None and np.isfinite(values).any()}
-    texts = tuple(name for name, values in columns if name not in numbers)
+    numbers = {
+        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
+    }
+    numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
+    texts = tuple(name for name, values in columns if values is None)
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
-    named = _fitting(naming.blocks([name for name in numbers if given.get(name) != IGNORED]), given, arm)
-    blocks = {key(block): block for block in named}
-    values = {of: np.stack([numbers[name] for name in block.columns], 1) for of, block in blocks.items()}
-    pose = _pose(blocks, values)
-    tried = _tried(arm, pose, blocks)
-    arm, agreed = _chosen(arm, tried)
-    turned = blocks.get(("rotation", False))
-    if turned is not None and all(name in given for name in turned.columns):
+    free = [name for name in numbers if given.get(name) != IGNORED]
+    joint_names = () if arm is None else arm.joint_names
+    possible, denied = _possible(naming.candidates(free, joint_names), numbers)
+    slots = _given_slots({name: said for name, said in given.items() if name in numbers})
+    blocks = _with_given(naming.chosen(possible, None if arm is None else arm.dof), slots)
+    blocks = _fitting(blocks, given, arm)
+    joints = {name for block in blocks for name in block.columns}
+    poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    kept = {block.source for block in poses if block.kind == "position"}
+    lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
+    poses = [block for block in poses if block.kind == "position" or block.source not in lost]
+    readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    readings = [reading for reading in readings if reading.travel > 0] or readings
+    taken = _taken(readings, pose_source)
+    found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
+    nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
+    agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
+    if found.rotation is not None and given.keys() >= set(found.rotation.columns):
         agreed = agreed._replace(form=None, turn=None)
-    meanings = meanings_of(blocks, values, agreed)
-    used = {name for block in named for name in block.columns} | set(given)
+    blocks += found.blocks
+    values = {key(block): _stacked(numbers, block.columns) for block in blocks}
+    meanings = meanings_of({key(block): block for block in blocks}, values, agreed)
+    used = {name for block in blocks for name in block.columns} | given.keys()
     return Inspection(
         meanings=meanings,
         given=given,
-        unused=tuple(name for name in numbers if name not in used),
+        unused=tuple(name for name, values in columns if values is not None and name not in used),
         texts=tuple(name for name in texts if name not in given),
+        denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
-        arm=arm,
-        arms=tuple((one.name, found.error) for one, found in tried),
+        arm=found.arm,
+        arms=tuple((one.name, tried.error) for one, tried in found.tried),
         error=agreed.error,
-        motion=motion_of(meanings, values),
+        motion=(motion, "as given") if motion else motion_of(meanings, values),
+        sources=tuple(reading.described(place == taken) for place, reading in enumerate(readings)),
     )
+
+
+def computed_by_controller(error: float, step: float) -> bool:
+    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
+
+    Args:
+        error: m, the median distance of the positions from those of the arm's nominal kinematics.
+        step: m, how far apart positions are that are written alike (`written_step`); 0 of all digits.
+    """
+    return error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
+
+
+def written_step(values: Array) -> float:
+    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
+    there = values[np.isfinite(values)]
+    there = there[:: max(len(there) // 1000, 1)]
+    digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
+    place = next(digits, None)
+    return 0.0 if place is None else 10.0**-place
+
+
+def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
+    """Which of several poses may be of a source: those of its name, else those that do not say whose they are."""
+    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
+    every = [*range(len(roles))]
+    named, open_ = ([k for k in every if roles[k] == of] for of in (role, None))
+    return every if role is None else named or open_ or every
+
+
+class _Reading(NamedTuple):
+    """A pose as the arm agrees with it best, and the arms that were tried."""
+
+    source: Source | None = None
+    rotation: Block | None = None
+    arm: Arm | None = None
+    tried: Sequence[tuple[Arm, Agreement]] = ()
+    agreed: Agreement = NO_AGREEMENT
+    travel: float = 0.0
+    computed: bool = False
+
+    @property
+    def blocks(self) -> list[Block]:
+        found = [] if self.source is None else [self.source.position, self.rotation]
+        return [block for block in found if block is not None]
+
+    @property
+    def role(self) -> Role | None:
+        return "controller" if self.computed else None if self.source is None else self.source.role
+
+    def described(self, taken: bool) -> PoseSource:
+        columns = tuple(name for block in self.blocks for name in block.columns)
+        return PoseSource(columns, self.role, self.agreed.error, self.computed, taken)
+
+
+def _stacked(numbers: Mapping[str, Array], names: Sequence[str]) -> Array:
+    return np.stack([numbers[name] for name in names], 1)
 
 
 def _finite(value: Any) -> Any:
@@ -160,104 +290,177 @@ def _near(name: str, names: Sequence[str]) -> str:
     return f"it has {shown}" if near is None else f"write COLUMN=MEANING, such as joint_1={near}; it has {shown}"
 
 
+def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
+    """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
+    run: Array | None = None
+    of_unit_length: set[tuple[str, ...]] = set()
+    possible: list[Block] = []
+    denied: dict[str, str] = {}
+    for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
+        values = _stacked(numbers, block.matrix or block.columns)
+        values = values if block.kind in ("run", "time") else values[:: max(len(values) // _ENOUGH, 1)]
+        if block.kind == "run":
+            there = values[np.isfinite(values)]
+            right = bool((there == np.round(there)).all())
+            run = values[:, 0] if right and run is None else run
+        elif block.matrix:
+            right = _matrix(values)
+        elif block.kind == "rotation" and len(block.columns) == 4:
+            right = sizes.of_unit_length(values)
+            of_unit_length |= {block.columns} if right else set()
+        elif block.kind == "rotation":
+            right = bool(np.nanmax(np.abs(values), initial=0.0) < WIDEST_ANGLE)
+        else:
+            right = block.kind != "time" or sizes.increases(values[:, 0], run)
+            right = right and not (block.kind == "q" and block.columns in of_unit_length)
+        if right:
+            possible.append(block)
+        elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
+            denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
+    return [block for block in found if block in possible], denied
+
+
+def _matrix(entries: Array) -> bool:
+    """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
+    M = entries[np.isfinite(entries).all(1)]
+    M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
+    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9))
+    if M.shape[1] == 4:
+        wrong |= (np.abs(M[:, 3] - [0, 0, 0, 1]) > 1e-6).any(1)
+    return bool(len(M)) and float(np.mean(wrong)) < 0.1
+
+
+_ENOUGH = 5000
+"""Rows that show whether numbers are quaternions or rotations."""
+_XYZ = ("x", "y", "z")
+_Slots = Mapping[tuple[str, int], tuple[str, str]]
+
+
+def _given_slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
+    """Of quantities, and of which joint, the column that is given and its unit."""
+    said = {name: known_column(own) for name, own in given.items() if own != IGNORED}
+    return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
+
+
+def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+    """With the columns that are given in their places, of all but poses."""
+    found = {block.kind: block for block in blocks}
+    own = {name for name, _ in slots.values()}
+    for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
+        told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
+        units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
+        first = 1 if is_per_joint(kind) else 0
+        before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
+        whole = sorted(told) == [*range(first, first + len(told))] and not own & set(before.values())
+        columns = told if whole else {joint: name for joint, name in before.items() if name not in own} | told
+        if sorted(columns) == [*range(first, first + len(columns))]:
+            unit = units.pop() if len(units) == 1 and columns == told else found[kind].unit if kind in found else None
+            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit or None)
+    return [found[kind] for kind in naming.KINDS if kind in found]
+
+
+def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+    """Positions and orientations, those that are given in place of others."""
+    found = [*blocks]
+    for form in (_XYZ, QUATERNION, MATRIX, *ANGLES):
+        if not all((part, 0) in slots for part in form):
+            continue
+        columns, units = zip(*(slots[part, 0] for part in form), strict=True)
+        unit = units[0] or None if len({*units}) == 1 else None
+        if form == _XYZ:
+            block = Block("position", columns, unit, source=naming.source_words(columns))
+        else:
+            source = next((other.source for other in found if other.kind == "position"), ())
+            block = Block("rotation", columns, unit, form, source=source)
+        others = (other for other in found if other.kind != block.kind and not {*columns} & {*other.columns})
+        found = [*others, block]
+    return found
+
+
 def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
-    """Without joints that the arm does not have, such as a gripper's, and with the units of names that are given."""
-    blocks = _with_given(blocks, given)
-    q = next((block for block in blocks if block.kind == "q"), None)
-    dof = arm.dof if arm is not None else len(q.columns) if q is not None else 0
-    sliding = _sliding(q, given) if arm is None else arm.sliding
+    """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
+
+    def unit(name: str) -> str | None:
+        said = known_column(given.get(name, ""))
+        return naming.unit_of(name) if said is None else said.unit
+
+    joints = next((block.columns for block in blocks if block.kind == "q"), ())
+    dof = len(joints) if arm is None else arm.dof
+    named = [joint for joint, name in enumerate(joints) if unit(name) in naming.units_allowed("q", True)]
+    sliding = named if arm is None else arm.sliding
     found = []
     for block in blocks:
-        if is_per_joint(block.kind):
-            columns = block.columns[: dof or None]
-            if len(columns) < dof and block.kind != "q":
-                continue
-            block = replace(block, columns=columns, joints=tuple(range(1, len(columns) + 1)))
-        for part in _by_joint(block, sliding):
-            units = {_unit_of(part, given.get(name, "")) for name in part.columns}
-            if len(units) == 1 and None not in units:
-                part = replace(part, unit=units.pop())
-            form = tuple(without_unit(given.get(name, "")) for name in part.columns)
-            turned = part.kind == "rotation" and (form in ANGLES or {*form} == {*QUATERNION})
-            found.append(replace(part, form=form) if turned else part)
-    placed = any(block.kind == "position" for block in found)
-    return [block for block in found if placed or block.kind != "rotation"]
+        if not is_per_joint(block.kind):
+            found.append(block)
+            continue
+        if len(block.columns) < dof and block.kind != "q":
+            continue
+        within = range(len(block.columns[: dof or None]))
+        for slides in (False, True):
+            own = [joint for joint in within if (differs_by_joint(block.kind) and joint in sliding) == slides]
+            if own:
+                columns = tuple(block.columns[joint] for joint in own)
+                units = {unit(name) for name in columns}
+                said = units.pop() if len(units) == 1 else None
+                said = said if said in naming.units_allowed(block.kind, slides) else None
+                joints_of = tuple(joint + 1 for joint in own)
+                found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=said))
+    return found
 
 
-def _with_given(blocks: Sequence[Block], given: Mapping[str, str]) -> list[Block]:
-    """With the joint positions and the place of the tool that are given throughout, in place of what names say."""
-    own = {without_unit(name): column for column, name in given.items()}
-    joints = sum(name.startswith("q") and name[1:].isdecimal() for name in own)
-    found = []
-    for kind, names in (("q", [f"q{joint}" for joint in range(1, joints + 1)]), ("position", list("xyz"))):
-        if names and own.keys() >= set(names):
-            found.append(Block(kind, tuple(own[name] for name in names)))
-    kinds = {block.kind for block in found}
-    return [*found, *(block for block in blocks if block.kind not in kinds)]
+def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
+    """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
+    position = _stacked(numbers, source.position.columns)
+    there = position[np.isfinite(position).all(1)]
+    travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
+    best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
+    q = {block.slides: block for block in blocks if block.kind == "q"}
+    columns = dict(sorted(pair for block in q.values() for pair in zip(block.joints, block.columns, strict=True)))
+    if not columns:
+        return best
+    sliding = tuple(joint - 1 for joint in q[True].joints) if True in q else ()
+    arms = bundled_of(len(columns)) if arm is None else [arm]
+    arms = [one for one in arms if (one.dof, one.sliding) == (len(columns), sliding)]
+    angle, slide = (q[slides].unit if slides in q else None for slides in (False, True))
+    joint, wobbles = _stacked(numbers, [*columns.values()]), []
+    for rotation in source.rotations or (None,):
+        parts = [joint, position]
+        if rotation is not None:
+            turned = _stacked(numbers, rotation.columns)
+            parts.append(quaternions(MATRIX, turned) if rotation.form == MATRIX else turned)
+        whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
+        pose = Pose(joint[whole], position[whole], parts[2][whole] if rotation is not None else None)
+        turn = None if rotation is None or len(rotation.columns) != 3 else rotation.unit
+        tried = [(one, agreement(one, pose, angle, slide, source.position.unit, turn)) for one in arms]
+        tried = sorted(tried, key=lambda entry: entry[1].error)
+        chosen, agreed = _chosen(arm, tried)
+        if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
+            right = agreed.form.choice == "scalar_first"
+            agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
+        wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
+        if len(wobbles) == 1 or wobbles[-1] < min(wobbles[:-1]):
+            computed = bool(tried) and _computed(tried[0][1], pose)
+            best = best._replace(rotation=rotation, arm=chosen, tried=tried, agreed=agreed, computed=computed)
+    if best.agreed.form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
+        return best._replace(agreed=best.agreed._replace(form=best.agreed.form._replace(sure="likely")))
+    return best
 
 
-def _sliding(q: Block | None, given: Mapping[str, str]) -> tuple[int, ...]:
-    """The joints, counted from 0, whose columns are lengths by what is given or by their names."""
-    if q is None:
-        return ()
-    units = [given[name].partition("_")[2] if name in given else naming.unit_of(name) for name in q.columns]
-    return tuple(joint for joint, unit in enumerate(units) if unit in naming.units_allowed("q", True))
+def _computed(agreed: Agreement, pose: Pose) -> bool:
+    if not agreed.close or agreed.spread < LEAST_TRAVEL_M:
+        return False
+    step = written_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
+    turn = written_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
+    return computed_by_controller(agreed.error, np.hypot(step, turn * agreed.spread * pose.joint.shape[1] ** 0.5))
 
 
-def _by_joint(block: Block, sliding: Sequence[int]) -> list[Block]:
-    """A block whose units depend on the kind of a joint as one of the revolute and one of the prismatic joints."""
-    if not (sliding and differs_by_joint(block.kind)):
-        return [block]
-    parts = []
-    for slides in (False, True):
-        own = [place for place, joint in enumerate(block.joints) if (joint - 1 in sliding) == slides]
-        if own:
-            columns = tuple(block.columns[place] for place in own)
-            units = {naming.unit_of(name) for name in columns}
-            unit = units.pop() if len(units) == 1 else None
-            unit = unit if unit in naming.units_allowed(block.kind, slides) else None
-            joints = tuple(block.joints[place] for place in own)
-            parts.append(replace(block, columns=columns, joints=joints, slides=slides, unit=unit))
-    return parts
-
-
-def _unit_of(block: Block, name: str) -> str | None:
-    """The unit in a name of a recording's column, where the block may have it."""
-    unit = name.partition("_")[2]
-    return unit if unit and unit in naming.units_allowed(block.kind, block.slides) else None
-
-
-def _pose(blocks: Mapping[Key, Block], values: Mapping[Key, Array]) -> Pose | None:
-    """The rows without gaps of joints and poses."""
-    of_joints = [(joint, column) for of in (("q", False), ("q", True)) if of in blocks
-                 for joint, column in zip(blocks[of].joints, values[of].T, strict=True)]  # fmt: skip
-    if not of_joints or ("position", False) not in blocks:
-        return None
-    parts = [np.stack([column for _, column in sorted(of_joints, key=lambda pair: pair[0])], 1)]
-    parts += [values[of] for of in (("position", False), ("rotation", False)) if of in blocks]
-    whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
-    joint, position, *rotation = (part[whole] for part in parts)
-    return Pose(joint, position, rotation[0] if rotation else None)
-
-
-def _tried(arm: Arm | None, pose: Pose | None, blocks: Mapping[Key, Block]) -> list[tuple[Arm, Agreement]]:
-    if pose is None:
-        return []
-    slides = blocks.get(("q", True))
-    sliding = () if slides is None else tuple(joint - 1 for joint in slides.joints)
-    arms = [arm] if arm is not None else bundled_of(pose.joint.shape[1])
-    rotation = blocks.get(("rotation", False))
-    turn = None if rotation is None or len(rotation.columns) == 4 else rotation.unit
-    angle, slide, length = (
-        None if (block := blocks.get(of)) is None else block.unit
-        for of in (("q", False), ("q", True), ("position", False))
-    )
-    found = [
-        (one, agreement(one, pose, angle, slide, length, turn))
-        for one in arms
-        if one.dof == pose.joint.shape[1] and one.sliding == sliding
-    ]
-    return sorted(found, key=lambda entry: entry[1].error)
+def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
+    """Which pose the source that is declared has, or the only one; None where that does not tell."""
+    pool = poses_of([reading.role for reading in readings], pose_source)
+    if len({readings[k].role for k in pool}) == 1:
+        turned = [k for k in pool if readings[k].rotation is not None]
+        pool = turned if len(turned) == 1 else pool
+    return pool[0] if len(pool) == 1 else None
 
 
 def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:

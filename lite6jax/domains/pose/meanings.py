@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.pose.readings import Agreement
 from lite6jax.recordings import naming, sizes
-from lite6jax.recordings.columns import ANGLES, QUATERNION, units_of
+from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, units_of
 from lite6jax.recordings.naming import Block
 from lite6jax.recordings.sequence import inferred_motion
 from lite6jax.recordings.sizes import Decision
@@ -56,7 +56,7 @@ class Meaning(NamedTuple):
     @property
     def forms(self) -> tuple[str, ...]:
         """The forms of which a rotation may be; none of anything else."""
-        if self.form is None:
+        if self.form is None or self.names == MATRIX:
             return ()
         return (_SCALAR_FIRST, _SCALAR_LAST) if len(self.names) == 4 else tuple(parts[0] for parts in ANGLES)
 
@@ -125,7 +125,11 @@ def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple
 def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if block.slides:
         return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
-    return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values))
+    turned = sizes.angle_unit(values).choice == "deg"
+    servo = all(
+        name.lower().endswith(".pos") or (turned and name.startswith("observation.state")) for name in block.columns
+    )
+    return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
 
 
 def _other(block: Block, values: Array, agreed: Agreement) -> Meaning:
@@ -156,14 +160,16 @@ def _rate(block: Block, rate: Array, position: Array | None, usual: str, time: A
 
 
 def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    form, unit = sizes.rotation_form(values, block.unit, block.form)
-    doubted = agreed.form is not None and agreed.form.choice != form.choice
-    if agreed.form is not None and not (block.form == QUATERNION and doubted):
-        form = form if form.sure == "certain" and not doubted else agreed.form
+    form, unit = sizes.rotation_form(values, block.unit, block.form, block.sure)
+    said = block.form in (QUATERNION, MATRIX)  # by the names or order of its columns
+    if agreed.form is not None and (agreed.form.choice == form.choice if said else True):
+        form = form if form.sure == "certain" and agreed.form.choice == form.choice else agreed.form
     if agreed.turn is not None and block.unit is None:
         unit = agreed.turn
+    if block.form == MATRIX:
+        return Meaning(block, MATRIX, unit, form)
     if values.shape[1] == 4:
-        return Meaning(block, _of_quaternion(form.choice), sizes.by_name(""), form)
+        return Meaning(block, _of_quaternion(form.choice), unit, form)
     parts = next(parts for parts in ANGLES if parts[0] == form.choice)
     return Meaning(block, tuple(_with_unit(part, unit.choice) for part in parts), unit, form)
 

@@ -1,14 +1,20 @@
 """What is recognised in tables of an arm whose pose is read by a sensor anywhere: units, rotations, the arm itself."""
 
+import contextlib
+
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.domains.pose.inspection import inspect
+from lite6jax.domains.pose.inspection import computed_by_controller, inspect, written_step
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
+from lite6jax.recordings.raw import of_arrays
+from lite6jax.recordings.table import tabulated
+from lite6jax.report.inspection import choice_of_pose, inspection_report, next_steps, sidecar_text
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
@@ -122,7 +128,7 @@ def test_without_poses_sizes_and_slopes_decide():
     found = inspect(list(frame.items()), LITE6)
     chosen = {meaning.block.kind: (meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings}
     assert chosen == {
-        "q": ("deg", "certain"),
+        "q": ("deg", "likely"),
         "dq": ("rad_per_s", "certain"),
         "tau": ("mNm", "likely"),
         "current": ("A", "assumed"),
@@ -287,3 +293,316 @@ def test_the_arm_judges_columns_that_are_given_too():
     assert found.columns == given | places
     assert found.error < 5e-3
     assert found.of("q").block.columns == tuple(names)
+
+
+# ------------------------------------------------------------------ numbers that object
+
+JOINTS = dict(zip((f"J{k}" for k in range(1, 7)), np.rad2deg(Q.T), strict=True))
+POINT = dict(zip("XYZ", 1e3 * P.T, strict=True))
+
+
+def turned(recording):
+    """rad, by how much the orientations of a recording are off."""
+    return (Rotation.from_quat(recording.quaternion, scalar_first=True).inv() * TURNED).magnitude()
+
+
+@pytest.mark.parametrize("order", ["scalar first", "scalar last"])
+def test_four_numbers_of_unit_length_are_a_quaternion(order):
+    quaternion = TURNED.as_quat(scalar_first=order == "scalar first")
+    frame = JOINTS | POINT | dict(zip(("Q1", "Q2", "Q3", "Q4"), quaternion.T, strict=True))
+    found, recording = read(frame)
+    assert found.of("q").block.columns == tuple(JOINTS)
+    assert found.of("rotation").form[1:3] == ("certain", "kinematics")
+    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
+    other = inspect(list((frame | {"Q4": 5 * frame["Q4"]}).items()), LITE6)
+    assert other.of("rotation") is None
+    assert inspect(list(frame.items())).arm.name == "lite6"  # recognised with six joints
+
+
+@pytest.mark.parametrize(
+    ("rotation", "names"),
+    [
+        ("ZYX", ("yaw_deg", "pitch_deg", "roll_deg")),  # KUKA
+        ("xyz", ("roll_deg", "pitch_deg", "yaw_deg")),  # Mitsubishi
+        ("XYZ", ("rotx_deg", "roty_deg", "rotz_deg")),
+        ("ZYZ", ("alpha_deg", "beta_deg", "gamma_deg")),
+    ],
+)
+def test_kinematics_decide_what_a_b_c_are(rotation, names):
+    frame = JOINTS | POINT | dict(zip("ABC", TURNED.as_euler(rotation, degrees=True).T, strict=True))
+    found, recording = read(frame)
+    assert tuple(found.columns[name] for name in "ABC") == names
+    assert found.of("rotation").form[1:3] == ("certain", "kinematics")
+    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
+    for arm in (None, load_bundled("ur10")):  # which does not agree
+        alone = inspect(list((frame | dict.fromkeys("XYZ", Q[:, 0])).items()), arm)
+        assert alone.of("rotation").form[:3] == ("roll", "assumed", "usual_name")
+
+
+MATRICES = {
+    "libfranka, by columns": ([f"O_T_EE[{k}]" for k in range(16)], np.swapaxes(POSES, 1, 2)),
+    "by rows": ([f"pose_{k}" for k in range(12)], POSES[:, :3]),
+    "by two indices": ([f"T{i}{j}" for i in range(4) for j in range(4)], POSES),
+    "the rotation": ([f"R{i}{j}" for i in "123" for j in "123"], POSES[:, :3, :3]),
+    "the rotation, by columns": ([f"rot_{k}" for k in range(9)], np.swapaxes(POSES[:, :3, :3], 1, 2)),
+}
+
+
+@pytest.mark.parametrize("case", MATRICES)
+def test_matrices_are_read_in_the_order_in_which_they_are_poses(case):
+    names, entries = MATRICES[case]
+    frame = JOINTS | dict(zip(names, entries.reshape(ROWS, -1).T, strict=True))
+    found, recording = read(frame | (POINT if len(names) == 9 else {}))
+    np.testing.assert_allclose(recording.position, P, atol=1e-13)
+    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
+    assert found.of("rotation").form.sure == "certain"
+    broken = dict(zip(names, np.random.default_rng(0).normal(size=(len(names), ROWS)), strict=True))
+    assert inspect(list((JOINTS | broken).items()), LITE6).of("rotation") is None
+
+
+ROOM = 21 + np.round(0.3 * np.sin(np.arange(ROWS) / 9), 1)
+CLOCK = 0.1 * np.arange(ROWS)
+
+
+@pytest.mark.parametrize("name", ["T_room", "T_amb", "T (°C)", "T_room_degC", "temp", "T/°C", "room_temperature", "T"])
+@pytest.mark.parametrize("values", [ROOM, 20 + 0.01 * np.arange(ROWS)], ids=["repeats", "increases"])
+def test_a_temperature_is_no_time(name, values):
+    found = inspect(list((JOINTS | POINT | {name: values}).items()), LITE6)
+    assert (found.of("time") is None) == (name != "T" or values is ROOM)
+    assert found.denied == ({"T": "time"} if name == "T" and values is ROOM else {})
+    assert found.motion[0] == "static" if found.of("time") is None else "trajectory"
+
+
+def test_a_time_increases():
+    few = np.r_[CLOCK[:20], CLOCK[22], CLOCK[20:22], CLOCK[23:]]
+    anew = {"time": np.tile(CLOCK[:3], ROWS // 3), "run": np.repeat(np.arange(ROWS // 3), 3.0)}
+    for frame, name in (({"timestamp": few}, "timestamp"), (anew, "time"), ({"Zeit [ms]": 1e3 * CLOCK}, "Zeit [ms]")):
+        found = inspect(list((JOINTS | frame).items()), LITE6)
+        assert found.of("time").block.columns == (name,)
+    for values in (np.floor(CLOCK), CLOCK[::-1], np.ones(ROWS), anew["time"]):
+        found = inspect(list((JOINTS | {"time": values, "time_s": values}).items()), LITE6)
+        assert found.of("time") is None
+        assert found.denied == {"time": "time", "time_s": "time"}
+        assert found.columns["time"] == found.columns["time_s"] == "ignore"
+    both = inspect(list((JOINTS | {"time": ROOM, "stamp": CLOCK}).items()), LITE6)
+    assert both.of("time").block.columns == ("stamp",)
+
+
+def test_motion_is_decided_with_what_is_given():
+    frame = JOINTS | {"tick": 1e3 * CLOCK, "time": np.arange(ROWS) * 60.0}
+    assert inspect(list(frame.items()), LITE6).motion[0] == "static"
+    assert inspect(list(frame.items()), LITE6, {"tick": "time_ms"}).motion[0] == "trajectory"
+    assert inspect(list(frame.items()), LITE6, {"time": "time_ms"}).motion[0] == "trajectory"
+    ignored = inspect(list((JOINTS | {"time": CLOCK}).items()), LITE6, {"time": "ignore"})
+    assert ignored.motion == ("static", "it has neither times nor velocities")
+    assert inspect(list((JOINTS | {"time": CLOCK}).items()), LITE6, motion="static").motion == ("static", "as given")
+
+
+# ------------------------------------------------------------------ whose pose it is
+
+EXACT = six_parameter_poses(LITE6.kinematics, Q)
+
+
+def two_poses(controller="robot_{}", sensor="tracker_{}", exact=EXACT, digits=6):
+    frame = dict(
+        zip((controller.format(axis) for axis in "xyz"), np.round(1e3 * exact[:, :3, 3].T, digits), strict=True)
+    )
+    angles = Rotation.from_matrix(exact[:, :3, :3]).as_rotvec().T
+    frame |= dict(zip((controller.format(f"r{axis}") for axis in "xyz"), angles, strict=True))
+    return JOINTS | frame | dict(zip((sensor.format(axis) for axis in "xyz"), P.T, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("controller", "sensor"),
+    [
+        ("robot_{}", "tracker_{}"),
+        ("tcp_{}", "{}_meas"),
+        ("ee.{}", "/vicon/pose/{}"),
+        ("flange {}", "tag_{}"),
+        ("{}", "LT_{}"),
+        ("{}_robot", "{}_tracker"),
+        ("{}", "mocap_p{}"),
+    ],
+)
+def test_the_source_of_the_poses_decides_which_are_read(controller, sensor):
+    frame = two_poses(controller, sensor, exact=perturb(EXACT))
+    for source, taken in (("laser_tracker", sensor), ("motion_capture", sensor), ("camera", sensor),
+                          ("controller_fk", controller)):  # fmt: skip
+        found = inspect(list(frame.items()), LITE6, pose_source=source)
+        assert found.of("position").block.columns == tuple(taken.format(axis) for axis in "xyz")
+        assert (found.of("rotation") is None) == (taken == sensor)  # never of the other source
+        assert len(found.sources) == 2
+        left = controller if taken == sensor else sensor
+        assert found.columns[left.format("x")] == "ignore"
+    for source in (None, "unknown"):
+        found = inspect(list(frame.items()), LITE6, pose_source=source)
+        assert found.undecided
+        assert found.of("position") is found.of("rotation") is None
+    found = inspect(list(frame.items()), LITE6, {controller.format("x"): "ignore"})
+    assert found.of("position").block.columns[0] == sensor.format("x")
+    assert found.of("rotation") is None
+    given = {sensor.format(axis): f"{axis}_m" for axis in "xyz"}
+    found = inspect(list(frame.items()), LITE6, given)
+    assert found.of("position").block.columns == tuple(given)
+    assert found.of("rotation") is None
+
+
+def perturb(poses):
+    """With the error of a controller that knows its own arm."""
+    return six_parameter_poses(perturbed(np.random.default_rng(3), LITE6.kinematics), Q)
+
+
+def test_a_pose_that_the_arm_reproduces_to_rounding_was_computed():
+    """Whatever its name, and whatever is declared."""
+    for digits in (2, 3, 6):
+        frame = two_poses("{}", "foo_{}", digits=digits)
+        found = inspect(list(frame.items()), LITE6, pose_source="camera")
+        assert [source.computed for source in found.sources] == [True, False]
+        assert [source.role for source in found.sources] == ["controller", None]
+        assert found.of("position").block.columns[0] == "foo_x"
+        assert not found.computed
+        alone = inspect([item for item in frame.items() if "foo" not in item[0]], None)
+        assert alone.computed
+    noise = 1e-5 * np.random.default_rng(0).normal(size=P.shape)  # as the best trackers have
+    measured_ = JOINTS | dict(zip("XYZ", 1e3 * (EXACT[:, :3, 3] + noise).T, strict=True))
+    assert not inspect(list(measured_.items()), LITE6).computed
+    one = JOINTS | dict(
+        zip("XYZ", np.tile(P[:1], (ROWS, 1)).T, strict=True)
+    )  # a point that was touched again and again
+    assert not inspect(list(one.items()), LITE6).computed
+
+
+def test_what_counts_as_rounding():
+    assert computed_by_controller(1e-6, 0.0)
+    assert computed_by_controller(1.5e-5, 2e-5)
+    assert not computed_by_controller(1.5e-5, 1e-6)
+    assert not computed_by_controller(5e-5, 1e-3)  # a sensor may be as exact
+    steps = [written_step(np.round(P, k)) for k in (1, 3, 6)]
+    np.testing.assert_allclose(steps, [1e-1, 1e-3, 1e-6])
+    assert written_step(P) == 0.0
+    assert written_step(np.array([np.nan])) == 1.0
+
+
+# ------------------------------------------------------------------ joints that are no angles
+
+SERVOS = tuple(f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"))
+
+
+def test_percent_and_ticks_are_no_degrees():
+    percent = np.random.default_rng(0).uniform(-100, 100, (ROWS, 5))
+    for values, reason in ((percent, "percent"), (np.round(2048 + 20 * percent), "ticks"), (0.02 * percent, "percent")):
+        frame = dict(zip(SERVOS, values.T, strict=True)) | {"gripper.pos": ROOM}
+        unit = inspect(list(frame.items())).of("q").unit
+        assert (unit.sure, unit.reason) == ("assumed", reason)
+        given = {name: f"q{k}_deg" for k, name in enumerate(SERVOS, 1)}
+        assert inspect(list(frame.items()), None, given).of("q").unit[:3] == ("deg", "certain", "name")
+    beyond = dict(zip(SERVOS, 1.5 * percent.T, strict=True))
+    assert inspect(list(beyond.items())).of("q").unit[:2] == ("deg", "certain")
+
+
+# ------------------------------------------------------------------ any table
+
+WORDS = [
+    *(
+        "q",
+        "joint",
+        "J",
+        "A",
+        "axis",
+        "theta",
+        "pos",
+        "position",
+        "x",
+        "y",
+        "z",
+        "w",
+        "qx",
+        "qy",
+        "qz",
+        "qw",
+        "rx",
+        "ry",
+    ),
+    *("roll", "pitch", "yaw", "a", "b", "c", "T", "t", "time", "temp", "R", "O_T_EE", "tcp", "tracker", "tool", "pose"),
+    *(
+        "quat",
+        "rvec",
+        "run",
+        "payload",
+        "ambient",
+        "vel",
+        "tau",
+        "current",
+        "observation.state",
+        "action",
+        "S",
+        "L",
+        "U",
+    ),
+    *("B", "E", "0", "1", "2", "3", "11", "12", "13", "[mm]", "(deg)", "_rad", "°C", "kg", "ms", "_s", "/s", "ü", "θ"),
+]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_any_table_is_looked_at(seed):
+    """What `init` makes of it is words and a sidecar, and the table is read with it or refused in one line."""
+    rng = np.random.default_rng(seed)
+    rows = int(rng.choice([1, 2, 9, 20]))
+    kinds = (
+        lambda: rng.normal(0, 10.0 ** rng.integers(-3, 4), rows),
+        lambda: np.full(rows, rng.choice([0.0, 0.5, np.nan, np.inf, 1e300])),
+        lambda: 0.1 * np.arange(rows),
+        lambda: rng.integers(0, 4096, rows).astype(float),
+        lambda: np.where(rng.random(rows) < 0.3, np.nan, rng.normal(size=rows)),
+    )
+    frame = {}
+    for _ in range(rng.integers(1, 6)):
+        stem = rng.choice(["_", " ", ".", "/", ""]).join(rng.choice(WORDS, rng.integers(1, 4)))
+        ends = (
+            range(6),
+            "xyz",
+            "xyzw",
+            ("rx", "ry", "rz"),
+            [f"{i}{j}" for i in range(3) for j in range(3)],
+            range(16),
+            "",
+        )
+        for end in ends[rng.integers(len(ends))] or ("",):
+            frame[f"{stem}{rng.choice(['', '_'])}{end}"] = kinds[rng.integers(len(kinds))]()
+    text = [(str(name), None) for name in rng.choice(WORDS, 2) if name not in frame]
+    found = inspect([*text, *frame.items()], LITE6 if seed % 2 else None)
+    said = [
+        *inspection_report(found, "run7.csv"),
+        *next_steps(found, {}, "run7.csv"),
+        sidecar_text(found, {}, "run7.csv"),
+    ]
+    assert yaml.safe_load(said[-1])["recording"] == {}
+    if found.undecided:
+        assert choice_of_pose(found).startswith(f"it holds {len(found.sources)} poses.")
+    if found.of("q") is not None:
+        table = of_arrays(frame)
+        columns = {name: own for name, own in found.columns.items() if name in frame}
+        with contextlib.suppress(InputError):  # of an empty column, or joints of which one is missing
+            tabulated(table.names, "run7.csv", table.load, [], renamed=columns)
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation", "numbers"),
+    [
+        ("t_{}", "r_{}", TURNED.as_rotvec()),
+        ("board_t{}", "board_r{}", TURNED.as_rotvec()),
+        ("aruco_tvec_{}", "aruco_rvec_{}", TURNED.as_rotvec()),
+        ("pos{}", "quat{}", TURNED.as_quat()),
+        ("p{}", "q_{}", TURNED.as_quat()),
+        ("EE/Position/{}", "EE/Rotation/{}", TURNED.as_euler("XYZ", degrees=True)),
+        ("transform.translation.{}", "transform.rotation.{}", TURNED.as_quat()),
+        ("TCP {} [mm]", "TCP R{} [°]", TURNED.as_euler("xyz", degrees=True)),
+    ],
+)
+def test_position_and_orientation_of_one_source(position, rotation, numbers):
+    factor = 1e3 if "mm" in position else 1.0
+    frame = dict(zip((position.format(axis) for axis in "XYZ"), factor * P.T, strict=True))
+    frame |= dict(zip((rotation.format(axis) for axis in "XYZW"), numbers.T, strict=False))
+    _, recording = read(JOINTS | frame)
+    np.testing.assert_allclose(recording.position, P, atol=1e-13)
+    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)

@@ -1,0 +1,375 @@
+"""Where a table stands in a text: the rows of numbers, the names and units above them, and what is no part of it.
+
+The body is the rows of one width that hold most numbers. The rows directly above it are its names: several are joined,
+a row of units is added to them. Whatever stands higher is not read. Only the first lines of a file are looked at.
+"""
+
+import csv
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.clock_times import like_a_clock
+from lite6jax.recordings.columns import is_standard
+from lite6jax.recordings.naming import unit_of
+
+LINES = 120
+"""Looked at, from the start of a file."""
+SPACES = " "
+"""The delimiter of columns between which any number of spaces and tabs stands."""
+_DELIMITERS = (",", ";", "\t", "|", SPACES)
+LINE_BREAK = re.compile(r"\r\n|[\r\n]")
+_NUMBER = re.compile(r"[-+]?[\d.,]*\d\.?(?:e[-+]?\d+)?", re.IGNORECASE)
+_MISSING = {"", "nan", "-nan", "inf", "-inf", "na", "n/a", "#n/a", "null", "none"}
+_QUOTED_LIST = re.compile(
+    r'"\s*(?:array(?:\(\'\w\',)?)?\s*(?=[^"]*\d)([\[(][-+\d.,;eEnaif\s\[\]()]*[\])])(?:,\s*dtype=\w+\))?\s*"'
+)
+_LIST = re.compile(r"(?<![^,;|\t\r\n]) *([\[(](?=[^\[\]()]*\d)[-+\d.,;eEnaif\s]*[\])]) *(?![^,;|\t\r\n])")
+_ELEMENT = "\x01"
+_NO_UNITS = {"-", "--", "—", "1", "%"}
+_OTHER_UNITS = {"cm", "µm", "um", "in", "inch", "k", "v", "w", "hz", "rpm", "bar", "count", "counts", "ticks", "bool"}
+_LABELS = {"type", "name", "id", "parent"}
+_WITHOUT_A_NAME = {"type", "id", "parent"}
+_MARKERS = re.compile(r"MARKER_NAMES\t", re.IGNORECASE)
+_LENGTHS = re.compile(r"\bLength Units\W+(\w+)", re.IGNORECASE)
+_ANGLES = re.compile(r"\bRotation Type\W+([XYZ]{3})\b", re.IGNORECASE)
+
+Row = list[str]
+
+
+class Layout(NamedTuple):
+    """A table within a text.
+
+    Attributes:
+        names: of its columns; `column_1`, `column_2`, … where it names none.
+        delimiter: between fields.
+        fields: in a row; those after the last name are empty.
+        decimal: the mark of decimals.
+        skip: the number of lines above its body.
+        lists: whether fields hold lists, whose numbers are a column each.
+        nameless: whether it names no column at all.
+    """
+
+    names: tuple[str, ...]
+    delimiter: str
+    fields: int
+    decimal: str
+    skip: int
+    lists: bool
+    nameless: bool
+
+
+def find_table(text: str, source: str, notes: list[str]) -> Layout:
+    """The table in a text.
+
+    Args:
+        text: its first lines, whole.
+        source: what messages begin with.
+        notes: gets a sentence for what is skipped, joined or added to names.
+
+    Raises:
+        InputError: lengths in a unit that no column may have, or names and a row of units that differ.
+    """
+    text = "\n".join(LINE_BREAK.split(text, LINES)[:LINES])
+    lists, text = (marked := mark_lists(text)) != text, marked
+    lines = text.split("\n")
+    possible = [mark for mark in _DELIMITERS if mark in (",", SPACES) or mark in text]
+    delimiter, rows, width, _ = max((_block(lines, mark) for mark in possible), key=lambda found: found[3])
+    body = _body(rows, width)
+    if body is None:
+        return _of_names_alone(lines)
+    within = [row for row in rows[body:] if len(row) == width]
+    sizes = [max(row[k].count(_ELEMENT) for row in within) + 1 for k in range(width)]
+    filled = max((k + 1 for row in within for k, cell in enumerate(row) if cell), default=width)
+    top, header = _header(lines, body, delimiter, width, filled)
+    table = Layout((), delimiter, sum(sizes), _decimal(within, delimiter), body, lists, not header)
+    if not header:
+        return _without_names(table, lines, rows, sum(sizes[:filled]), notes)
+    _say_above(lines[:top], notes)
+    names = _names(header, lines[:top], source, range(top + 1, body + 1), notes)
+    while names and not names[-1] and len(names) > filled:
+        names.pop()
+    if lists:
+        sized = zip(names, sizes, strict=False)
+        names = [f"{name}[{k}]" if size > 1 else name for name, size in sized for k in range(size)]
+        if example := next((name for name in names if name.endswith("[0]")), ""):
+            notes.append(f"lists are read as a column for each of their numbers, such as {example!r}")
+    return table._replace(names=_unique(names, notes))
+
+
+def _without_names(table: Layout, lines: Sequence[str], rows: Sequence[Row], columns: int, notes: list[str]) -> Layout:
+    """A table above which no row names each of its columns."""
+    body = table.skip
+    above = next((row for row in reversed(rows[:body]) if any(row)), [])
+    named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
+    if named and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
+        return table._replace(names=_unique(above, []), fields=len(above), nameless=False)
+    if numbered := len(rows) > body + 1 and _counts(rows[body]) and "number" in map(_kind, rows[body + 1]):
+        notes.append(f"line {body + 1} counts the columns and is not read")
+    _say_above(lines[:body], notes)
+    return table._replace(names=tuple(f"column_{k + 1}" for k in range(columns)), skip=body + numbered)
+
+
+def mark_lists(text: str, mark: str = _ELEMENT) -> str:
+    """A text in which the numbers of each list of numbers stand between marks, without brackets and quotes."""
+
+    def plain(match: re.Match[str]) -> str:
+        if "," in match[1] and ";" in match[1]:  # decimal commas
+            return match[0]
+        return mark.join(re.findall(r"[^\s,;\[\]()]+", match[1]))
+
+    return _LIST.sub(plain, _QUOTED_LIST.sub(plain, text))
+
+
+def _block(lines: Sequence[str], delimiter: str) -> tuple[str, list[Row], int, float]:
+    """Lines as rows, the width of those that hold most numbers, and how many that are, less where texts are among."""
+    rows = [_split(line, delimiter) for line in lines]
+    scores: dict[int, float] = defaultdict(float)
+    for row in rows:
+        kinds = Counter(map(_kind, row))
+        numbers = kinds["number"] + kinds["integer"]
+        if numbers and (delimiter != SPACES or numbers >= kinds["text"]):  # no prose
+            scores[len(row)] += numbers**2 / (numbers + kinds["text"])
+    width = max(scores, key=lambda key: scores[key], default=0)
+    return delimiter, rows, width, scores[width]
+
+
+def _split(line: str, delimiter: str) -> Row:
+    if delimiter == SPACES:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
+    except csv.Error:
+        return [line]
+
+
+def _kind(cell: str) -> str:
+    """`number`, `integer`, `text`, or nothing where a value is missing."""
+    if cell.lower() in _MISSING:
+        return ""
+    if cell.lstrip("+-").isdecimal():
+        return "integer"
+    number = _ELEMENT in cell or _NUMBER.fullmatch(cell) or (cell[0].isdecimal() and like_a_clock(cell))
+    return "number" if number else "text"
+
+
+def _body(rows: Sequence[Row], width: int) -> int | None:
+    """The first row of numbers; None where there is none."""
+    kinds = [[*map(_kind, row)] for row in rows]
+    of_width = [k for k, row in enumerate(kinds) if len(row) == width]
+    if not width or not of_width:
+        return None
+    fullest = max(of_width, key=lambda k: (sum(kind in ("number", "integer") for kind in kinds[k]), k))
+    of_numbers = [k for k, kind in enumerate(kinds[fullest]) if kind in ("number", "integer")]
+
+    def holds_numbers(row: int) -> bool:
+        here = [kinds[row][k] for k in of_numbers]
+        texts = here.count("text")
+        if not texts:
+            return any(here)
+        return texts < len(here) / 2 and ("number" in here or texts < len(here) / 4)  # a row with damage
+
+    inside = [holds_numbers(k) for k in of_width]
+    decimals = ["number" in (kinds[row][k] for k in of_numbers) for row in of_width]  # numbers in names are whole
+    first = next((k for k, here in enumerate(inside) if here and (decimals[k] or all(inside[k + 1 : k + 2]))), None)
+    if first is None:
+        return None
+    body = of_width[first]
+    while body:
+        above = kinds[body - 1]
+        if len(above) == width:  # whose numbers are missing, or damaged
+            here = [above[k] for k in of_numbers]
+            within = "text" not in here or "number" in here
+        else:  # cut short, or too long
+            within = any(above) and "text" not in above
+        if not within:
+            break
+        body -= 1
+    return body
+
+
+def _header(lines: Sequence[str], body: int, delimiter: str, width: int, filled: int) -> tuple[int, list[Row]]:
+    """The first line of the names, and their rows from the top; columns after the `filled` ones may have none."""
+    header: list[Row] = []
+    top = row = body
+    while row:
+        row -= 1
+        line = lines[row].strip(" ")
+        comment = line[:1] in ("#", "%")
+        line = line.lstrip("#%").strip(" ") if comment else line
+        if not any(cell.strip("-=_ ") for cell in _split(line, delimiter)):  # blank, or a rule
+            if header:
+                break
+            continue
+        alone = comment or delimiter == SPACES or width == 1
+        cells = _fitting(line, delimiter, width, filled, any_delimiter=alone)
+        kinds = {*map(_kind, cells or ())}
+        if "number" in kinds or not (header or "text" in kinds) or not cells:
+            if comment and not header:
+                continue
+            break
+        top = row
+        header.insert(0, cells)
+        if alone and not (len(header) == 1 and _of_units(cells)):
+            break
+    while header and width > 1 and not any(header[-1][1:]):  # the name of an index, or a title
+        header.pop()
+    if not header and (markers := next((line.split("\t")[1:] for line in lines[:body] if _MARKERS.match(line)), [])):
+        names = [f"{name.strip()} {axis}" for name in markers for axis in "XYZ"]
+        return body, [names] if len(names) == width else []
+    return top if header else body, header
+
+
+def _fitting(line: str, delimiter: str, width: int, filled: int, any_delimiter: bool) -> Row | None:
+    """The names in a line, as many as there are columns; None where they are not."""
+    cells = _split(line, delimiter)
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    if filled <= len(cells) <= width:
+        return cells + [""] * (width - len(cells))
+    wide = [cell.strip() for cell in re.split(r"\s{2,}|\t", line.strip())]
+    others = [wide, *(_split(line, other) for other in _DELIMITERS)] if any_delimiter else []
+    return next((cells for cells in others if len(cells) == width), None)
+
+
+def _names(header: list[Row], above: Sequence[str], source: str, lines: range, notes: list[str]) -> list[str]:
+    """One name a column, from rows of names and perhaps of units."""
+    units = header[-1] if len(header) > 1 and _of_units(header[-1]) else None
+    rows = header[:-1] if units else header
+    parts = [part for row in rows[:-1] if (part := _group_names(row)) is not None] + [rows[-1]]
+    names = [
+        "/".join(part for k, part in enumerate(column) if part and part not in column[k + 1 :])
+        for column in zip(*parts, strict=True)
+    ]
+    names = _with_heads(names)
+    if units:
+        names = [_with_unit(name, unit, source) for name, unit in zip(names, units, strict=True)]
+    names = _with_stated_units(names, "\n".join(above), source)
+    if units:
+        example = next((name for name in names if name.endswith("]")), "")
+        added = f", which are added to the names, such as {example!r}" if example else ""
+        notes.append(f"line {lines[-1]} holds units{added}")
+    if len(parts) > 1:
+        notes.append(f"names are joined from lines {lines[0]} to {lines[-1]}, such as {max(names, key=_depth)!r}")
+    return names
+
+
+def _depth(name: str) -> int:
+    return name.count("/")
+
+
+def _group_names(row: Row) -> Row | None:
+    """A row above the names proper, each of its names over the empty fields after it; None where it names nothing."""
+    filled = [k for k, cell in enumerate(row) if cell]
+    label = row[filled[0]].lower()
+    if label in _WITHOUT_A_NAME or filled == [0] or not any(_kind(cell) == "text" for cell in row):
+        return None
+    row = [*row]
+    if label in _LABELS and len(filled) > 1:
+        row[filled[0]] = ""
+    last = ""
+    for k, cell in enumerate(row):
+        last = cell or last
+        row[k] = last
+    return row
+
+
+def _with_heads(names: Sequence[str]) -> list[str]:
+    """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
+    head, found = "", []
+    for k, name in enumerate(names):
+        match = re.fullmatch(r"(.+ )X", name)
+        if match and [*names[k + 1 : k + 3]] == ["Y", "Z"]:
+            head = match[1]
+            found.append(name)
+        else:
+            found.append(head + name if name else name)
+    return found
+
+
+def _of_units(row: Iterable[str]) -> bool:
+    """Whether all that a row holds are units."""
+    cells = [cell for cell in row if cell]
+    plain = [cell.strip("[](){}<> ") for cell in cells]
+    known = [unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS for unit in plain]
+    bracketed = [cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text"
+                 for cell, unit in zip(cells, plain, strict=True)]  # fmt: skip
+    none = [unit in _NO_UNITS or not unit for unit in plain]
+    return any(known + bracketed) and all(map(any, zip(known, bracketed, none, strict=True)))
+
+
+def _with_unit(name: str, cell: str, source: str) -> str:
+    unit = cell.strip("[](){}<> ")
+    if not unit or unit in _NO_UNITS:
+        return name
+    own, stated = unit_of(name), unit_of(f"x [{unit}]")
+    if own is not None and own == stated:
+        return name
+    if own is not None and stated is not None and len(own) > 1:
+        raise InputError(f"{source}: column {name!r}: the row of units says {unit!r}; correct the name or the unit")
+    return f"{name} [{unit}]"
+
+
+def _with_stated_units(names: list[str], above: str, source: str) -> list[str]:
+    """With the units that lines above the table state for all lengths and angles."""
+    turned = "deg" if _ANGLES.search(above) else ""
+    length = ""
+    if match := _LENGTHS.search(above):
+        length = unit_of(f"x [{match[1]}]") or ""
+        if length not in ("m", "mm"):
+            raise InputError(f"{source}: its lengths are in {match[1]}; export it in meters or millimeters")
+    found = []
+    for name in names:
+        unit = turned if "rotation" in name.lower() else length
+        coordinate = re.search(r"(?:^|[/ ])[XYZ]$", name) is not None
+        found.append(f"{name} [{unit}]" if unit and coordinate else name)
+    return found
+
+
+def _unique(names: Iterable[str], notes: list[str]) -> tuple[str, ...]:
+    """Names of which none is empty, and none stands there twice but those that a recording may have once."""
+    found: list[str] = []
+    counts: Counter[str] = Counter()
+    for k, name in enumerate(names):
+        name = name or f"column_{k + 1}"
+        counts[name] += 1
+        found.append(name if counts[name] == 1 or is_standard(name) else f"{name} ({counts[name]})")
+    if twice := [name for name in counts if counts[name] > 1 and not is_standard(name)]:
+        shown = ", ".join(repr(name[:40]) for name in twice[:3])
+        notes.append(f"several columns are called {shown}: the later ones are read as '{twice[0][:40]} (2)' and so on")
+    return tuple(found)
+
+
+def _counts(row: Row) -> bool:
+    """Whether a row holds 0, 1, 2, … or 1, 2, 3, … and nothing else."""
+    cells = row[1:] if row and not row[0] else row
+    return len(cells) > 2 and cells in ([str(k) for k in range(len(cells))], [str(k + 1) for k in range(len(cells))])
+
+
+def _decimal(rows: Iterable[Row], delimiter: str) -> str:
+    """A comma where more numbers have one than a point, whatever stands in texts and dates."""
+    cells = [part for row in rows for cell in row for part in cell.split(_ELEMENT)] if delimiter != "," else []
+    commas, points = (
+        sum(re.fullmatch(rf"[-+]?\d*{mark}\d+(e[-+]?\d+)?", cell, re.IGNORECASE) is not None for cell in cells)
+        for mark in (",", r"\.")
+    )
+    return "," if commas > points else "."
+
+
+def _of_names_alone(lines: Sequence[str]) -> Layout:
+    """The first line with anything as names: of a table without rows, or with rows of text alone."""
+    first = next(k for k, line in enumerate(lines) if line.strip())
+    delimiter = max(_DELIMITERS[:-1], key=lambda mark: lines[first].count(mark))
+    names = _unique(_split(lines[first], delimiter), [])
+    return Layout(names, delimiter, len(names), ".", first + 1, False, False)
+
+
+def _say_above(lines: Sequence[str], notes: list[str]) -> None:
+    filled = [k for k, line in enumerate(lines) if line.strip(" \t,;|") and not line.lower().startswith("sep=")]
+    if filled:
+        said = " ".join(lines[filled[0]].split())
+        said = said if len(said) <= 60 else f"{said[:57]}..."
+        place = f"line {filled[0] + 1} stands" if len(filled) == 1 else f"{len(filled)} lines stand"
+        notes.append(f"{place} above the table and {'is' if len(filled) == 1 else 'are'} not read: {said!r}")
