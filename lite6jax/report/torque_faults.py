@@ -10,6 +10,7 @@ from lite6jax.arms.joint_units import joint_unit
 Numbers = Mapping[str, Any]
 
 NAMES = {
+    "uneven_times": "Uneven times",
     "torque_spikes": "Single torques far from their neighbours",
     "swapped_torques": "Swapped torque columns",
     "reversed_torque": "Torque of reversed sign",
@@ -32,6 +33,21 @@ def _spikes(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"{torques} far from the row before and the row after ({_joints(n['joints'])}), which no motion causes. They "
         "were interpolated. Check the transmission of the torques."
+    )
+
+
+def _uneven(rows: Sequence[int], n: Numbers) -> str:
+    steps = f"Time steps vary, most of them from {1e3 * n['from_s']:.3g} to {1e3 * n['to_s']:.3g} ms"
+    if n["reason"] == "stamps":
+        return (
+            f"{steps}, but the positions are smooth over the number of the row: the stamps jitter, not the samples. The "
+            f"times were made even, {n['rate_Hz']:.3g} a second."
+        )
+    gaps = "" if not n["gaps"] else f" {n['gaps']} gaps were too long to interpolate and begin a new run."
+    doubt = ", ".join(f"{size:.2g}" for size in n["rms_Nm"])
+    return (
+        f"{steps}. The recording was resampled to {n['rate_Hz']:.3g} a second by interpolation. Every other torque is "
+        f"within {doubt} Nm (RMS, by joint) of what its neighbours give, noise included.{gaps}"
     )
 
 
@@ -97,6 +113,7 @@ def _held(rows: Sequence[int], n: Numbers) -> str:
 
 
 FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
+    "uneven_times": _uneven,
     "torque_spikes": _spikes,
     "swapped_torques": _swapped,
     "reversed_torque": _reversed,

@@ -128,8 +128,6 @@ def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, N
     """The dynamics of the model's links along a motion, and the run of each sample."""
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
-    if recording.motion != "trajectory":
-        raise InputError(f"{recording.source}: is declared as static poses; torques are predicted for a trajectory")
     bodies, chosen, _ = bodies_of(recording, model.arm)
     for effect in model.terms.terms:
         for driver in getattr(effect, "drivers", ()):

@@ -31,6 +31,10 @@ lazy = property if TYPE_CHECKING else cached_property
 
 FITTED = (LinkMass, LinkCom)
 """Effects that are confounded with inertial numbers that are fitted."""
+_HEAVY = (LinkMass, LinkCom, PayloadTorque)
+"""Effects that weigh something at rest too."""
+_MOVING = ("velocity", "speed", "direction of motion", "acceleration", "travel since reversal")
+"""Drivers that postures at rest do not have."""
 _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
 
@@ -382,6 +386,11 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
     if len(directions):  # what is fitted is no effect, however far it is from what was declared
         candidates = tuple(effect for effect in candidates if not isinstance(effect, FITTED))
     missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))
+    if data.recording.motion == "static":
+        candidates = tuple(effect for effect in candidates if not isinstance(effect, Delaying))
+        in_motion = [effect for effect in candidates if not isinstance(effect, _HEAVY)]
+        needed = {effect: driver for effect in in_motion for driver in effect.drivers if driver.generalised in _MOVING}
+        missing += tuple(Untestable(*one) for one in needed.items() if one[0] not in {item.effect for item in missing})
     lacking = {item.effect for item in missing}
     declared = settings.torque_noise_Nm is not None
     noise = np.asarray(settings.torque_noise_Nm or _ASSUMED * np.std(data.torque, axis=1) + 1e-6, float)

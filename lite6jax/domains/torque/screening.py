@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.declarations import as_declared
-from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
@@ -27,6 +27,8 @@ Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
+_FEWEST_POSTURES = 12
+"""At rest, of which gravity is compared: offset, mass and centre of mass of a joint's load are four numbers."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -65,17 +67,17 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         InputError: as `Recording.torques` and `torque_rows`; an arm at rest; velocities or torques in another unit; or
             an arm without inertial numbers that is declared to have them.
     """
-    recording = recording.sorted_by_time()
+    recording, uneven = _postures(recording) if recording.motion == "static" else evenly_timed(recording.sorted_by_time())
+    still = recording.motion == "static"
     torque = recording.torques().T
     _require_inertia(recording, arm)
-    rate = sample_rate(recording)
-    runs = runs_of(recording, rate)
+    runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     require_joints(recording, arm)
     _require_motion(recording, arm)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
     spiked = spikes(torque, as_revolute(recording.velocities().T, "rad/s", arm.slides), runs)
-    found = []
+    found = [] if uneven is None else [uneven]
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
@@ -84,7 +86,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         found.append(DataFault("estimated_torque", (), {}))
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
     ruled_out: list[DataFault] = []
-    if recording.settings.inertial != "unknown":
+    if recording.settings.inertial != "unknown" and not still:
         declared = as_declared(data)
         data = declared.data
         found += declared.found
@@ -105,12 +107,17 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
         )
 
 
-def _require_motion(recording: Recording, arm: Arm) -> None:
-    if recording.motion != "trajectory":
+def _postures(recording: Recording) -> tuple[Recording, None]:
+    """Static postures in the order of the file, with a number in the place of times that they do not have."""
+    if recording.samples < _FEWEST_POSTURES:
         raise InputError(
-            f"{recording.source}: holds static poses; torques are diagnosed in a motion: record one, or declare "
-            "motion: trajectory"
+            f"{recording.source}: holds {recording.samples} static postures; record {_FEWEST_POSTURES} or more for a "
+            "check of gravity, or a motion"
         )
+    return (recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))), None
+
+
+def _require_motion(recording: Recording, arm: Arm) -> None:
     if as_revolute(np.ptp(recording.joint_position, axis=0), "rad", arm.slides).max() < _LEAST_MOTION:
         each = {joint_unit("rad", slides): joint_size(_LEAST_MOTION, "rad", slides) for slides in arm.slides.tolist()}
         least = " or ".join(f"{size:g} {unit}" for unit, size in each.items())
