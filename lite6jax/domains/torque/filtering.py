@@ -166,7 +166,9 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
         even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
         return replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said)
     grid = np.arange(time[0], time[-1], step)
-    band = max(_bandwidth(np.interp(grid, time, v), np.zeros(len(grid), int), 1 / step) for v in recording.velocities().T)
+    band = max(
+        _bandwidth(np.interp(grid, time, v), np.zeros(len(grid), int), 1 / step) for v in recording.velocities().T
+    )
     gaps = np.diff(time, prepend=time[0]) > max(_GAP * step, _BRIDGED / band)
     pieces = run_segments(runs * (1 + len(gaps)) + np.cumsum(gaps))
     parts = [rows for rows in _each(pieces) if rows.stop - rows.start >= _FEWEST]
@@ -194,7 +196,8 @@ def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float
             near = np.stack([x[j : len(x) - 4 + j] for j in (0, 1, 3, 4)])
             middle = x[2:-2]
             weights = [
-                np.prod([(middle - near[m]) / (near[j] - near[m]) for m in range(4) if m != j], axis=0) for j in range(4)
+                np.prod([(middle - near[m]) / (near[j] - near[m]) for m in range(4) if m != j], axis=0)
+                for j in range(4)
             ]
             there = sum(w[:, None] * y[s : len(y) - 4 + s] for w, s in zip(weights, (0, 1, 3, 4), strict=True))
             rough[k] += np.sum((y[2:-2] - there) ** 2)

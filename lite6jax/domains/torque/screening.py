@@ -67,7 +67,9 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         InputError: as `Recording.torques` and `torque_rows`; an arm at rest; velocities or torques in another unit; or
             an arm without inertial numbers that is declared to have them.
     """
-    recording, uneven = _postures(recording) if recording.motion == "static" else evenly_timed(recording.sorted_by_time())
+    recording, uneven = (
+        _postures(recording) if recording.motion == "static" else evenly_timed(recording.sorted_by_time())
+    )
     still = recording.motion == "static"
     torque = recording.torques().T
     _require_inertia(recording, arm)
@@ -114,7 +116,9 @@ def _postures(recording: Recording) -> tuple[Recording, None]:
             f"{recording.source}: holds {recording.samples} static postures; record {_FEWEST_POSTURES} or more for a "
             "check of gravity, or a motion"
         )
-    return (recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))), None
+    return (
+        recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
+    ), None
 
 
 def _require_motion(recording: Recording, arm: Arm) -> None:
@@ -151,12 +155,18 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     spread = 1 / chosen.cutoff + (_WRONG_IN_A_ROW - 1) / chosen.rate  # s, of a few wrong torques behind the low pass
     recorded = problem.data.recording
     assert recorded.time is not None
+    velocity = np.asarray(problem.data.motion.joint_velocity)[:, chosen.kept[problem.chosen]]
     for event in events:
         if time[event.stop - 1] - time[event.start] <= spread:
             inside[event] = False
             continue
         size = np.sqrt(np.mean(scaled[:, event] ** 2, 1))
         joints = (1 + np.flatnonzero(size > _PRESSED)).tolist()
+        turned = velocity[:, event.start] * velocity[:, event.stop - 1] < 0
+        lasting = time[event.stop - 1] - time[event.start]
+        if joints and turned[size > _PRESSED].all() and lasting <= spread + 1 / problem.data.motion_cutoff:
+            inside[event] = False  # friction turns at once, and the low pass of the motion takes a while
+            continue
         step = 0.5 * float(np.median(np.diff(time)))
         rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
         rows &= problem.data.filter.runs == runs[event.start]
