@@ -57,8 +57,8 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
     """The index of the first joint position that shows degrees where radians belong; None where they are radians.
 
     Degrees are suspected where a tenth of the rows of any one arm or more exceed twice the arm's widest limit, and the
-    limit by more than a turn; a joint without end says nothing. A few such rows are outliers and pass, and so do joints that are swapped, mirrored or a
-    turn off: the diagnosis locates those.
+    limit by more than a turn; a joint without end says nothing. A few such rows are outliers and pass, and so do joints
+    that are swapped, mirrored or a turn off: the diagnosis locates those.
 
     Args:
         joint_position: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad.

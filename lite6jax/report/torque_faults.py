@@ -40,8 +40,8 @@ def _uneven(rows: Sequence[int], n: Numbers) -> str:
     steps = f"Time steps vary, most of them from {1e3 * n['from_s']:.3g} to {1e3 * n['to_s']:.3g} ms"
     if n["reason"] == "stamps":
         return (
-            f"{steps}, but the positions are smooth over the number of the row: the stamps jitter, not the samples. The "
-            f"times were made even, {n['rate_Hz']:.3g} a second."
+            f"{steps}, but the positions are smooth over the number of the row: the stamps jitter, not the samples. "
+            f"The times were made even, {n['rate_Hz']:.3g} a second."
         )
     gaps = "" if not n["gaps"] else f" {n['gaps']} gaps were too long to interpolate and begin a new run."
     doubt = ", ".join(f"{size:.2g}" for size in n["rms_Nm"])

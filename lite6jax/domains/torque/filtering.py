@@ -165,10 +165,10 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
     if _stamps_jitter(recording.joint_position, time, runs, step):
         even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
         return replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said)
-    grid = np.arange(time[0], time[-1], step)
-    band = max(
-        _bandwidth(np.interp(grid, time, v), np.zeros(len(grid), int), 1 / step) for v in recording.velocities().T
-    )
+    longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
+    grid = np.arange(time[longest.start], time[longest.stop - 1], step)
+    alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
+    band = max(_bandwidth(np.interp(grid, time[longest], row), alone, 1 / step) for row in velocities)
     gaps = np.diff(time, prepend=time[0]) > max(_GAP * step, _BRIDGED / band)
     pieces = run_segments(runs * (1 + len(gaps)) + np.cumsum(gaps))
     parts = [rows for rows in _each(pieces) if rows.stop - rows.start >= _FEWEST]
@@ -396,6 +396,12 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
 @cache
 def _sections(cutoff: float, rate: float) -> Array:
     return np.asarray(butter(_ORDER, cutoff, fs=rate, output="sos"))
+
+
+def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
+    """Frequencies in Hz, without zero, and power spectral densities `(row, frequency)` of rows `(row, sample)`."""
+    found = [_spectrum(row, chosen.runs, chosen.rate) for row in rows]
+    return found[0][0][1:], np.stack([power[1:] for _, power in found])
 
 
 def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:

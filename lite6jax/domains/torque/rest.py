@@ -31,8 +31,8 @@ class Held(NamedTuple):
     """What friction holds at rest.
 
     Attributes:
-        slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate, times the square root
-            of the samples of a rest, which are not independent; zero in motion, but for the samples beside a rest.
+        slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate, times the square
+            root of the samples of a rest, which are not independent; zero in motion, but beside a rest.
         found: the data fault, if a joint is held.
     """
 

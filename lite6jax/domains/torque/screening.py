@@ -67,10 +67,8 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         InputError: as `Recording.torques` and `torque_rows`; an arm at rest; velocities or torques in another unit; or
             an arm without inertial numbers that is declared to have them.
     """
-    recording, uneven = (
-        _postures(recording) if recording.motion == "static" else evenly_timed(recording.sorted_by_time())
-    )
     still = recording.motion == "static"
+    recording, uneven = (_postures(recording), None) if still else evenly_timed(recording.sorted_by_time())
     torque = recording.torques().T
     _require_inertia(recording, arm)
     runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
@@ -109,16 +107,14 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
         )
 
 
-def _postures(recording: Recording) -> tuple[Recording, None]:
+def _postures(recording: Recording) -> Recording:
     """Static postures in the order of the file, with a number in the place of times that they do not have."""
     if recording.samples < _FEWEST_POSTURES:
         raise InputError(
             f"{recording.source}: holds {recording.samples} static postures; record {_FEWEST_POSTURES} or more for a "
             "check of gravity, or a motion"
         )
-    return (
-        recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
-    ), None
+    return recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
 
 
 def _require_motion(recording: Recording, arm: Arm) -> None:

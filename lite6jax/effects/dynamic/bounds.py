@@ -16,7 +16,7 @@ STRIBECK = (1e-3, 2.0)
 """rad/s, the speed over which Stribeck friction vanishes."""
 
 TRANSITION = (0.02, 1.0)
-"""rad/s, the speed within which Coulomb friction turns: less is sharp in most logs, more is viscous friction that levels off."""
+"""rad/s, the speed within which Coulomb friction turns: less is sharp in most logs, more is nearly viscous."""
 
 SCALE = 0.9
 """Of a measured torque, relative; a reversed sign is a data fault."""
