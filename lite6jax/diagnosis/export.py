@@ -27,6 +27,7 @@ from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffe
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
+from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
 
@@ -187,7 +188,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     return arm, tuple(left_out)
 
 
-def _held(effect: Effect, values: np.ndarray, model: DiagnosedMotors) -> tuple[dict[type, float], str]:
+def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dict[type, float], str]:
     """What an `Arm` holds of an effect at a joint, by the kind of effect, and what it does not, a phrase.
 
     Other friction over the velocity is viscous and Coulomb friction as far as these fit it at the speeds recorded.

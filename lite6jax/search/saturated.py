@@ -33,6 +33,8 @@ _STEPS = 6
 def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
     """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
 
+    It does where they are few, and are not the friction of most joints.
+
     Args:
         problem: the data.
         training: `(sample,)` bool, the samples to use.
@@ -50,7 +52,8 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
         found = fit(problem, rest, rough, values, found.nuisance, found.training)
-    if len(found.terms.terms) <= options.most_terms:
+    lacking, there = ({term.site for term in terms if term.usual} for terms in (found.terms.terms, problem.ladder))
+    if len(found.terms.terms) <= options.most_terms and 2 * len(lacking) <= len(there):
         return None
     return _tested(problem, State(baseline, found, _untested(found)), times, options)
 
@@ -106,9 +109,12 @@ def _tested(problem: Problem, state: State, times: Array, options: EngineOptions
 
 
 def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOptions) -> set[int]:
-    """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one."""
+    """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one.
+
+    What nearly every arm has stays longer than what else would explain the same.
+    """
     std = np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
-    worst: dict[str, tuple[float, int]] = {}
+    worst: dict[str, tuple[tuple[bool, float], int]] = {}
     of_terms = _of_terms(problem, found.terms.terms, times)
     for k, (term, part, time) in enumerate(zip(found.terms.terms, found.terms.slices, of_terms, strict=True)):
         p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * multiplicity(problem, term, options)
@@ -116,7 +122,8 @@ def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOpti
             max(lower - value, value - upper) / s
             for (lower, upper), value, s in zip(problem.limits(term), found.values[part], std[part], strict=True)
         )
-        badness = 1e6 + beyond if beyond > options.impossible else p_value
-        if badness >= options.level and badness > worst.get(term.site, (0.0, 0))[0]:
+        impossible = beyond > options.impossible
+        badness = (impossible or not term.usual, 1e6 + beyond if impossible else p_value)
+        if badness[1] >= options.level and badness > worst.get(term.site, ((False, 0.0), 0))[0]:
             worst[term.site] = (badness, k)
     return {k for _, k in worst.values()}

@@ -166,7 +166,7 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
         even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
         return replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said)
     longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
-    grid = np.arange(time[longest.start], time[longest.stop - 1], step)
+    grid = np.arange(float(time[longest.start]), float(time[longest.stop - 1]), step)
     alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
     band = max(_bandwidth(np.interp(grid, time[longest], row), alone, 1 / step) for row in velocities)
     gaps = np.diff(time, prepend=time[0]) > max(_GAP * step, _BRIDGED / band)
@@ -177,7 +177,7 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
             f"{recording.source}: its time steps vary, most of them from {low:.3g} to {high:.3g} s, with gaps too long "
             "to interpolate this motion; record at a constant rate, or move slower"
         )
-    at = [np.arange(time[r.start], time[r.stop - 1], step) for r in parts]
+    at = [np.arange(float(time[r.start]), float(time[r.stop - 1]), step) for r in parts]
     doubt = np.concatenate([_from_neighbours(recording.torques()[r], time[r]) for r in parts])
     numbers = said | {"gaps": int(gaps.sum()), "rms_Nm": np.sqrt(np.mean(doubt**2, 0)).tolist()}
     fault = DataFault("uneven_times", (), {"reason": "samples"} | numbers)

@@ -56,7 +56,8 @@ def at_rest(data: TorqueRows) -> Flags:
 def _pieces(inside: Flags, runs: NDArray[np.integer]) -> list[tuple[int, int]]:
     """First and last sample, the latter not included, of each piece of a run that is inside."""
     changes = (np.diff(inside.astype(int)) != 0) | (np.diff(runs) != 0)
-    return [(a, b) for a, b in itertools.pairwise([0, *(1 + np.flatnonzero(changes)), len(inside)]) if inside[a]]
+    edges = [0, *(1 + np.flatnonzero(changes)).tolist(), len(inside)]
+    return [(a, b) for a, b in itertools.pairwise(edges) if inside[a]]
 
 
 def held_by_friction(data: TorqueRows) -> Held:
