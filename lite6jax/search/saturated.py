@@ -44,7 +44,7 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
         return None
     baseline = fit(problem, Terms(), options, training=training)
     explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
-    terms = Terms(tuple(term for term, one in explained if not one.confounded))
+    terms = _distinct(problem, [term for term, one in explained if not one.confounded], baseline.training, options)
     rough = replace(options, steps=_STEPS, relinearisations=0)
     found = fit(problem, terms, rough, training=baseline.training)
     times = autocorrelation_times(problem, found, options)
@@ -82,6 +82,23 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     wider = np.sqrt(np.repeat(_of_terms(problem, terms, times), [term.size for term in terms]))
     inflated = replace(state.fit, covariance=state.fit.covariance * np.outer(wider, wider))
     return _tested(problem, replace(state, fit=inflated), np.ones_like(times), options)
+
+
+def _distinct(problem: Problem, terms: Sequence[Term], training: Mask, options: EngineOptions) -> Terms:
+    """The terms that no others say as well: a joint that moves one way alone has an offset or Coulomb friction.
+
+    Of two that are the same there, the usual one stays.
+    """
+    known = np.zeros((0, problem.rows * int(training.sum())))
+    kept = set[int]()
+    for k in sorted(range(len(terms)), key=lambda k: not terms[k].usual):
+        columns = problem.columns([terms[k]])[..., training].reshape(terms[k].size, -1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+        own = columns - (columns @ known.T) @ known
+        if np.linalg.svd(own, compute_uv=False).min() ** 2 > options.confounded:
+            known = np.concatenate([known, np.linalg.qr(own.T)[0].T])
+            kept.add(k)
+    return Terms(tuple(term for k, term in enumerate(terms) if k in kept))
 
 
 def _untested(found: Fit) -> tuple[SelectedTerm, ...]:
