@@ -7,6 +7,8 @@ add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_
 import os
 import sys
 
+from lite6jax import results
+
 TYPE_CHECKING = False  # as of `typing`, which takes longer to import than the rest of this module
 if TYPE_CHECKING:
     # isort: off
@@ -39,8 +41,26 @@ if TYPE_CHECKING:
         predict_torques as predict_torques,
         predicted_torques as predicted_torques,
     )
-    from lite6jax.effects.dynamic.torque_effect import JointTorque as JointTorque, TorqueEffect as TorqueEffect
-    from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
+    from lite6jax.effects.deflection import (
+        Deflection as Deflection,
+        place_at_joint as place_at_joint,
+        twist as twist,
+    )
+    from lite6jax.effects.drivers import Driver as Driver
+    from lite6jax.effects.dynamic.torque_effect import (
+        Dynamics as Dynamics,
+        JointTorque as JointTorque,
+        TorqueEffect as TorqueEffect,
+    )
+    from lite6jax.effects.effect import (
+        Bending as Bending,
+        Coordinate as Coordinate,
+        Effect as Effect,
+        JointEffect as JointEffect,
+    )
+    from lite6jax.effects.motion import Motion as Motion
+    from lite6jax.effects.statics import Loads as Loads
+    from lite6jax.effects.user_effects import load_effects as load_effects
     from lite6jax.errors import InputError as InputError
     from lite6jax.estimation.options import EngineOptions as EngineOptions
     from lite6jax.fitting.fleet import fit_fleet as fit_fleet, fit_fleet_calibrations as fit_fleet_calibrations
@@ -90,8 +110,13 @@ _NAMES = {
     "lite6jax.domains.pose.predict": ("predict", "predicted"),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
     "lite6jax.domains.torque.predict": ("predict_torques", "predicted_torques"),
-    "lite6jax.effects.dynamic.torque_effect": ("JointTorque", "TorqueEffect"),
-    "lite6jax.effects.effect": ("Effect", "JointEffect"),
+    "lite6jax.effects.deflection": ("Deflection", "place_at_joint", "twist"),
+    "lite6jax.effects.drivers": ("Driver",),
+    "lite6jax.effects.dynamic.torque_effect": ("Dynamics", "JointTorque", "TorqueEffect"),
+    "lite6jax.effects.effect": ("Bending", "Coordinate", "Effect", "JointEffect"),
+    "lite6jax.effects.motion": ("Motion",),
+    "lite6jax.effects.statics": ("Loads",),
+    "lite6jax.effects.user_effects": ("load_effects",),
     "lite6jax.errors": ("InputError",),
     "lite6jax.estimation.options": ("EngineOptions",),
     "lite6jax.domains.pose.fit": ("fit",),
@@ -110,6 +135,12 @@ _NAMES = {
 """The public names of each module."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+results.registering |= {
+    "describe": "lite6jax.report.summaries",
+    "draw": "lite6jax.report.plots",
+    "tabulate": "lite6jax.report.result_files",
+    "write": "lite6jax.report.result_files",
+}
 
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)

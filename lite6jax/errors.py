@@ -3,6 +3,7 @@
 import os
 import shlex
 import subprocess
+from types import UnionType
 
 
 class InputError(ValueError):
@@ -18,6 +19,33 @@ class InputWarning(UserWarning):
 
     The message is one line that names the file. The command line prints it on stderr.
     """
+
+
+def wrong_type(argument: str, given: object, accepted: str) -> InputError:
+    """The error of an argument of a type that is not accepted.
+
+    Args:
+        argument: its name.
+        given: what was given for it.
+        accepted: what to give, after "give".
+    """
+    return InputError(f"{argument}: has the type {type(given).__name__}; give {accepted}")
+
+
+def require_type(argument: str, given: object, kinds: type | UnionType, accepted: str) -> None:
+    """Refuses an argument of another type.
+
+    Args:
+        argument: its name.
+        given: what was given for it.
+        kinds: the types that are accepted.
+        accepted: these in words, after "give".
+
+    Raises:
+        InputError: as said.
+    """
+    if not isinstance(given, kinds):
+        raise wrong_type(argument, given, accepted)
 
 
 def command_line(*arguments: object) -> str:

@@ -19,7 +19,7 @@ from typed import flat, refused, run
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
-from lite6jax.cli.fit import DEMO
+from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.fitting import code_folder
 from lite6jax.fitting.solution import Result
 from lite6jax.folders import fit
@@ -243,11 +243,40 @@ def test_fit_draws(capsys, tmp_path, calibration):
         assert f"Wrote {path}\n" in said
 
 
-def test_demo_says_that_it_is_simulated(capsys, tmp_path):
-    code, said, err = run(capsys, "demo", "--out", tmp_path / "demo.json")
-    assert (code, err) == (0, "")
-    assert said.startswith("The calibration below is simulated")
-    assert f"lite6jax fit {DEMO}" in said
+def test_the_demo_finds_what_it_hid_and_says_where_the_page_is(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lite6jax.cli.demo.POSES", 100)
+    code, said, _ = run(capsys, "demo", width=60)
+    assert code == 0
+    assert flat(said).startswith("No arm was measured: this Lite 6 is simulated.")
+    assert max(map(len, said.splitlines())) <= 60
+    for effect, true in (("joint compliance at joint2", 90.0), ("joint backlash at joint4", 1.5)):
+        hidden, found, std = re.search(rf"^{effect} +([\d.]+) +([\d.]+) ± ([\d.]+) ", said, re.MULTILINE).groups()
+        assert float(hidden) == true
+        assert abs(float(found) - true) < 3.5 * float(std) < true / 2
+    assert said.endswith("The page with the figures, to be opened in a browser:\n  lite6jax-demo/report.html\n")
+    folder = tmp_path / "lite6jax-demo"
+    names = {"run.csv", "run.yaml", "factory.yaml", "diagnosis.json", "report.html", "model.json"}
+    assert {path.name for path in folder.iterdir()} == names
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/png") >= 4
+    assert "lite6jax view lite6jax-demo/diagnosis.json" in page
+    assert "Converged" in said
+
+    from lite6jax.cli.demo import _fresh
+
+    assert str(_fresh()) == "lite6jax-demo-2"
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    assert "exists already" in refused(capsys, "demo", folder)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_the_demo_needs_a_folder_that_can_be_made(capsys, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert "cannot be created" in refused(capsys, "demo", tmp_path / "file" / "below")
+
+
+def test_the_factory_file_of_the_demo_says_that_it_is_simulated():
     assert "SIMULATED" in DEMO.read_text().splitlines()[0]
     spread = read_factory(DEMO).kinematics - LITE6
     wanted = np.random.default_rng(0).standard_normal((6, 6)) * ([0.8e-3] * 3 + [np.deg2rad(0.15)] * 3)
@@ -330,7 +359,7 @@ def test_fit_of_a_recording(capsys, tmp_path):
     assert "below each number its standard deviation" in text
     assert "Noise per axis: declared 0.0200 mm, 0.0057 deg; the residuals have" in text
     assert "as declared." in text
-    assert "No outliers: all 120 samples keep their weight." in text
+    assert "No outliers among 120 samples." in text
     assert max(map(len, [line for line in said.splitlines() if str(tmp_path) not in line])) <= 60
     for name in ("run_error_by_joint", "run_error_distribution"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
@@ -596,6 +625,20 @@ def test_check_of_a_recording(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ real files
+
+
+def test_the_distance_from_nominal_is_one_number_in_every_command(capsys, calibration, tmp_path):
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    for name in ("a.yaml", "b.yaml"):
+        (folder / name).write_bytes(calibration.read_bytes())
+    _, said, _ = run(capsys, "fit", calibration)
+    shown = re.search(r"the nominal one is up to (\S+) mm off, at 1000 joint positions\.", flat(said))[1]
+    _, said, _ = run(capsys, "compare", folder / "a.yaml", folder / "b.yaml", "--json")
+    assert f"{1e3 * json.loads(said)['from_nominal_m'][0]['max']:.3f}" == shown
+    run(capsys, "fleet", folder, "--out", tmp_path / "fleet.parquet")
+    rows = pyarrow.parquet.read_table(tmp_path / "fleet.parquet")["nominal_position_max_m"].to_pylist()
+    assert [f"{1e3 * most:.3f}" for most in rows] == [shown, shown]
 
 
 def needs(path):

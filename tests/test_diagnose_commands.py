@@ -243,7 +243,7 @@ def test_what_predict_refuses(capsys, arm, diagnosed, motion_file, tmp_path):
     out = tmp_path / "p.csv"
     said = refused(capsys, "predict", diagnosed[0], motion_file, "--out", tmp_path / "p.json")
     assert said == f"{tmp_path / 'p.json'}: what is written here is csv; let the name end in .csv"
-    assert "is no JSON (" in refused(capsys, "predict", motion_file, motion_file, "--out", out)
+    assert "is a recording and no diagnosis" in refused(capsys, "predict", motion_file, motion_file, "--out", out)
     assert "none.csv" in refused(capsys, "predict", diagnosed[0], tmp_path / "none.csv", "--out", out)
     drift = tmp_path / "drift.json"
     drift.write_text(json.dumps(document(arm, ["base_drift:vx_m_per_s=1e-6"])))
@@ -347,7 +347,10 @@ def test_report_repeats_the_page_and_certifies(capsys, diagnosed, tmp_path):
 
 def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
     pdf = tmp_path / "c.pdf"
-    assert "is no JSON (" in refused(capsys, "report", recorded)
+    made = f"lite6jax diagnose {recorded} --out {recorded.with_suffix('.json')}"
+    assert refused(capsys, "report", recorded) == (
+        f"{recorded}: is a recording and no diagnosis; give what `{made}` writes"
+    )
     said = refused(capsys, "report", diagnosed[0], "--certificate", tmp_path / "c.txt")
     assert said == f"{tmp_path / 'c.txt'}: what is written here is pdf; let the name end in .pdf"
     said = refused(capsys, "report", diagnosed[0], "--certificate", pdf, "--date", "21.11.2026")

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lite6jax.cli.deprecated import RENAMED
-
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CONTRIBUTING = (ROOT / "docs/CONTRIBUTING.md").read_text()
@@ -142,11 +140,6 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
         names = set(parameters.replace("`", "").split(", "))
         reported = set(made.reported(np.ones(made.size)))
         assert reported == names, effect.name
-
-
-def test_the_changelog_lists_every_old_spelling():
-    listed = [tuple(row) for row in table_rows(CHANGELOG) if row[0] in RENAMED]
-    assert listed == [(command, old, new.new) for command, names in RENAMED.items() for old, new in names.items()]
 
 
 def test_every_direct_dependency_is_listed_with_its_licence_and_locked():

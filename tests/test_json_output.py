@@ -12,7 +12,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli.program import COMMANDS
 from lite6jax.report import documents, screen
-from lite6jax.report.bars import outside_warning
+from lite6jax.report.compensation_tables import outside_warning
 
 LITE6 = load_bundled("lite6")
 SILENT = {"simulate", "emulate", "record", "demo", "view"}
@@ -86,7 +86,7 @@ def test_targets_outside_the_recorded_range_are_named():
         outside=np.array([False, True, True]), joint_position=q, recording=SimpleNamespace(row=np.array([1, 2, 5]))
     )
     assert outside_warning(found, model) == (
-        "rows 2, 5 leave the range that was recorded (joint 1 by up to 10 deg): there the compensation extrapolates; "
+        "rows 2, 5 are outside what was recorded (joint 1 by up to 10 deg): there the compensation extrapolates; "
         "record poses there, or keep targets inside"
     )
     inside = SimpleNamespace(outside=np.zeros(3, bool), joint_position=q, recording=found.recording)

@@ -208,7 +208,7 @@ def test_what_is_refused(made, capsys, monkeypatch):
     document, path, _ = made
     assert refused(capsys, "view", document, "--duration", "0") == "--duration 0.0: give seconds above 0"
     assert refused(capsys, "view", document, "--port", "65536") == "--port 65536: is not a port; give 1 to 65535"
-    assert "is no JSON" in refused(capsys, "view", path)
+    assert "is a recording and no diagnosis" in refused(capsys, "view", path)
     with contextlib.closing(socket.create_server((HOST, 0))) as taken:
         port = taken.getsockname()[1]
         said = refused(capsys, "view", document, "--port", str(port))

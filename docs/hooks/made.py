@@ -24,7 +24,7 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.cli import main
 from lite6jax.cli.program import COMMANDS
 from lite6jax.controller import rows
-from lite6jax.effects import catalogue, user_effects
+from lite6jax.effects import catalogue, drivers, user_effects
 from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
 from lite6jax.folders import diagnoses
@@ -93,6 +93,42 @@ KEYS = {
     "date": "the day of the measurement, which a certificate shows",
     "instrument": "with what it was measured, such as type and serial number, which a certificate shows",
 }
+_JOINTS, _SPEEDS = "`q1_rad` …", "`time_s`, or `dq1_rad_per_s` …"
+_SLIDES, _SLIDE_SPEEDS = "`q1_m` …", "`time_s`, or `dq1_m_per_s` …"
+_LOADS = "`q1_rad` …, `payload_kg`; masses of the arm"
+_TEMPERATURES = "`temp1_degC` …, or `ambient_degC`"
+_MEASURED = "`x_m`, `y_m`, `z_m`"
+DRIVERS = {
+    "position": ("q", "the joint's position, as the encoder reads it", _JOINTS),
+    "slide position": ("q", "the same of a prismatic joint", _SLIDES),
+    "direction of motion": ("sign q̇", "from which side the joint came: −1, 0 or 1", f"{_JOINTS} in their order"),
+    "velocity": ("q̇", "the joint's velocity", _SPEEDS),
+    "speed": ("abs q̇", "its magnitude", _SPEEDS),
+    "slide velocity": ("q̇", "the velocity of a prismatic joint", _SLIDE_SPEEDS),
+    "slide speed": ("abs q̇", "its magnitude", _SLIDE_SPEEDS),
+    "travel since reversal": ("s", "how far the joint has moved since it last turned round", _SPEEDS),
+    "slide travel since reversal": ("s", "the same of a prismatic joint", _SLIDE_SPEEDS),
+    "acceleration": ("q̈", "the joint's acceleration", "`time_s`, or `ddq1_rad_per_s2` …"),
+    "slide acceleration": ("q̈", "the same of a prismatic joint", "`time_s`, or `ddq1_m_per_s2` …"),
+    "gravity torque": ("τ", "the torque of gravity about +z of the joint, payload included", _LOADS),
+    "gravity force": ("F", "the force of gravity along +z of a prismatic joint", _LOADS),
+    "gravity moment x": ("M_x", "the moment of gravity about x of the link's frame", _LOADS),
+    "gravity moment y": ("M_y", "the same about y", _LOADS),
+    "base moment x": ("M_x", "the moment of gravity about x of the base", _LOADS),
+    "base moment y": ("M_y", "the same about y", _LOADS),
+    "tool moment x": ("M_x", "the moment of the payload about x of the flange", _LOADS),
+    "tool moment y": ("M_y", "the same about y", _LOADS),
+    "temperature rise": ("ΔT", "of the arm above `reference_temperature_degC`", _TEMPERATURES),
+    "temperature": ("ΔT", "of the joint above it", _TEMPERATURES),
+    "time": ("t", "since the recording began", "`time_s`"),
+    "payload": ("m", "the mass at the flange", "`payload_kg`"),
+    **{f"measured position {axis}": (axis, f"where the sensor shows the tool, along its {axis}", _MEASURED)
+       for axis in "xyz"},
+    "measured position's distance": ("r", "of the tool from the sensor's origin", _MEASURED),
+    "measured position's azimuth": ("α", "of the line of sight about the sensor's z", _MEASURED),
+    "measured position's elevation": ("β", "of the line of sight above the sensor's x-y plane", _MEASURED),
+}  # fmt: skip
+"""Of each driver its symbol, what it is, and the columns from which it follows."""
 EXAMPLES = {
     "check": ("check", str(Path(lite6jax.__file__).parent / "demo" / "lite6_simulated.yaml")),
     "convert": ("convert", "lite6", "lite6.xml"),
@@ -121,7 +157,10 @@ PYTHON = {
         "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
         "global_sensitivity",
     ),
-    "Effects of your own": ("Effect", "JointEffect"),
+    "Effects of your own": (
+        "Effect", "JointEffect", "Bending", "JointTorque", "TorqueEffect", "Coordinate", "Driver", "Motion", "Loads",
+        "Deflection", "twist", "place_at_joint", "Dynamics", "load_effects",
+    ),
     "Errors": ("InputError",),
 }  # fmt: skip
 """Where each public name is described."""
@@ -238,11 +277,21 @@ def torque_effects() -> str:
     return _effects(torque_catalogue.BUILT_IN, _looks("torques"), remedies.OF_TORQUES)
 
 
-def own_effect() -> str:
-    """The example of an effect of a user's own."""
-    example = re.search(r"```python\n.*?```", user_effects.__doc__ or "", re.DOTALL)
-    assert example is not None
-    return example[0].replace("```python", '```python title="mine.py"')
+def own_effect(place: int = 0) -> str:
+    """An example of an effect of a user's own; the first one is a whole file."""
+    example = re.findall(r"```python\n.*?```", user_effects.__doc__ or "", re.DOTALL)[place]
+    return example.replace("```python", '```python title="mine.py"' if place == 0 else "```py")
+
+
+def driver_table() -> str:
+    """Every driver: its symbol, its unit, what it is, and what has to be recorded for it."""
+    _check("drivers", DRIVERS, drivers.QUANTITIES)
+    lines = []
+    for quantity, (symbol, meaning, needed) in DRIVERS.items():
+        place = drivers.place_of(quantity)
+        driver = drivers.Driver(quantity, 1 if place else 0)
+        lines.append((f"`{quantity}`", symbol, driver.unit, place or "whole arm", meaning, needed))
+    return _table(("driver", "symbol", "unit", "of a", "what it is", "columns it needs"), lines)
 
 
 def python_pages() -> str:
@@ -347,7 +396,10 @@ MADE: Mapping[str, Callable[[], str]] = {
     "commands": command_help,
     "fleet": fleet_table,
     "diagnoses": diagnoses_table,
+    "drivers": driver_table,
     "own_effect": own_effect,
+    "own_link_effect": lambda: own_effect(1),
+    "own_torque_effect": lambda: own_effect(2),
     "pose_effects": pose_effects,
     "python": python_pages,
     "recorded": recorded_table,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import chains, convert, frames
+from lite6jax.arms.frames import sample_joints as sample_joints
 from lite6jax.arms.inertia import defect
 from lite6jax.errors import InputError
 
@@ -238,15 +239,3 @@ class Arm:
         q = sample_joints(self.dof)
         links, after = frames.links_from_dh(self.dh)
         return float(np.abs(frames.chain(links, q) @ after - frames.chain(self.links, q)).max())
-
-
-def sample_joints(dof: int, count: int = 64) -> Array:
-    """(count, dof) rad, or m: joint positions that fill +-pi evenly and do not depend on random numbers.
-
-    The additive recurrence of the generalised golden ratio (M. Roberts, 2018).
-    """
-    ratio = 2.0
-    for _ in range(60):
-        ratio = (1 + ratio) ** (1 / (dof + 1))
-    steps = ratio ** -np.arange(1.0, dof + 1)
-    return 2 * np.pi * (np.outer(np.arange(1, count + 1), steps) % 1.0) - np.pi

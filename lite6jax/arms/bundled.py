@@ -24,8 +24,8 @@ def bundled_arms() -> tuple[str, ...]:
 
 
 def maker_of(name: str) -> str:
-    """Who makes the bundled arm of this name."""
-    return next(maker for start, maker in _MAKERS.items() if name.startswith(start))
+    """Who makes the bundled arm of this name; empty of any other arm."""
+    return next((maker for start, maker in _MAKERS.items() if name in bundled_arms() and name.startswith(start)), "")
 
 
 def bundled_of(joints: int) -> list[Arm]:

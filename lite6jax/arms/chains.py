@@ -17,6 +17,8 @@ from lite6jax.errors import InputError
 PARALLEL_WITHIN = np.deg2rad(5.0)
 """rad; neighbouring axes within this angle of the nominal geometry count as parallel. Assembly tolerances are far
 smaller."""
+_STEEP = np.cos(np.deg2rad(60.0))
+"""Of joint 1's axis along the base's z, as an arm on a table has it; below that another axis of the base is nearer."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +95,19 @@ class SixParameterForm:
 class HayatiForm:
     """The minimal chain: a base, then standard DH, with Hayati's beta where neighbouring axes are parallel.
 
-    T = Base ∏ Aᵢ, Base = Trans(x, y, 0) Ry(pitch) Rx(roll), Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
+    T = Base ∏ Aᵢ with Base = Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) P and
+    Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
     for a joint in `parallel` d is zero and Ry(betaᵢ) follows (S. Hayati, CDC 1983). Flange poses identify
     all 4 n + 4 parameters (28 for six joints): 4 for each joint's axis and 4 for the flange on the last one. A flange
     frame that is free in all six coordinates, a general tool, adds two: 4 n + 6 = 30, the full model.
 
+    The base neither moves along nor turns about its axis `first_axis`, that nearest to joint 1's: d and theta_off of
+    joint 1 do. P only renames axes, so that z is that one. Of an arm on a table it is the identity, and the base has
+    x, y, roll and pitch; where joint 1's axis is horizontal, along the base's y, it has x, z, roll and yaw.
+
     Of a prismatic joint the direction matters and the position does not, so that R revolute and P prismatic joints have
     4 R + 2 P + 4 parameters (L. Everett, M. Driels, B. Mooring, ICRA 1987). Its axis is drawn through the origin of the
     frame before it (S. Hayati, M. Mirmirani, J. Robotic Systems 2(4), 1985). In all generality
-    Base = Trans(x, y, 0) Rz(yaw) Ry(pitch) Rx(roll) and
     Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Ty(bᵢ) Rx(alphaᵢ) Ry(betaᵢ), with Rz(theta_offᵢ) Tz(dᵢ + qᵢ) for a prismatic
     joint i, and zero what is not in `names`:
 
@@ -113,21 +119,24 @@ class HayatiForm:
     | the flange, i revolute | theta_off d a alpha | |
     | the flange, i prismatic | theta_off d a b | |
 
-    The base leads to joint 1: x y roll pitch to a revolute one, yaw roll to a prismatic one, and roll pitch where that
-    is parallel to the base's z.
+    The base leads to joint 1: as above to a revolute one, yaw roll to a prismatic one, and roll pitch where that is
+    parallel to the base's z.
 
     Attributes:
         dof: number of joints.
         parallel: the joints, counted from 0, whose axis is nominally parallel to the next one's; -1 where the axis of
             a prismatic first joint is to the base's z.
         sliding: the prismatic joints, counted from 0.
+        first_axis: the axis of the base, x y z counted from 0, along which joint 1's is drawn; z of a prismatic one.
     """
 
     dof: int
     parallel: tuple[int, ...] = ()
     sliding: tuple[int, ...] = ()
+    first_axis: int = Z
 
     def __post_init__(self) -> None:
+        _require_joints((self.first_axis,), "first_axis", Z if 0 in self.sliding else X, Z)
         _require_joints(self.sliding, "sliding", 0, self.dof - 1)
         _require_joints(self.parallel, "parallel", -1 if 0 in self.sliding else 0, self.dof - 2)
 
@@ -139,14 +148,22 @@ class HayatiForm:
     @property
     def base_size(self) -> int:
         """How many parameters `apply_base` takes."""
-        return 5 if self.sliding else 4
+        return len(BASE) if self.sliding else 4
+
+    @property
+    def T_axes(self) -> np.ndarray:
+        """(4, 4) P: the rotation that makes `first_axis` z."""
+        P = np.eye(4)
+        P[:3, :3] = np.roll(np.eye(3), self.first_axis - Z, 0)
+        return P
 
     def of_link(self, joint: int) -> tuple[str, ...]:
         """The parameters of the link after a joint counted from 0, in order of application; of -1, of the base."""
         last, slides, parallel = joint == self.dof - 1, joint in self.sliding, joint in self.parallel
         if joint == -1:
             if 0 not in self.sliding:
-                return "x", "y", "pitch", "roll"
+                along, about = "xyz"[self.first_axis], ("roll", "pitch", "yaw")[self.first_axis]
+                return tuple(name for name in BASE if name not in (along, about))
             return ("pitch", "roll") if parallel else ("yaw", "roll")
         if joint + 1 in self.sliding:
             return ("alpha", "beta") if parallel else ("theta_off", "alpha")
@@ -167,26 +184,24 @@ class HayatiForm:
             if name in self.of_link(i)
         ]
         betas = [f"beta{i + 1}" for i in self.parallel if i >= 0]
-        return (*(f"base_{name}" for name in ("x", "y", "yaw", "roll", "pitch") if name in base), *links, *betas)
+        return (*(f"base_{name}" for name in ("x", "y", "z", "yaw", "roll", "pitch") if name in base), *links, *betas)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
         return tuple(
-            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "d", "a", "b") else "rad" for name in self.names
+            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "base_z", "d", "a", "b") else "rad"
+            for name in self.names
         )
 
     @cached_property
     def walking_order(self) -> np.ndarray:
-        """The places in `names` in order of application: base x, y, pitch, roll; each theta, d or beta, a, alpha.
+        """The places in `names` in order of application: of the base, then each theta, d or beta, a, alpha.
 
-        With prismatic joints: base x, y, yaw, pitch, roll; each theta, d, a, b, alpha, beta; `size` for what is zero.
+        With prismatic joints: `BASE`; each theta, d, a, b, alpha, beta; `size` for what is zero.
         """
-        if not self.sliding:
-            base, links = self.of_link(-1), [self.of_link(i) for i in range(self.dof)]
-        else:
-            base, links = BASE, [LINK] * self.dof
-        order = [f"base_{name}" for name in base]
+        links = [LINK] * self.dof if self.sliding else [self.of_link(i) for i in range(self.dof)]
+        order = [f"base_{name}" for name in self._applied_base]
         order += [f"{name}{i + 1}" for i, link in enumerate(links) for name in link]
         return np.array([self.names.index(name) if name in self.names else self.size for name in order])
 
@@ -197,14 +212,22 @@ class HayatiForm:
 
     def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame after the base transformation, and the twists of the base parameters."""
-        x, y, *yaw, pitch, roll = values
-        twists = [Twist(frame.x, None), Twist(frame.y, None)]
-        frame = translate(translate(frame, X, x), Y, y)
-        for axis, angle in ((Z, yaw), (Y, [pitch]), (X, [roll])):
-            for by in angle:
+        twists = []
+        for name, by in zip(self._applied_base, values, strict=True):
+            if name in "xyz":
+                axis = "xyz".index(name)
+                twists.append(Twist(frame[axis], None))
+                frame = translate(frame, axis, by)
+            else:
+                axis = ("roll", "pitch", "yaw").index(name)
                 twists.append(rotation_twist(frame, axis))
                 frame = rotate(frame, axis, turn(by))
-        return frame, tuple(twists)
+        x, y, z = (frame[(self.first_axis + i) % 3] for i in (1, 2, 3))
+        return Frame(x, y, z, frame.origin), tuple(twists)
+
+    @property
+    def _applied_base(self) -> tuple[str, ...]:
+        return BASE if self.sliding else self.of_link(-1)
 
     def step(
         self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
@@ -239,7 +262,9 @@ class HayatiForm:
         return frame, (about_z, d_or_beta, along_x, about_x)
 
     def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
-        """Parameters `(size,)` from base (x, y, roll, pitch), DH table `(joint, 4)` and one beta per parallel joint.
+        """Parameters `(size,)` from the base `(4,)`, DH table `(joint, 4)` and one beta per parallel joint.
+
+        The base is in the order of `names`: x, y, roll, pitch where joint 1's axis is along z.
 
         Raises:
             InputError: a wrong shape, a non-zero d at a parallel joint, or a form with prismatic joints.
@@ -270,14 +295,14 @@ class HayatiForm:
         return parameters[:4], dh, parameters[end:]
 
     def gather(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
-        """Parameters `(size,)` from those of the base `(5,)`, `BASE`, and of the links `(joint, 6)`, `LINK`.
+        """Parameters `(size,)` from those of the base `(6,)`, `BASE`, and of the links `(joint, 6)`, `LINK`.
 
         Raises:
             InputError: a wrong shape, or a number that is not zero where the form has no parameter.
         """
         base, links = np.asarray(base, float), np.asarray(links, float)
-        if base.shape != (5,) or links.shape != (self.dof, 6):
-            raise InputError(f"base {base.shape}, links {links.shape}: this form takes (5,) and ({self.dof}, 6)")
+        if base.shape != (len(BASE),) or links.shape != (self.dof, 6):
+            raise InputError(f"base {base.shape}, links {links.shape}: this form takes (6,) and ({self.dof}, 6)")
         given = dict(zip((f"base_{name}" for name in BASE), base, strict=True))
         given |= {f"{name}{i + 1}": link[k] for i, link in enumerate(links) for k, name in enumerate(LINK)}
         for name, value in given.items():
@@ -286,7 +311,7 @@ class HayatiForm:
         return np.array([given[name] for name in self.names])
 
     def spread(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of `gather`: base `(5,)` and links `(joint, 6)`, zero where the form has no parameter."""
+        """The inverse of `gather`: base `(6,)` and links `(joint, 6)`, zero where the form has no parameter."""
         given = dict(zip(self.names, self._checked(parameters), strict=True))
         links = [[given.get(f"{name}{i + 1}", 0.0) for name in LINK] for i in range(self.dof)]
         return np.array([given.get(f"base_{name}", 0.0) for name in BASE]), np.array(links)
@@ -302,7 +327,7 @@ class HayatiForm:
             raise InputError("a DH table has no place for the link after a prismatic joint; use gather and spread")
 
 
-BASE = ("x", "y", "yaw", "pitch", "roll")
+BASE = ("x", "y", "z", "yaw", "pitch", "roll")
 """The parameters of any base, in order of application."""
 LINK = ("theta_off", "d", "a", "b", "alpha", "beta")
 """The parameters of any link, in order of application."""
@@ -351,10 +376,11 @@ def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hayati_form_of(kinematics: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> HayatiForm:
-    """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the angles between neighbouring axes."""
+    """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the directions of its axes."""
     _, directions = joint_axes(kinematics)
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
     parallel = tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN)))
     if 0 in sliding and np.hypot(*directions[0, :2]) < np.sin(PARALLEL_WITHIN):
         parallel = (-1, *parallel)
-    return HayatiForm(len(directions), parallel, sliding)
+    lies = 0 not in sliding and abs(directions[0, Z]) < _STEEP
+    return HayatiForm(len(directions), parallel, sliding, int(np.argmax(np.abs(directions[0, :2]))) if lies else Z)

@@ -15,8 +15,6 @@ from lite6jax.arms.se3 import rotation_from_rpy, rpy_from_rotation, transform
 from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.errors import InputError
 
-_AXIS_1_UPRIGHT = np.cos(np.deg2rad(85.0))
-
 
 def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: ArrayLike | None = None) -> np.ndarray:
     """The Hayati parameters of a six-parameter chain.
@@ -34,9 +32,8 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
         `(size,)` or `(arm, size)`, in the order of `form.names`.
 
     Raises:
-        InputError: joint 1 is revolute and its axis nearly horizontal in the base frame, so that it does not intersect
-            its x-y plane;
-            axes that are parallel in the form are not in the chain, or the reverse; or parallel axes coincide.
+        InputError: joint 1 is revolute and its axis at right angles to the base's axis `form.first_axis`; axes that are
+            parallel in the form are not in the chain, or the reverse; or parallel axes coincide.
     """
     kinematics = np.asarray(kinematics, float)
     if kinematics.shape[-2:] != (form.dof, 6):
@@ -67,8 +64,8 @@ def _require_regular(form: HayatiForm, regularity: list[np.ndarray], alone: bool
             raise InputError(("" if alone else f"kinematics[{np.flatnonzero(irregular)[0]}]: ") + message)
 
     refuse(
-        np.abs(upright) < _AXIS_1_UPRIGHT,
-        "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
+        np.abs(upright) < convert_sliding.UPRIGHT,
+        convert_sliding.ACROSS.format("xyz"[form.first_axis]),
     )
     for i in range(form.dof - 1):
         pair = f"joints {i + 1} and {i + 2}: their axes"
@@ -85,8 +82,8 @@ def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Arr
 
     Two frames advance joint by joint: that of the six-parameter chain, whose z is the next joint's axis, and the DH
     frame, which moves to that axis along the common normal. The last axis of the arrays is the arm. The second result
-    holds the cosine between joint 1's axis and the base's z `(arm,)`, and for each pair of neighbouring axes the sine
-    of their angle and the distance of the next joint's origin from the first axis, `(pair, arm)`.
+    holds the cosine between joint 1's axis and the base's `first_axis` `(arm,)`, and for each pair of neighbouring axes
+    the sine of their angle and the distance of the next joint's origin from the first axis, `(pair, arm)`.
     """
 
     def to_joint(frame: Frame, row: Array) -> Frame:
@@ -123,11 +120,12 @@ def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Arr
 
     base = base_frame(jnp.eye(4), kinematics.shape[-1])
     joint = to_joint(base, kinematics[0])
-    foot = joint.origin - joint.origin[2] / joint.z[2] * joint.z
-    roll, pitch = -jnp.arcsin(joint.z[1]), jnp.arctan2(joint.z[0], joint.z[2])
-    dh = rotate(rotate(translate(translate(base, X, foot[0]), Y, foot[1]), Y, turn(pitch)), X, turn(roll))
+    upright = joint.z[form.first_axis]
+    foot = joint.origin - joint.origin[form.first_axis] / upright * joint.z
+    given = dict(zip("xyz", foot, strict=True)) | convert_sliding.base_turns(form.first_axis, joint.z, jnp)
+    of_base = [given[name] for name in form.of_link(-1)]
+    dh, _ = form.apply_base(base, jnp.stack(of_base))
     flags = jnp.asarray(form.flags)
-    upright = joint.z[2]
     (joint, dh), (links, sines, distances) = lax.scan(next_link, (joint, dh), (kinematics[1:], branch[:-1], flags[:-1]))
 
     theta = jnp.arctan2(jnp.sum(dh.y * joint.x, 0), jnp.sum(dh.x * joint.x, 0))
@@ -136,7 +134,7 @@ def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Arr
     links = jnp.concatenate([links, jnp.stack([_next_to(branch[-1, 0], theta), d, nothing, nothing, nothing])[None]])
     second = jnp.where(flags[:, None], links[:, 4], links[:, 1])  # d or beta
     applied = jnp.concatenate([
-        jnp.stack([foot[0], foot[1], pitch, roll]),
+        jnp.stack(of_base),
         jnp.stack([links[:, 0], second, links[:, 2], links[:, 3]], 1).reshape(-1, links.shape[-1]),
     ])  # fmt: skip
     return applied[np.argsort(form.walking_order)], (upright, sines, distances)
@@ -173,8 +171,8 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
         kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha, or a and b: a
         six-parameter chain ends at the last joint and does not contain them.
     """
-    (x, y, yaw, pitch, roll), links = form.spread(parameters)
-    origin = transform(rotation_from_rpy(np.array([roll, pitch, yaw])), np.array([x, y, 0.0]))
+    (x, y, z, yaw, pitch, roll), links = form.spread(parameters)
+    origin = transform(rotation_from_rpy(np.array([roll, pitch, yaw])), np.array([x, y, z])) @ form.T_axes
     rows = []
     for theta, d, a, b, alpha, tilt in links:
         origin = origin @ _link(*map(jnp.asarray, (theta, d, 0.0, 0.0, 0.0)))

@@ -1,15 +1,20 @@
 """Closed-form conversion of six-parameter chains with prismatic joints to Hayati chains; `HayatiForm` has the rules."""
 
+from types import ModuleType
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.chains import BASE, LINK, HayatiForm
+from lite6jax.arms.entries import SIX
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
-_UPRIGHT = np.cos(np.deg2rad(85.0))
+UPRIGHT = np.cos(np.deg2rad(85.0))
+ACROSS = "joint 1: its axis is at right angles to the base's {}, along which this form draws it; check the arm's model"
 _QUARTER = np.sin(np.pi / 6)
 
 
@@ -17,8 +22,8 @@ def parameters(form: HayatiForm, arms: Array, nominal: Array | None) -> Array:
     """(arm, size) the Hayati parameters of chains (arm, joint, 6), m and rad, on the branch of `nominal` (size,).
 
     Raises:
-        InputError: joint 1 is revolute and its axis nearly horizontal in the base frame; or axes are parallel that the
-            form does not take for such, or the reverse.
+        InputError: joint 1 is revolute and its axis at right angles to the base's axis `form.first_axis`; or axes are
+            parallel that the form does not take for such, or the reverse.
     """
     branch = None if nominal is None else form.spread(nominal)
     found = []
@@ -31,8 +36,8 @@ def parameters(form: HayatiForm, arms: Array, nominal: Array | None) -> Array:
 
 
 def _of_chain(form: HayatiForm, chain: Array, branch: tuple[Array, Array] | None) -> tuple[Array, Array]:
-    """The base (5,) and the links (joint, 6) of one chain."""
-    near = (np.zeros(5), np.zeros((form.dof, 6))) if branch is None else branch
+    """The base (6,) and the links (joint, 6) of one chain."""
+    near = (np.zeros(len(BASE)), np.zeros((form.dof, 6))) if branch is None else branch
     joints = []
     T = np.eye(4)
     for row in chain:
@@ -59,19 +64,26 @@ def _base(form: HayatiForm, joint: Array, near: dict[str, float]) -> tuple[dict[
     """The base's parameters by name, and the frame that they lead to."""
     u = joint[:3, 2]
     names = form.of_link(-1)
-    if "yaw" in names:
+    if 0 in form.sliding and "yaw" in names:
         yaw, roll = _turns(u, near["yaw"])
         return {"yaw": yaw, "roll": roll}, frames.transform_from_row([0, 0, 0, roll, 0, yaw])
-    given = {"roll": -float(np.arcsin(u[1])), "pitch": float(np.arctan2(u[0], u[2]))}
-    if "x" in names:
-        if abs(u[2]) < _UPRIGHT:
-            raise InputError(
-                "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis"
-            )
-        foot = joint[:3, 3] - joint[2, 3] / u[2] * u
-        given |= {"x": float(foot[0]), "y": float(foot[1])}
-    row = [given.get("x", 0.0), given.get("y", 0.0), 0, given["roll"], given["pitch"], 0]
-    return given, frames.transform_from_row(row)
+    k = form.first_axis
+    given = {name: float(angle) for name, angle in base_turns(k, u, np).items()}
+    if 0 not in form.sliding:
+        if abs(u[k]) < UPRIGHT:
+            raise InputError(ACROSS.format("xyz"[k]))
+        foot = joint[:3, 3] - joint[k, 3] / u[k] * u
+        given |= {name: float(foot["xyz".index(name)]) for name in names if name in "xyz"}
+    return given, frames.transform_from_row([given.get(name, 0.0) for name in SIX]) @ form.T_axes
+
+
+def base_turns(first_axis: int, u: Any, of: ModuleType) -> dict[str, Any]:
+    """The two angles of the base whose axis `first_axis` then points along `u`; `of` is numpy or jax.numpy."""
+    if first_axis == 0:  # Rz(yaw) Ry(pitch)
+        return {"yaw": of.arctan2(u[1], u[0]), "pitch": -of.arcsin(u[2])}
+    if first_axis == 1:  # Rz(yaw) Rx(roll)
+        return {"yaw": of.arctan2(-u[0], u[1]), "roll": of.arcsin(u[2])}
+    return {"pitch": of.arctan2(u[0], u[2]), "roll": -of.arcsin(u[1])}  # Ry(pitch) Rx(roll)
 
 
 def _link(form: HayatiForm, i: int, T: Array, near: dict[str, float]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
-OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "flange", "source")
+OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "convention", "flange", "source")
 
 
 class Drive(NamedTuple):
@@ -67,14 +67,18 @@ def read_description(path: str | Path) -> Arm:
     source: where the numbers are from
     ```
 
-    `name` and `kinematics` are required. A joint with `type: prismatic` beside its x … yaw moves along its z; the
-    limits are then `joint_limits`, in m for prismatic joints and rad for others, and in `dynamics` its keys are
-    `viscous_N_s_per_m`, `coulomb_N`, `rotor_mass_kg`, `stiffness_N_per_m` and `rest_m`, the rotor's mass being its
-    inertia times the square of its turns per metre, rad²/m². A link's centre of mass is in the frame after its joint's
-    motion; its
-    inertia (ixx iyy izz ixy ixz iyz, the products with the tensor's sign) is about the centre of mass in that frame's
-    axes, and given for all links or none. Friction, rotor inertia, reflected to the joint, and springs are zero where
-    only another joint has them. `flange` may also be three rows of four numbers.
+    `name` and `kinematics` are required; where `kinematics` is not given, the chain is that of `dh`, standard or with
+    `convention: modified` Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d).
+
+    A joint with `type: prismatic` beside its x … yaw moves along its z; the limits are then `joint_limits`, in m for
+    prismatic joints and rad for others, and in `dynamics` its keys are `viscous_N_s_per_m`, `coulomb_N`,
+    `rotor_mass_kg`, `stiffness_N_per_m` and `rest_m`, the rotor's mass being its inertia times the square of its turns
+    per metre, rad²/m².
+
+    A link's centre of mass is in the frame after its joint's motion; its inertia (ixx iyy izz ixy ixz iyz, the products
+    with the tensor's sign) is about the centre of mass in that frame's axes, and given for all links or none. Friction,
+    rotor inertia, reflected to the joint, and springs are zero where only another joint has them. `flange` may also be
+    three rows of four numbers.
 
     Raises:
         InputError: as `storage.read_yaml`; a key missing or unknown, a value that is not a number, degrees for radians,
@@ -85,14 +89,23 @@ def read_description(path: str | Path) -> Arm:
 
 def arm_from_description(content: Any, where: str) -> Arm:
     """The arm of a parsed description `content`; `where` begins its messages. Raises as `read_description`."""
-    content = entries.mapping(content, f"{where}:", ("name", "kinematics"), OPTIONAL)
+    by_table = isinstance(content, Mapping) and "dh" in content and "kinematics" not in content
+    chain = "dh" if by_table else "kinematics"
+    content = entries.mapping(content, f"{where}:", ("name", chain), tuple(key for key in OPTIONAL if key != chain))
     for key in ("name", "source"):
         if not isinstance(content.get(key, ""), str):
             raise InputError(f"{where}: {key} is {content[key]!r}, which is not text; put it in quotes")
-    table, sliding = entries.sliding(content["kinematics"], where)
-    kinematics, _ = entries.kinematics(table, where)
-    joints = len(kinematics)
-    fields: dict[str, Any] = {"sliding": sliding}
+    convention = entries.convention(content.get("convention"), f"{where}: convention") or entries.STANDARD
+    if by_table:
+        kinematics, fields = _of_table(content["dh"], convention, where)
+        sliding, joints = (), len(kinematics)
+    else:
+        table, sliding = entries.sliding(content["kinematics"], where)
+        kinematics, _ = entries.kinematics(table, where)
+        joints = len(kinematics)
+        fields: dict[str, Any] = {"sliding": sliding}
+        if convention == entries.MODIFIED:
+            raise InputError(f"{where}: convention is modified, and dh beside kinematics is standard; leave dh out")
     for key in ("joint_limits_rad", "joint_limits"):
         if key in content:
             fields["joint_limits"] = _limits(content, key, where, joints, sliding)
@@ -100,10 +113,10 @@ def arm_from_description(content: Any, where: str) -> Arm:
         fields["mass"], fields["center_of_mass"], fields["inertia"] = _inertial(content["inertial"], where, joints)
     if "dynamics" in content:
         fields |= _dynamics(content["dynamics"], where, joints, sliding)
-    if "dh" in content:
+    if "dh" in content and not by_table:
         fields["dh"] = _dh(content["dh"], where, joints)
     if "flange" in content:
-        fields["T_joint_flange"] = _flange(content["flange"], where)
+        fields["T_joint_flange"] = fields.get("T_joint_flange", np.eye(4)) @ _flange(content["flange"], where)
     try:
         return Arm(content["name"], kinematics, source=content.get("source", ""), **fields)
     except InputError as error:
@@ -194,6 +207,23 @@ def _dh(value: Any, where: str, joints: int) -> NDArray[np.float64]:
         row = entries.mapping(table[f"joint{i + 1}"], place, DH)
         rows.append([entries.number(row[key], f"{place}: {key}") for key in DH])
     return np.array(rows)
+
+
+def _of_table(value: Any, convention: str, where: str) -> tuple[NDArray[np.floating], dict[str, Any]]:
+    """The chain of a DH table, and the fields of `Arm` that follow from it."""
+    dh = _dh(value, where, len(value) if isinstance(value, Mapping) and value else 1)
+    links, after = frames.links_from_dh(dh, convention)
+    if not entries.within_reach(links):
+        raise InputError(
+            f"{where}: dh leads the flange farther than {entries.LENGTH_LIMIT:g} m from the base, so it seems to be in"
+            " millimetres or degrees; write metres and radians"
+        )
+    if np.abs(links[:, :3, 3]).max() > entries.LENGTH_LIMIT:
+        links = frames.aligned(links)
+    fields: dict[str, Any] = {} if np.array_equal(after, np.eye(4)) else {"T_joint_flange": after}
+    if convention == entries.STANDARD and not fields:
+        fields["dh"] = dh
+    return np.array([frames.row_from_transform(link) for link in links]), fields
 
 
 def _flange(value: Any, where: str) -> NDArray[np.floating]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms import frames
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -18,6 +19,11 @@ UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"
 
 TYPES = ("revolute", "prismatic")
 """What the joints of a description can be; the first where nothing is said."""
+
+STANDARD, MODIFIED = "standard", "modified"
+_CONVENTIONS = {STANDARD: STANDARD, "dh": STANDARD, "sdh": STANDARD, "distal": STANDARD} | dict.fromkeys(
+    (MODIFIED, "mdh", "craig", "proximal"), MODIFIED
+)
 
 # m and rad; larger values are in millimetres or degrees.
 LENGTH_LIMIT = 10.0
@@ -90,6 +96,12 @@ def six_numbers(value: Any, where: str) -> list[float]:
         InputError: as `mapping` and `number`; an angle beyond a full turn (degrees?), a length of over 10 m
             (millimetres?).
     """
+    row = _six(value, where)
+    _require_short(row, where)
+    return row
+
+
+def _six(value: Any, where: str) -> list[float]:
     entry = mapping(value, where, SIX)
     row = [number(entry[key], f"{where}: {key}") for key in SIX]
     for key, angle in zip(SIX[3:], row[3:], strict=True):
@@ -98,13 +110,39 @@ def six_numbers(value: Any, where: str) -> list[float]:
                 f"{where}: {key} is {angle:g}, more than a full turn, so it seems to be in degrees;"
                 f" write radians ({math.radians(angle):.6g})"
             )
+    return row
+
+
+def _require_short(row: Sequence[float], where: str) -> None:
     for key, length in zip(SIX[:3], row[:3], strict=True):
         if abs(length) > LENGTH_LIMIT:
             raise InputError(
                 f"{where}: {key} is {length:g}, longer than any arm's link, so it seems to be in millimetres;"
                 f" write metres ({length / 1000:.6g})"
             )
-    return row
+
+
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
+def within_reach(links: Array, limit: float = LENGTH_LIMIT) -> bool:
+    """Whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base: single long links may cancel.
+
+    They do along axes that are nearly parallel, whose common normal is far away.
+    """
+    flange = frames.chain(links, frames.sample_joints(len(links)))[:, :3, 3]
+    return bool(np.linalg.norm(flange, axis=1).max() <= limit)
+
+
+def convention(value: Any, where: str) -> str | None:
+    """The convention of a DH table, `STANDARD` or `MODIFIED` by any of its names; None where none is given.
+
+    Raises:
+        InputError: another word.
+    """
+    if value is None:
+        return None
+    if str(value).lower() not in _CONVENTIONS:
+        raise InputError(f"{where} is {str(value)[:40]!r}; write {STANDARD} or {MODIFIED} (Craig's)")
+    return _CONVENTIONS[str(value).lower()]
 
 
 def sliding(value: Any, where: str) -> tuple[Any, tuple[int, ...]]:
@@ -155,8 +193,14 @@ def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
     for joint, name in zip(joints, names, strict=True):
         if joint not in keys:
             raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")
-    rows = [six_numbers(keys[joint], f"{where}: {name}") for joint, name in zip(joints, names, strict=True)]
-    return np.array(rows), names
+    places = [f"{where}: {name}" for name in names]
+    rows = np.array([_six(keys[joint], place) for joint, place in zip(joints, places, strict=True)])
+    if np.abs(rows[:, :3]).max() > LENGTH_LIMIT and not within_reach(
+        np.array([frames.transform_from_row(row) for row in rows])
+    ):
+        for row, place in zip(rows, places, strict=True):
+            _require_short(row.tolist(), place)
+    return rows, names
 
 
 def yaml_number(value: float) -> str:

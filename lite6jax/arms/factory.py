@@ -1,5 +1,6 @@
-"""Factory calibrations: the six-parameter file of an individual arm, and the recognition of its model."""
+"""Factory calibrations: the file of an individual arm's geometry, and the recognition of its model."""
 
+import configparser
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,17 +13,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import storage
 from lite6jax.arms import convert, entries, frames
-from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.bundled import bundled_of
-from lite6jax.arms.table import read_table
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_of, maker_of
+from lite6jax.arms.table import SIZE_LIMIT, is_table, read_table
 from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
 
+DEVIATIONS = ".conf"
+"""The suffix of the file in which controllers of Universal Robots keep how an arm deviates from its DH table."""
+
 # m; a calibration within this RMS distance of a model is recognised as that model, of several as the nearest. A real
 # xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.
 RECOGNISED_WITHIN = 0.05
+
+# Deviations fit models alike whose distances differ by less than this factor, and than a millimetre.
+_ALIKE = 1.5
+_ALIKE_WITHIN = 1e-3
+
+REACH_LIMIT = 100.0
+"""m; far beyond any arm."""
 
 MOST_JOINTS = 99
 """The names of more have another form."""
@@ -49,8 +60,8 @@ class FactoryCalibration:
 
 
 def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
-    """A factory calibration: YAML in the vendor's form (`joint1`, …) or Universal Robots' (`shoulder`, …), or the JSON
-    table of Hayati parameters.
+    """A factory calibration: YAML in the vendor's form (`joint1`, …) or Universal Robots' (`shoulder`, …), the JSON
+    table of DH parameters, or `calibration.conf` of a controller of Universal Robots.
 
     Args:
         path: the file.
@@ -58,20 +69,26 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
             joints, or prismatic ones.
 
     Warns:
-        InputWarning: the chain is taken as its own nominal arm.
+        InputWarning: the chain is taken as its own nominal arm; a table does not say its convention; or the deviations
+            of `calibration.conf` fit two models alike, of which one is assumed.
 
     Raises:
         InputError: not such a file; joints or keys missing or unknown; a value that is not a number; degrees for
-            radians, millimetres for metres; a joint rotated by 180 deg; no `arm` given and no bundled arm near. The
-            line names the file, the joint and the remedy.
+            radians, millimetres for metres; a joint rotated by 180 deg; no `arm` given and no bundled arm near; or a
+            table that fits in another convention. The line names the file, the joint and the remedy.
     """
-    if Path(path).suffix.lower() != ".json":
-        return factory_from(storage.read_yaml(path), path, arm)
+    suffix = Path(path).suffix.lower()
+    if suffix == DEVIATIONS:
+        return _of_deviations(path, arm)
+    if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
+        return factory_from(content, path, arm)
     table = read_table(path)
     chain = convert.hayati_to_six_parameter(table.form, table.parameters)
     kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
+    if table.convention is None:
+        _require_standard(kinematics, T_joint_flange, path, arm)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
-    return _recognised(kinematics, names, T_joint_flange, table.form.sliding, path, arm)
+    return _placed(_recognised(kinematics, names, T_joint_flange, table.form.sliding, path, arm))
 
 
 def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
@@ -87,7 +104,38 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
     """
     content = entries.mapping(content, f"{path}:", ("kinematics",))
     kinematics, names = entries.kinematics(content["kinematics"], str(path))
-    return _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    found = _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    return _placed(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+
+
+def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Arm | None) -> None:
+    """Refuses a table that does not say its convention and fits in the other one; warns where nothing tells."""
+    candidates = bundled_of(len(kinematics)) if arm is None else [arm]
+    if not candidates:
+        warnings.warn(
+            f'{path}: does not say its convention; standard DH is assumed, write "convention": "modified" for Craig\'s',
+            InputWarning,
+            stacklevel=3,
+        )
+        return
+    if candidates[0].dof != len(kinematics) or candidates[0].sliding:
+        return
+    try:
+        other = read_table(path, entries.MODIFIED)
+    except InputError:
+        return
+    modified = convert.hayati_to_six_parameter(other.form, other.parameters)
+    as_standard, as_modified = (
+        _distances_to(candidates, _links(np.asarray(rows)), np.asarray(then))
+        for rows, then in ((kinematics, after), modified)
+    )
+    best = int(np.argmin(as_modified))
+    if as_standard.min() > RECOGNISED_WITHIN >= as_modified[best]:
+        raise InputError(
+            f"{path}: is {1e3 * as_standard.min():.0f} mm RMS from every arm as standard DH, and"
+            f" {1e3 * as_modified[best]:.1f} mm from a {candidates[best].name} as modified DH (Craig's); write"
+            ' "convention": "modified" into it'
+        )
 
 
 def _recognised(
@@ -114,6 +162,110 @@ def _recognised(
         raise InputError(f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with --arm")
     recognised = recognise(kinematics, names, str(path), arm, T_joint_flange)
     return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
+
+
+def _placed(found: FactoryCalibration) -> FactoryCalibration:
+    """The same chain with its frames where the nominal arm has them, along the joints' axes.
+
+    Raises:
+        InputError: lengths of no arm, by where the flange goes: single lengths cancel where axes are nearly parallel.
+    """
+    arm, links = found.arm, np.array([frames.transform_from_row(row) for row in found.kinematics])
+    own = arm.kinematics is found.kinematics or np.array_equal(arm.kinematics, found.kinematics)
+    if own and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
+        return found
+    if not entries.within_reach(links, REACH_LIMIT):
+        raise InputError(
+            f"{found.source}: its flange goes farther than {REACH_LIMIT:g} m from the base, farther than any"
+            " arm's; correct its lengths or their unit"
+        )
+    links = frames.aligned(links, None if own else arm.links)
+    kinematics = np.array([frames.row_from_transform(link) for link in links])
+    arm = Arm(arm.name, kinematics, sliding=arm.sliding, source=arm.source) if own else arm
+    return FactoryCalibration(kinematics, arm, found.T_joint_flange, found.source)
+
+
+def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
+    """The calibration in `calibration.conf`: deviations from the published DH table of a model that it does not name.
+
+    Those along and about nearly parallel axes cancel only with the links of the right length, which tells the sizes
+    apart; the two series of one size stay alike, and the newer is assumed.
+    """
+    deviations = _deviations(path)
+    if arm is not None:
+        known = [(arm, _published_dh(arm))]
+    else:
+        known = [(each, each.dh) for each in bundled_of(6) if maker_of(each.name) == "Universal Robots"]
+    chains = [(each, *frames.links_from_dh(dh + deviations)) for each, dh in known if dh is not None]
+    if not chains:
+        raise InputError(
+            f"{path}: deviates from the DH table of a model of Universal Robots, which {arm and arm.name} does not"
+            " have; name one with --arm"
+        )
+    distances = np.array([_distances_to([each], links, after)[0] for each, links, after in chains])
+    order = np.argsort(distances)
+    nearest = distances[order[0]]
+    chosen, *others = (chains[i] for i in order)
+    listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
+    if arm is not None and nearest > RECOGNISED_WITHIN:
+        raise InputError(
+            f"{path}: its deviations are not those of a {arm.name}: its flange would be {1e3 * nearest:.0f} mm RMS off"
+            " nominal; name another with --arm"
+        )
+    if arm is None:
+        alike = int(np.sum(distances <= max(_ALIKE * nearest, nearest + _ALIKE_WITHIN)))
+        if nearest > RECOGNISED_WITHIN or alike > 2:
+            raise InputError(
+                f"{path}: does not name its model, and its deviations do not tell it: the flange is off nominal by"
+                f" {', '.join(listed)} RMS; name it with --arm"
+            )
+        if alike == 2:
+            chosen, other = sorted((chosen, others[0]), key=lambda chain: chain[0].name, reverse=True)
+            warnings.warn(
+                f"{path}: does not name its model; its deviations fit {listed[0]} and {listed[1]} RMS alike, then"
+                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name --arm {other[0].name} if it is one",
+                InputWarning,
+                stacklevel=3,
+            )
+    model, links, after = chosen
+    kinematics = np.array([frames.row_from_transform(link) for link in links])
+    return _placed(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
+
+
+def _deviations(path: str | Path) -> Array:
+    """(6, 4) theta, d, a, alpha in rad and m, of `calibration.conf`."""
+    text = storage.read_text(path, SIZE_LIMIT)
+    parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=("#", ";"))
+    try:
+        parser.read_string(text)
+    except configparser.Error as error:
+        raise InputError(f"{path}: is no calibration.conf ({' '.join(str(error).split())}); correct it") from error
+    section = next((parser[name] for name in parser.sections() if "delta_theta" in parser[name]), None)
+    if section is None:
+        raise InputError(f"{path}: has no delta_theta; name the calibration.conf of a controller of Universal Robots")
+    columns = []
+    for key in ("delta_theta", "delta_d", "delta_a", "delta_alpha"):
+        if key not in section:
+            raise InputError(f"{path}: lacks {key}; read the file from the controller again")
+        values = [value.strip() for value in section[key].strip().strip("[]").split(",")]
+        columns.append(entries.numbers(values, f"{path}: {key}", 6))
+    if section.get("calibration_status", "").strip() == "0":
+        warnings.warn(
+            f"{path}: calibration_status is 0, not initialised: the controller does not use it",
+            InputWarning,
+            stacklevel=4,
+        )
+    return np.array(columns).T
+
+
+def _published_dh(arm: Arm) -> Array | None:
+    """The published DH table of an arm, or that which its chain has where this is no more than one."""
+    if arm.dof != 6 or arm.sliding:
+        return None
+    if arm.dh is not None:
+        return arm.dh
+    base, dh, beta = arm.form.unpack(arm.hayati)
+    return dh if np.abs([*base, *beta]).max() < 1e-6 else None
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
@@ -163,14 +315,13 @@ def recognise(
     Raises:
         InputError: a joint is rotated by 180 deg relative to the nearest arm; or no `arm` is given and none is near.
     """
-    q = sample_joints(len(kinematics))
-    links = np.stack([frames.transform_from_row(row) for row in kinematics])
+    q = frames.sample_joints(len(kinematics))
+    links = _links(kinematics)
     after = np.eye(4) if T_joint_flange is None else np.asarray(T_joint_flange, float)
     candidates = bundled_of(len(kinematics)) if arm is None else [arm]
     sliding = candidates[0].sliding
-    points = np.stack([_flange_points(near.links, near.T_joint_flange, q, sliding) for near in candidates])
-
-    distances = _distances(_flange_points(links, after @ candidates[0].T_joint_flange, q, sliding), points)
+    points = _nominal_points(candidates, q)
+    distances = _distances_to(candidates, links, after)
     nearest = int(np.argmin(distances))
     if distances[nearest] <= RECOGNISED_WITHIN:
         return candidates[nearest]
@@ -193,11 +344,65 @@ def recognise(
     )
 
 
-def _flange_points(links: Array, after: Array, q: Array, sliding: tuple[int, ...]) -> Array:
-    """(sample, 3, 3) the flange's origin and the points beside it, in the base frame."""
-    T = frames.chain(links, q, sliding) @ after
-    origin = T[:, :3, 3]
-    return np.stack([origin, origin + PROBE * T[:, :3, 0], origin + PROBE * T[:, :3, 1]], axis=1)
+@np.errstate(over="ignore", invalid="ignore")  # likewise
+def nearest_arms(kinematics: Array, arms: Sequence[Arm]) -> list[Arm | None]:
+    """The nearest arm of each of many chains; None where none is near enough, of which `recognise` says why.
+
+    Args:
+        kinematics: `(chain, joint, 6)` m and rad, of revolute joints.
+        arms: with as many of them.
+    """
+    q = frames.sample_joints(kinematics.shape[1])
+    own = _flange_points(_links(kinematics), arms[0].T_joint_flange, q)
+    distance = np.stack([_distances(points, own) for points in _nominal_points(arms, q)], 1)
+    best = np.argmin(np.where(np.isfinite(distance), distance, np.inf), 1)
+    return [arms[i] if row[i] <= RECOGNISED_WITHIN else None for row, i in zip(distance, best, strict=True)]
+
+
+def _distances_to(candidates: Sequence[Arm], links: Array, after: Array) -> Array:
+    """(candidate,) m, from a chain's flange to that of each arm, if what follows its last joint begins with `after`."""
+    q = frames.sample_joints(len(links))
+    own = _flange_points(links[None], after @ candidates[0].T_joint_flange, q, candidates[0].sliding)
+    return _distances(own, _nominal_points(candidates, q))
+
+
+def _nominal_points(arms: Sequence[Arm], q: Array) -> Array:
+    return np.concatenate([_flange_points(arm.links[None], arm.T_joint_flange, q, arm.sliding) for arm in arms])
+
+
+def _links(kinematics: Array) -> Array:
+    """(..., joint, 4, 4) of rows x y z roll pitch yaw."""
+    (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(kinematics[..., 3:]), -1, 0) for f in (np.cos, np.sin))
+    T = np.zeros((*kinematics.shape[:-1], 4, 4))
+    T[..., 0, 0], T[..., 0, 1], T[..., 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    T[..., 1, 0], T[..., 1, 1], T[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    T[..., 2, 0], T[..., 2, 1], T[..., 2, 2] = -sp, cp * sr, cp * cr
+    T[..., :3, 3] = kinematics[..., :3]
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def _flange_points(links: Array, after: Array, q: Array, sliding: tuple[int, ...] = ()) -> Array:
+    """(chain, sample, 3, 3) the flange's origin and two points beside it, in the base frame.
+
+    Args:
+        links: (chain, joint, 4, 4).
+        after: (4, 4), what follows the last joint.
+        q: (sample, joint) rad, and m of the prismatic joints in `sliding`.
+    """
+    # rows of every sample below each other, so that a link is one matrix product
+    T = np.broadcast_to(np.eye(4)[:3], (len(links), len(q), 3, 4))
+    for i in range(links.shape[1]):
+        T = (T.reshape(len(links), -1, 4) @ links[:, i]).reshape(T.shape)
+        if i in sliding:
+            T[..., 3] += q[:, i, None] * T[..., 2]
+            continue
+        x, y = T[..., 0].copy(), T[..., 1].copy()
+        c, s = np.cos(q[:, i])[:, None], np.sin(q[:, i])[:, None]
+        T[..., 0], T[..., 1] = c * x + s * y, c * y - s * x
+    T = (T.reshape(len(links), -1, 4) @ after).reshape(T.shape)
+    origin = T[..., 3]
+    return np.stack([origin, origin + PROBE * T[..., 0], origin + PROBE * T[..., 1]], 2)
 
 
 def _distances(points: Array, candidates: Array) -> Array:
@@ -219,10 +424,10 @@ def _half_turn(
                 turned = links.copy()
                 for joint, axis in zip(joints, axes, strict=True):
                     turned[joint] = turned[joint] @ _HALF_TURNS[axis]
-                distances = _distances(_flange_points(turned, after, q, sliding), candidates)
+                distances = _distances(_flange_points(turned[None], after, q, sliding), candidates)
                 model = int(np.argmin(distances))
                 found.append((float(distances[model]), joints, axes, model))
-        distance, joints, axes, model = min(found)
+        distance, joints, axes, model = min(found, key=lambda one: (round(one[0], 9), *one[1:]))  # of equals the first
         if distance <= RECOGNISED_WITHIN:
             return joints, axes, model, distance
     return None

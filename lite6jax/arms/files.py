@@ -9,9 +9,9 @@ from lite6jax.arms import entries
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.description import arm_from_description, read_description, write_arm
-from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.factory import DEVIATIONS, FactoryCalibration, read_factory, write_factory
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
-from lite6jax.arms.table import HayatiTable, read_table, write_table
+from lite6jax.arms.table import HayatiTable, is_table, read_table, write_table
 from lite6jax.arms.urdf import read_urdf, write_urdf
 from lite6jax.arms.urdf_tree import SIZE_LIMIT
 from lite6jax.errors import InputError
@@ -43,8 +43,8 @@ def read_arm(path_or_name: str | Path) -> Arm:
 
     - the name of a bundled arm (`lite6`);
     - a description: YAML with `name` and `kinematics`;
-    - a factory calibration, in YAML or as a JSON table: the calibrated chain as the nominal one, with the limits and
-      masses of the recognised bundled arm;
+    - a factory calibration, in YAML, as a JSON table or `calibration.conf`: the calibrated chain as the nominal one,
+      with the limits and masses of the recognised bundled arm;
     - a URDF or an MJCF file, by its root element; `robot.urdf#tool0` names the tip link, body or site where it has
       several, and `robot.urdf#torso:tool0` the base link or body too.
 
@@ -66,10 +66,10 @@ def read_arm(path_or_name: str | Path) -> Arm:
             f"{name}: holds measurements and describes no arm; name a description, URDF, MJCF or table, or what "
             "`lite6jax diagnose --out` or `lite6jax fit --out` makes of it"
         )
-    if path.suffix.lower() == ".json":
+    if path.suffix.lower() in (".json", DEVIATIONS):
         return calibrated_arm(read_factory(path))
     content = storage.read_yaml(path)
-    if isinstance(content, dict) and set(content) == {"kinematics"}:
+    if is_table(content) or (isinstance(content, dict) and set(content) == {"kinematics"}):
         return calibrated_arm(read_factory(path))
     return arm_from_description(content, str(path))
 

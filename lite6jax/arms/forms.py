@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import convert, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
-from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.factory import DEVIATIONS, FactoryCalibration, read_factory, write_factory
 from lite6jax.arms.files import (
     base_and_tip,
     calibrated_arm,
@@ -75,7 +75,7 @@ def convert_file(
     """Reads an arm in any form and writes it in another.
 
     Args:
-        source: a factory calibration, a JSON table, a URDF, MJCF, a description, or the name of a bundled arm.
+        source: a calibration or table, a URDF, MJCF, a description, or the name of a bundled arm.
         target: the file to write.
         form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
             the description of any other arm.
@@ -160,30 +160,35 @@ def export_file(
 
 
 def export_into(
-    arm: Arm,
+    arm: Arm | str | Path,
     robot: str | Path,
     target: str | Path,
     overwrite: bool = False,
     left_out: tuple[str, ...] = (),
     with_flange: bool = True,
+    nominal: Arm | None = None,
 ) -> Conversion:
     """As `write_into_urdf`, read back.
 
     Args:
-        arm: what it does not know stays as the file has it.
+        arm: what it does not know stays as the file has it; or the file that it is read from.
         robot: an existing URDF; `robot.urdf#tool0` names the tip link where it has several, `robot.urdf#torso:tool0`
             the base link too.
         target: the file to write.
         overwrite: whether the target may be replaced.
         left_out: what the arm itself has no place for, a phrase each.
         with_flange: whether what follows the last joint changes.
+        nominal: the nominal arm of a calibration; None for that of `robot`.
 
     Raises:
-        InputError: as `write_into_urdf`; a target of another suffix.
+        InputError: as `write_into_urdf` and the readers; a target of another suffix.
     """
     if Path(target).suffix.lower() not in SUFFIXES["urdf"]:
         raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
     file, base, tip = base_and_tip(str(robot))
+    if not isinstance(arm, Arm):
+        calibrated = is_calibration(arm)
+        arm, _ = _read(arm, (nominal or read_arm(robot)) if calibrated else nominal, calibrated)
     path, further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange)
     again = read_urdf(path, base, tip)
     written = arm if with_flange else replace(arm, T_joint_flange=again.T_joint_flange)
@@ -216,7 +221,7 @@ def is_calibration(path: str | Path) -> bool:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".yaml", ".yml"):
-        return suffix == ".json"
+        return suffix in (".json", DEVIATIONS)
     content = storage.read_yaml(path)
     return not (isinstance(content, dict) and "name" in content)
 

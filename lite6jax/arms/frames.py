@@ -112,6 +112,18 @@ def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()
     return T.reshape(*position.shape[:-1], 4, 4)
 
 
+def sample_joints(dof: int, count: int = 64) -> Array:
+    """(count, dof) rad, or m: joint positions that fill +-pi evenly and do not depend on random numbers.
+
+    The additive recurrence of the generalised golden ratio (M. Roberts, 2018).
+    """
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (dof + 1))
+    steps = ratio ** -np.arange(1.0, dof + 1)
+    return 2 * np.pi * (np.outer(np.arange(1, count + 1), steps) % 1.0) - np.pi
+
+
 def walk(
     links: Iterable[Array], joint_position: Array, sliding: tuple[int, ...] = (), start: Array | None = None
 ) -> Iterator[Array]:
@@ -140,17 +152,53 @@ def walk(
         yield T
 
 
-def links_from_dh(dh: ArrayLike) -> tuple[Array, Array]:
-    """The links of `chain` for a standard DH table, `A_i = Rz(q + theta_off) Tz(d) Tx(a) Rx(alpha)`.
+def links_from_dh(dh: ArrayLike, convention: str = "standard") -> tuple[Array, Array]:
+    """The links of `chain` for a DH table.
+
+    Standard: `A_i = Rz(q + theta_off) Tz(d) Tx(a) Rx(alpha)`. Modified (J. Craig, Introduction to Robotics, 1986):
+    `A_i = Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d)`, whose alpha and a precede the joint.
 
     Args:
         dh: (joint, 4) theta_off, d, a, alpha in rad and m.
+        convention: `standard` or `modified`.
 
     Returns:
         the links (joint, 4, 4), and the transform after the last joint (4, 4).
     """
     links, before = [], np.eye(4)
     for theta, d, a, alpha in np.asarray(dh, float):
-        links.append(before @ transform_from_row([0, 0, d, 0, 0, theta]))
-        before = transform_from_row([a, 0, 0, alpha, 0, 0])
+        across = transform_from_row([a, 0, 0, alpha, 0, 0])
+        along = transform_from_row([0, 0, d, 0, 0, theta])
+        links.append((across if convention == "modified" else before) @ along)
+        before = np.eye(4) if convention == "modified" else across
     return np.stack(links), before
+
+
+def aligned(links: Array, nominal: Array | None = None) -> Array:
+    """The same chain with each joint's frame, but the last one's, moved along and turned about the joint's own axis.
+
+    Where a frame stands on its axis is free. It goes where the nominal chain has it: standard DH of axes that are
+    nearly parallel puts it hundreds of metres away, and other tables elsewhere than a URDF.
+
+    Args:
+        links: (joint, 4, 4).
+        nominal: (joint, 4, 4) of the same joints; None for the point next to the frame before, without a turn.
+
+    Returns:
+        (joint, 4, 4) links of the same flange poses, to rounding of the largest length.
+    """
+    T = N = before = np.eye(4)
+    moved = []
+    for i, link in enumerate(links):
+        shift = np.eye(4)
+        near = (T @ before)[:3, 3]
+        T = T @ link
+        if nominal is not None:
+            N = N @ nominal[i]
+            near, turn = N[:3, 3], T[:3, :3].T @ N[:3, :3]
+            shift = transform_from_row([0, 0, 0, 0, 0, np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])])
+        shift[2, 3] = T[:3, 2] @ (near - T[:3, 3])
+        shift = shift if i < len(links) - 1 else np.eye(4)
+        moved.append(np.linalg.inv(before) @ link @ shift)
+        before = shift
+    return np.stack(moved)

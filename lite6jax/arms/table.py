@@ -1,4 +1,4 @@
-"""The JSON table of Hayati parameters, in millimetres and degrees, read and written without rounding errors.
+"""The JSON table of DH parameters, read and written without rounding errors.
 
 The numbers of the table are decimal and those of the program binary. Both conversions, by 1000 and by pi / 180, are
 done on decimals and rounded once, so that reading a table returns the floats that were written.
@@ -18,19 +18,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import checksum, storage
-from lite6jax.arms import entries
-from lite6jax.arms.chains import PARALLEL_WITHIN, HayatiForm
+from lite6jax.arms import convert, entries, frames
+from lite6jax.arms.chains import BASE, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.schema import RepeatedKeyError, unique_keys
 
 UNITS = "mm and deg"
+_MILLIMETRES, _METRES = ("mm", "millimetres", "millimeters"), ("m", "metres", "meters")
+_DEGREES, _RADIANS = ("deg", "degrees", "°"), ("rad", "radians")
 PRISMATIC = entries.TYPES[1]
 SIZE_LIMIT = 1 << 20
 
 FIT = ("result", "quality", "checked_position_rms_m")
 """Of the fit that a table is from: how it ended, whether it describes its data, its error on data not fitted."""
-LENGTH_LIMIT = 100.0
-"""m; far beyond any arm, but not beyond the common normal of axes that are nearly parallel."""
+LENGTH_LIMIT = 1e4
+"""m; beyond the common normal of any axes whose angle is known: what counts is where they lead the flange."""
 ANGLE_LIMIT = 4 * math.pi
 """rad; no table counts more turns than two."""
 
@@ -46,27 +48,39 @@ class HayatiTable:
     Attributes:
         form: the parameterisation.
         parameters: (size,) in the order of `form`, m and rad.
+        convention: `standard` or `modified`, as the table says; None where it does not and could be either.
     """
 
     form: HayatiForm
     parameters: NDArray[np.float64]
+    convention: str | None = entries.STANDARD
 
 
-def read_table(path: str | Path) -> HayatiTable:
+def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     """A table of the form
 
     ```json
     {"units": "mm and deg",
+     "convention": "standard",
      "base": {"x": 0.0, "y": 0.0, "z": 0.0, "roll": 0.0, "pitch": 0.0, "yaw": 0.0},
      "dh": [{"joint": 1, "theta_off": 0.0, "d": 243.3, "a": 0.0, "alpha": -90.0}],
      "beta_joint2": 0.0}
     ```
 
     with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
-    next (Hayati's form, with d zero). The base's z and yaw are zero, because d and theta_off of joint 1 represent them.
-    A row with `"type": "prismatic"` is of a prismatic joint; then rows have `b` where `HayatiForm` has, and the base's
-    yaw is not zero where such a joint is the first. A table that is from a fit may have `fit` with the keys `FIT`, and
-    one that was written here has a `checksum`.
+    next (Hayati's form, with d zero); `units` are mm or m and deg or rad. With `"convention": "modified"` the rows are
+    Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d) with the alpha and a before the joint, and there is no beta; the
+    result is the same chain in Hayati's form. YAML with the same keys is read too.
+
+    Of the base, all zero where not given, the shift along z and yaw are zero, because d and theta_off of joint 1
+    represent them; with `"first_axis": "y"` those along and about y, as `HayatiForm` has it. A row with
+    `"type": "prismatic"` is of a prismatic joint; then rows have `b` where `HayatiForm` has, and the base's yaw is not
+    zero where such a joint is the first. A table that is from a fit may have `fit` with the keys `FIT`, and one that
+    was written here has a `checksum`.
+
+    Args:
+        path: the file.
+        convention: in which it is read where it says none itself; standard where not given.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.
@@ -74,43 +88,94 @@ def read_table(path: str | Path) -> HayatiTable:
     Warns:
         InputWarning: the table was changed after it was written, or is from a fit that does not describe its data.
     """
-    content = _parse(storage.read_text(path, SIZE_LIMIT), path)
+    by_yaml = Path(path).suffix.lower() in (".yaml", ".yml")
+    text = json.dumps(storage.read_yaml(path), default=str) if by_yaml else storage.read_text(path, SIZE_LIMIT)
+    content = _parse(text, path)
     if "schema" in content:
         shown = command_line("report", path)
         raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `{shown}` shows them")
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
-    entries.mapping(content, f"{path}:", ("units", "base", "dh"), (*(betas or ("beta_joint2",)), "fit", checksum.KEY))
-    if content["units"] != UNITS:
-        raise InputError(f"{path}: units is {content['units']!r}; this table is in {UNITS!r} only, convert it")
-    base = entries.mapping(content["base"], f"{path}: base", entries.SIX)
+    further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit", checksum.KEY)
+    entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
+    read = _Units.of(content["units"], f"{path}: units")
     rows = content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
+    said = entries.convention(content.get("convention"), f"{path}: convention")
+    if betas and said == entries.MODIFIED:
+        raise InputError(f"{path}: {next(iter(betas))} is of standard DH, and convention says modified; keep one")
     sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == PRISMATIC)
-    for key in ("z", *(() if 0 in sliding else ("yaw",))):
-        if _decimal(base[key], f"{path}: base: {key}") != 0:
-            remedy = "add it to d of joint 1" if key == "z" else "add it to theta_off of joint 1"
-            raise InputError(f"{path}: base: {key} is not zero, which this form has no place for; {remedy}")
-    links = np.array([_dh_row(row, f"{path}: dh row {i + 1}", i + 1, bool(sliding)) for i, row in enumerate(rows)])
+    base, first = _base(content, path, 0 in sliding, read)
+    links = np.array([
+        _dh_row(row, f"{path}: dh row {i + 1}", i + 1, bool(sliding), read) for i, row in enumerate(rows)
+    ])  # fmt: skip
     for key, joint in betas.items():
         if joint >= len(rows):
-            raise InputError(f"{path}: {key} is for a joint that no other follows (there are {len(rows)}); remove it")
+            given = f"{len(rows)} row{'s' * (len(rows) != 1)}"
+            raise InputError(
+                f"{path}: {key} is for a joint that no other follows: dh has {given}; give one row per joint, or"
+                " remove it"
+            )
         if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
     parallel = tuple(sorted(joint - 1 for joint in betas.values()))
-    position = [_metres(base[key], f"{path}: base: {key}") for key in ("x", "y")]
-    yaw, pitch, roll = (_radians(base[key], f"{path}: base: {key}") for key in ("yaw", "pitch", "roll"))
-    links[list(parallel), 5] = [_radians(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
-    if 0 in sliding and np.cos(roll) * np.cos(pitch) > np.cos(PARALLEL_WITHIN):
-        parallel = (-1, *parallel)
-    form = HayatiForm(len(rows), parallel, sliding)
-    try:
-        parameters = form.gather([*position, yaw, pitch, roll], links)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    links[list(parallel), 5] = [
+        read.angle(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel
+    ]
+    if (said or convention) == entries.MODIFIED:
+        form, parameters = _of_modified(base, links, sliding, path)
+    else:
+        if 0 in sliding and np.cos(base[5]) * np.cos(base[4]) > np.cos(PARALLEL_WITHIN):
+            parallel = (-1, *parallel)
+        form = HayatiForm(len(rows), parallel, sliding, first)
+        try:
+            parameters = form.gather(base, links)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
     checksum.verify(content, path)
-    return HayatiTable(form, np.asarray(parameters, np.float64))
+    sure = betas or sliding or checksum.KEY in content  # what only the standard form has, and what was written here
+    return HayatiTable(form, np.asarray(parameters, np.float64), said or (entries.STANDARD if sure else None))
+
+
+def _base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Units") -> tuple[list[float], int]:
+    """`chains.BASE`, and the axis of the base along which joint 1's is drawn; `slides` says whether it is prismatic."""
+    base = entries.mapping(content.get("base", dict.fromkeys(entries.SIX, Decimal(0))), f"{path}: base", entries.SIX)
+    axis = content.get("first_axis", "z")
+    if axis not in ("x", "y", "z") or (slides and axis != "z"):
+        raise InputError(
+            f"{path}: first_axis is {str(axis)[:40]!r}; write x, y or z, the base's axis nearest to joint 1's"
+        )
+    first = "xyz".index(axis)
+    for key, instead in ((axis, "d"), *(() if slides else ((("roll", "pitch", "yaw")[first], "theta_off"),))):
+        if _decimal(base[key], f"{path}: base: {key}") != 0:
+            raise InputError(
+                f"{path}: base: {key} is not zero, which this form has no place for; add it to {instead} of joint 1"
+            )
+    values = {key: (read.length if key in "xyz" else read.angle)(base[key], f"{path}: base: {key}") for key in BASE}
+    return [values[key] for key in BASE], first
+
+
+def _of_modified(
+    base: list[float], links: NDArray[np.float64], sliding: tuple[int, ...], path: str | Path
+) -> tuple[HayatiForm, NDArray[np.float64]]:
+    """A table of modified DH in Hayati's form."""
+    if sliding:
+        raise InputError(f"{path}: modified DH with a prismatic joint; write the arm as a description or URDF")
+    chain, _ = frames.links_from_dh(links[:, [0, 1, 2, 4]], entries.MODIFIED)
+    given = dict(zip(BASE, base, strict=True))
+    chain[0] = frames.transform_from_row([given[key] for key in entries.SIX]) @ chain[0]
+    kinematics = np.array([frames.row_from_transform(link) for link in chain])
+    form = hayati_form_of(kinematics)
+    try:
+        return form, convert.six_parameter_to_hayati(form, kinematics)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def is_table(content: Any) -> bool:
+    """Whether the parsed content of a file means to be a table."""
+    return isinstance(content, dict) and {"units", "dh"} <= content.keys()
 
 
 def write_table(
@@ -135,7 +200,7 @@ def write_table(
     values = np.asarray(parameters, np.float64)
     if values.shape != (form.size,) or not np.isfinite(values).all():
         raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
-    (x, y, yaw, pitch, roll), links = form.spread(values)
+    (x, y, z, yaw, pitch, roll), links = form.spread(values)
     rows = [
         f'    {{"joint": {i + 1}, {kind}"theta_off": {degrees(theta)}, "d": {millimetres(d)}, "a": {millimetres(a)},'
         f'{across} "alpha": {degrees(alpha)}}}'
@@ -146,7 +211,8 @@ def write_table(
     lines = [
         "{",
         f'  "units": "{UNITS}",',
-        f'  "base": {{"x": {millimetres(x)}, "y": {millimetres(y)}, "z": 0.0,'
+        *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}",']),
+        f'  "base": {{"x": {millimetres(x)}, "y": {millimetres(y)}, "z": {millimetres(z)},'
         f' "roll": {degrees(roll)}, "pitch": {degrees(pitch)}, "yaw": {degrees(yaw)}}},',
         '  "dh": [',
         ",\n".join(rows),
@@ -198,7 +264,7 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     return content
 
 
-def _dh_row(value: Any, where: str, joint: int, slides: bool) -> list[float]:
+def _dh_row(value: Any, where: str, joint: int, slides: bool, read: "_Units") -> list[float]:
     """`chains.LINK`, beta zero; `slides` says whether the chain has a prismatic joint."""
     optional = ("type", "b") if slides else ("type",)
     row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"), optional)
@@ -207,11 +273,11 @@ def _dh_row(value: Any, where: str, joint: int, slides: bool) -> list[float]:
     if _decimal(row["joint"], f"{where}: joint") != joint:
         raise InputError(f"{where}: is for joint {row['joint']}; list the joints in order, 1, 2, …")
     return [
-        _radians(row["theta_off"], f"{where}: theta_off"),
-        _metres(row["d"], f"{where}: d"),
-        _metres(row["a"], f"{where}: a"),
-        _metres(row.get("b", Decimal(0)), f"{where}: b"),
-        _radians(row["alpha"], f"{where}: alpha"),
+        read.angle(row["theta_off"], f"{where}: theta_off"),
+        read.length(row["d"], f"{where}: d"),
+        read.length(row["a"], f"{where}: a"),
+        read.length(row.get("b", Decimal(0)), f"{where}: b"),
+        read.angle(row["alpha"], f"{where}: alpha"),
         0.0,
     ]
 
@@ -226,18 +292,37 @@ def _decimal(value: Any, where: str) -> Decimal:
     return value
 
 
-def _metres(value: Any, where: str) -> float:
-    length = float(_decimal(value, where).scaleb(-3, _EXACT))
-    if abs(length) > LENGTH_LIMIT:
-        raise InputError(f"{where} is {length:.6g} m, longer than any arm's link; correct it")
-    return length
+@dataclass(frozen=True)
+class _Units:
+    """How the numbers of a table are read."""
 
+    millimetres: bool
+    degrees: bool
 
-def _radians(value: Any, where: str) -> float:
-    angle = float(_EXACT.multiply(_decimal(value, where), _DEGREE))
-    if abs(angle) > ANGLE_LIMIT:
-        raise InputError(f"{where} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
-    return angle
+    @classmethod
+    def of(cls, said: Any, where: str) -> "_Units":
+        """By words such as `mm and deg`, `mm,deg` or `m, rad`."""
+        words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", said.strip().lower()) if isinstance(said, str) else []
+        lengths = [word for word in words if word in (*_MILLIMETRES, *_METRES)]
+        angles = [word for word in words if word in (*_DEGREES, *_RADIANS)]
+        if (len(words), len(lengths), len(angles)) != (2, 1, 1):
+            raise InputError(f"{where} is {str(said)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")
+        return cls(lengths[0] in _MILLIMETRES, angles[0] in _DEGREES)
+
+    def length(self, value: Any, where: str) -> float:
+        """m."""
+        length = float(_decimal(value, where).scaleb(-3 if self.millimetres else 0, _EXACT))
+        if abs(length) > LENGTH_LIMIT:
+            raise InputError(f"{where} is {length:.6g} m, longer than any arm's link; correct it")
+        return length
+
+    def angle(self, value: Any, where: str) -> float:
+        """rad."""
+        given = _decimal(value, where)
+        angle = float(_EXACT.multiply(given, _DEGREE) if self.degrees else given)
+        if abs(angle) > ANGLE_LIMIT:
+            raise InputError(f"{where} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
+        return angle
 
 
 def _check_fit(value: Any, where: str) -> None:

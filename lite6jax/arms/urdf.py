@@ -59,9 +59,12 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             joint or link, and the remedy.
 
     Warns:
-        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
+        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or
+            a tip that was not named is a jaw's.
     """
     tree = read_tree(path, base, tip)
+    if tree.remark:
+        warnings.warn(tree.remark, InputWarning, stacklevel=2)
     rows, limits, moving, axes = [], [], [], []
     before = IDENTITY
     for place, joint in enumerate(tree.chain):
@@ -70,12 +73,16 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             before = before @ T_before_joint
             continue
         if joint.kind not in MOVING or joint.mimics:
-            what = "mimics another" if joint.mimics else f"is {joint.kind}"
+            what = f"is {joint.kind}"
+            if joint.mimics:
+                what = f"is coupled: it mimics {joint.mimics}"
             later = [after.kind for after in tree.chain[place + 1 :] if after.kind != "fixed"]
             flag, other = ("--base", joint.child) if len(later) > len(rows) else ("--tip", joint.parent)
+            chain = f"{other}:{tip or ''}" if flag == "--base" else f"{base}:{other}" if base else other
             raise InputError(
-                f"{path}: joint {joint.name!r} {what}; an arm here has revolute and prismatic joints of its own, name a"
-                f" chain without it with {flag} {other}"
+                f"{path}: joint {joint.name!r} {what}; an arm here has revolute and prismatic joints that move on their"
+                f" own, name a chain without it with {flag} {other}, or as {Path(path).name}#{chain} where a file is"
+                " named"
             )
         R = axis_frame(joint.axis)
         exact = np.array_equal(before, IDENTITY) and np.array_equal(R, IDENTITY)

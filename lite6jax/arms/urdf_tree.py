@@ -1,6 +1,7 @@
 """The tree of links and joints of a URDF: parsing it, and the path between two of its links."""
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class Joint:
     row: Array  # (6,) x y z roll pitch yaw, as written
     axis: Array  # (3,) unit vector
     limits: tuple[float, float]
-    mimics: bool
+    mimics: str  # as words: another joint with multiplier and offset; empty where it does not
     dynamics: Mapping[str, str]  # the attributes of the element of this name, and `SPRINGS`, as written
 
 
@@ -51,6 +52,7 @@ class Tree(NamedTuple):
         base: the name of the link whose frame is the base.
         tip: the name of the link whose frame is the flange.
         chain: the joints from base to tip.
+        remark: what is to be said of a tip that was not named; empty where nothing is.
     """
 
     robot: ET.Element
@@ -59,6 +61,7 @@ class Tree(NamedTuple):
     base: str
     tip: str
     chain: list[Joint]
+    remark: str = ""
 
 
 def read_tree(path: str | Path, base: str | None, tip: str | None) -> Tree:
@@ -79,8 +82,9 @@ def read_tree(path: str | Path, base: str | None, tip: str | None) -> Tree:
             if link not in links:
                 raise InputError(f"{path}: joint {joint.name!r} names the link {link!r}, which is not there; add it")
     base = _base(path, base, links, above)
-    tip = _tip(path, base, tip, links, above)
-    return Tree(robot, joints, links, base, tip, _path(path, base, tip, above))
+    end = _tip(path, base, tip, links, above)
+    tree = Tree(robot, joints, links, base, end, _path(path, base, end, above))
+    return tree._replace(remark=_jaw(path, tree)) if tip is None else tree
 
 
 def _parse(path: str | Path) -> ET.Element:
@@ -131,9 +135,21 @@ def _joint(element: ET.Element, path: str | Path, springs: Mapping[str, str]) ->
         )
         limits = (lower, upper)
     row = origin(element, where)
-    mimics, dynamics = element.find("mimic") is not None, element.find("dynamics")
+    mimics, dynamics = _mimics(element, where), element.find("dynamics")
     drive = {**({} if dynamics is None else dynamics.attrib), **springs}
     return Joint(name, kind, parent, child, row, axis / (length or 1.0), limits, mimics, drive)
+
+
+def _mimics(element: ET.Element, where: str) -> str:
+    """What a joint's <mimic> says."""
+    if (entry := element.find("mimic")) is None:
+        return ""
+    multiplier, shift = (
+        scalar(entry.get(key, default), f"{where}: mimic: {key}")
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    beside = f" {shift:+g}" if shift else ""
+    return f"{multiplier:g} times {entry.get('joint', 'another')!r}{beside}"
 
 
 def attribute(element: ET.Element, tag: str, key: str, where: str) -> str:
@@ -254,6 +270,37 @@ def _ends(path: str | Path, base: str, chains: Mapping[str, list[Joint]], above:
     return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
 
 
+def _jaw(path: str | Path, tree: Tree) -> str:
+    """That a chain ends in a jaw, by the names of its last joints or by a frame of the tool beside them."""
+    moving = [joint for joint in tree.chain if joint.kind != "fixed"]
+    arm = list(moving)
+    while arm and (arm[-1].mimics or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
+        arm.pop()
+    named = len(arm) < len(moving)
+    if not named:
+        arm.pop()
+    if not arm:
+        return ""
+    first = moving[len(arm)]
+    beside = [name for name, _ in fixed_to(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
+    if not beside and not named:
+        return ""
+    likely, file = (beside or [first.parent])[0], Path(path).name
+    return (
+        f"{path}: the chain ends in {tree.tip} after {len(moving)} joints, and joint {first.name!r} seems to move a"
+        f" jaw: the tip of the arm is likely {likely}, after {len(arm)} joints; name {file}#{likely} for it, or"
+        f" {file}#{tree.tip} to keep the jaw"
+    )
+
+
+_JAW_JOINT = re.compile(
+    r"^(?!.*(?:roll|yaw|pitch|rotat|wrist|arm|base)).*(?:grip|jaw|finger|claw|pinch)", re.IGNORECASE
+)
+_JAW_LINK = re.compile(r"jaw|finger|claw", re.IGNORECASE)
+_TOOL = re.compile(
+    r"(?:^|[_\W])(?:tool\d?|tcp|eef?|end_?effector|tip|flange|gripper_frame|grasp)(?:$|[_\W])", re.IGNORECASE
+)
+"""Names of what a gripper moves, of its joints, and of frames of the tool."""
 _LONGEST_FINGER = 4
 """Joints: longer branches are arms."""
 _SHOWN = 6

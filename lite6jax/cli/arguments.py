@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
@@ -99,3 +99,23 @@ def arm_reference(arm: str, file: Path) -> str:
 def stem(source: str) -> str:
     """The name of an arm, or of its file without folder, suffix and tip: figures are named after it."""
     return Path(source.partition("#")[0]).stem
+
+
+def pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:
+    """`name=value` by name; with `parsed`, values as YAML has them.
+
+    Raises:
+        InputError: no such pair, by the option.
+    """
+    import yaml
+
+    found: dict[str, Any] = {}
+    for pair in given:
+        name, mark, value = pair.rpartition("=") if not parsed else pair.partition("=")
+        if not mark or not name or not value or len(pair) > 1000:
+            raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if parsed else 'COLUMN=MEANING'}")
+        try:
+            found[name] = yaml.safe_load(value) if parsed else value
+        except yaml.YAMLError as error:
+            raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
+    return found

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import check_out, refuse_inputs
+from lite6jax.cli.arguments import check_out, pairs, refuse_inputs
 from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.storage import check_writable, exists, write_atomically
@@ -17,15 +17,18 @@ from lite6jax.storage import check_writable, exists, write_atomically
 class Compensate:
     """Compute the joint positions at which a diagnosed arm reaches given poses.
 
-    The targets are a table with x_m y_m z_m; with qw qx qy qz where orientation matters; with q1_rad … where the joints
-    are to stay near given ones (such as those of the nominal inverse kinematics); and with the quantities on which the
-    model's effects depend (payload_kg, temp1_degC …, time_s). Each row of the output has the joint positions, whether
+    The targets are a table with x_m y_m z_m or x_mm y_mm z_mm (X, Y, Z are recognised; --column says what else a column
+    is); with qw qx qy qz where orientation matters; with q1_rad … where the joints are to stay near given ones (such as
+    those of the nominal inverse kinematics); and with the quantities on which the model's effects depend (payload_kg,
+    temp1_degC …, time_s). Each row of the output has the joint positions, whether
     the target is reached, the error, and the reason. Exit code 0 if every target is reached, 1 if not.
 
     For example:
 
         lite6jax compensate diagnosis.json targets.csv --out joints.csv
         lite6jax compensate diagnosis.json targets.csv --frame base --approach 1 --out joints.csv
+        lite6jax compensate diagnosis.json targets.csv --column A=yaw_deg --column B=pitch_deg --column C=roll_deg
+            --out joints.csv
     """
 
     diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
@@ -39,6 +42,8 @@ class Compensate:
     approach: Annotated[tuple[int, ...], arg(metavar="-1|0|1")] = ()
     """The direction from which the joints approach every target, one number for all or one for each, for backlash; by
     default each row is approached from the one before."""
+    column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
+    """What a column of the targets is, such as X=x_mm or foo=ignore. May be repeated."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that the model has. Runs the file."""
     json: bool = False
@@ -58,7 +63,7 @@ class Compensate:
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path
         from lite6jax.recordings.writing import write_table, write_with_settings
-        from lite6jax.report import bars, compensation_tables, screen
+        from lite6jax.report import compensation_tables, screen
         from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
@@ -77,7 +82,7 @@ class Compensate:
                 f"{sidecar}: would be read as the settings of {self.out.name}, but belongs to another file; choose "
                 "another name for the joint positions, or remove it"
             )
-        targets = read_pose_targets(self.targets, model)
+        targets = read_pose_targets(self.targets, model, pairs("--column", self.column))
         found = compensate(model, targets, frame=self.frame, approach=approach or None)
         table = compensation_tables.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
@@ -86,7 +91,7 @@ class Compensate:
             written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
             written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
-        beyond = bars.outside_warning(found, model)
+        beyond = compensation_tables.outside_warning(found, model)
         if beyond:
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         if self.json:

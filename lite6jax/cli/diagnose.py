@@ -214,13 +214,10 @@ class Diagnose:
         return found, statements.with_statements({**to_document(found), "inputs": read})
 
     def _read(self, path: Path, of: "Arm | None") -> "Recording":
-        from lite6jax.fitting.source import read_source
-        from lite6jax.recordings import Recording
+        from lite6jax.fitting.source import load_recording
 
-        source = read_source(path, of, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres)
-        if not isinstance(source, Recording):
-            raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
-        return source
+        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
+        return load_recording(path, of, **assumed)
 
 
 @dataclass(frozen=True)
@@ -232,7 +229,7 @@ class Predict:
 
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
-    the row is beyond what was recorded.
+    the recording does not support the row: it is beyond the recorded range, or in a gap of it.
 
     For example:
 
@@ -268,12 +265,12 @@ class Predict:
 
         from lite6jax.diagnosis.document import check_sum, model_from_document, parsed_document
         from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
-        from lite6jax.domains.pose.files import prediction_columns, read_motion
-        from lite6jax.domains.pose.predict import predicted
+        from lite6jax.domains.pose.files import read_motion
+        from lite6jax.domains.pose.predict import predicted, prediction_columns
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings.writing import write_table
-        from lite6jax.report import bars, diagnosis_tables, screen
+        from lite6jax.report import compensation_tables, diagnosis_tables, screen
         from lite6jax.report.reference import origin_statement
 
         document, effects = parsed_document(self.diagnosis), load_effects(self.effects) if self.effects else ()
@@ -310,9 +307,9 @@ class Predict:
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
         if shown.outside is None:
-            print(f"{self.diagnosis}: {bars.NO_BARS}", file=sys.stderr)
+            print(f"{self.diagnosis}: {compensation_tables.NO_BARS}", file=sys.stderr)
         else:
-            print(bars.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
+            print(compensation_tables.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
         for line in said:
             print(line)
         screen.written([path])

@@ -40,8 +40,8 @@ def diagnose_motors(
     from lite6jax.diagnosis.torque_reference import diagnose_torques_against
     from lite6jax.effects.user_effects import by_domain
     from lite6jax.report import stages, worth
+    from lite6jax.report.diagnosis_tables import diagnosis_report
     from lite6jax.report.torque_statements import with_statements
-    from lite6jax.report.torque_tables import torque_report
 
     if command.figures:
         from lite6jax.report.torque_figures import NAMES
@@ -68,7 +68,7 @@ def diagnose_motors(
         figures = torque_figures.drawings(found, command.source.name, worth.order(document))
         return Drawings(figures, len(torque_figures.NAMES), partial(torque_page.torque_page, found, document))
 
-    present(command, recording, document, torque_report, drawings, None if seen is None else seen.file)
+    present(command, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
     return DONE
 
 
@@ -132,7 +132,7 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
     check_sum(document, command.diagnosis)
     recording = read_motion(command.motion, model)
     shown = predicted_torques(model, recording)
-    columns = pa.table(torque_columns(model, shown))
+    columns = pa.table(torque_columns(shown))
     path = write_atomically(command.out, lambda target: write_table(columns, target), command.force)
     if command.json:
         from lite6jax.report import documents
@@ -150,12 +150,12 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
 def _say_outside(command: "Predict", shown: "TorquePrediction") -> None:
     import sys
 
-    from lite6jax.report import bars
+    from lite6jax.report.compensation_tables import NO_BARS, outside_sentence
 
     if shown.outside is None:
-        print(f"{command.diagnosis}: {bars.NO_BARS}", file=sys.stderr)
+        print(f"{command.diagnosis}: {NO_BARS}", file=sys.stderr)
     else:
-        print(bars.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
+        print(outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
 
 
 def torques_beside(
@@ -184,7 +184,7 @@ def torques_beside(
         found = predicted_torques(model, recording)
     except InputError as error:
         return poses, [f"Torques are not predicted: {error}."]
-    columns = poses | torque_columns(model, found)
+    columns = poses | torque_columns(found)
     if found.outside is None:
         return columns, []
     columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)

@@ -32,7 +32,7 @@ class Convert:
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
-    """A calibration (.yaml, .json), a description, a URDF or MJCF, a bundled arm's name, or what
+    """A calibration (.yaml, .json, .conf), a description, a URDF or MJCF, a bundled arm's name, or what
     `diagnose` wrote (.json): of poses the arm's chain as identified, of torques its friction, rotors, springs and
     links."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
@@ -48,8 +48,9 @@ class Convert:
     tip: str | None = None
     """Likewise the one that is the flange; the end of the only chain where not given."""
     arm: ArmName = None
-    """The nominal arm of a calibration, recognised where not given; of a diagnosis, where the inertia is from that it
-    does not say: by default the bundled arm of its name, or the file that the recording's sidecar names."""
+    """The nominal arm of a calibration: that of --into, or recognised, where not given. Of a diagnosis, where the
+    inertia is from that it does not say: by default the bundled arm of its name, or the file that the recording's
+    sidecar names."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that a diagnosis has. Runs the file."""
     json: bool = False
@@ -63,7 +64,7 @@ class Convert:
         into = self.into.partition("#")[0] if self.into else None
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
         from lite6jax.arms.bundled import bundled_arms, load_bundled
-        from lite6jax.arms.files import read_arm, with_chain
+        from lite6jax.arms.files import with_chain
         from lite6jax.arms.forms import convert_file, export_file, export_into
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
@@ -72,11 +73,11 @@ class Convert:
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or what takes JAX
+        if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             arm, left_out, nominal = self._diagnosed(source, nominal)
         if self.into is not None:
-            whole = arm or read_arm(source)
-            done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
+            whole = arm or source
+            done = export_into(whole, self.into, self.target, self.force, left_out, arm is None, nominal)
         elif arm is not None:
             known = nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
             done = export_file(arm, self.target, self.to, self.force, left_out, known)
@@ -123,7 +124,7 @@ class Check:
     """
 
     files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
-    """Calibrations (.yaml, .json) and recordings (.csv, .parquet)."""
+    """Calibrations (.yaml, .json, .conf) and recordings (.csv, .parquet)."""
     arm: ArmName = None
     """The nominal arm; recognised, or from the sidecar, where not given."""
     assume_degrees: bool = False

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from lite6jax.controller.verification import Verification
     from lite6jax.recordings import Recording
 
-DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -27,7 +25,7 @@ class Fit:
 
         lite6jax fit arm.yaml --out model.json
         lite6jax fit run7.csv --figures figures
-        lite6jax fit --ip 192.168.1.185
+        lite6jax fit --ip 192.168.1.185 --save-calibration arm.yaml
     """
 
     source: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
@@ -36,6 +34,8 @@ class Fit:
     ip: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """In place of a file: read the calibration of the arm at this address, fit it, and compare it with the controller's
     own forward kinematics. The arm does not move."""
+    save_calibration: OutFile = None
+    """With --ip: write the calibration that was read here (YAML of the vendor's form, which `fit` reads again)."""
     no_sdk: bool = False
     """With --ip: read and fit only."""
     fk_samples: int = 1000
@@ -71,9 +71,12 @@ class Fit:
             raise InputError("fit needs a FILE, or an arm with --ip ADDRESS; give one of the two")
         if self.fk_samples < 1:
             raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
-        if self.out:
-            check_out(self.out, ".json", self.force)
-            refuse_inputs([self.out], [self.source, self.arm])
+        if self.save_calibration and self.ip is None:
+            raise InputError("--save-calibration: is of what an arm's controller says; add --ip ADDRESS")
+        for path, suffix in ((self.out, ".json"), (self.save_calibration, ".yaml")):
+            if path:
+                check_out(path, suffix, self.force)
+        refuse_inputs([self.out, self.save_calibration], [self.source, self.arm])
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings import Recording
 
@@ -81,7 +84,11 @@ class Fit:
         stem = self.source.stem if self.source else str(self.ip).replace(":", "_")
         title = self.source.name if self.source else str(self.ip)
         names = [f"{stem}_error_by_joint", f"{stem}_error_distribution", f"{stem}_controller"]
-        source = self._read(nominal)
+        source, written = self._read(nominal), []
+        if self.save_calibration and not isinstance(source, Recording):  # at once: no failure below costs what was read
+            from lite6jax.arms.factory import write_factory
+
+            written.append(write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
         recording = source if isinstance(source, Recording) else None
         verified = self.ip is not None and not self.no_sdk
         if self.figures:
@@ -107,9 +114,9 @@ class Fit:
 
         from lite6jax.report import screen, tables
 
-        written = []  # before anything is printed: a reader who leaves early, like `head`, must not cost the files
+        # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:
-            from lite6jax.fitting.model_table import write_solution
+            from lite6jax.fitting.solution import write_solution
 
             written.append(write_solution(solution, self.out, self.force))
         if self.figures:
@@ -119,9 +126,7 @@ class Fit:
             if recording:
                 drawn[names[1]] = figures.error_distribution(solution, recording, title)
             if verification:
-                from lite6jax.report import live_figures
-
-                drawn[names[2]] = live_figures.verification_figure(verification, title)
+                drawn[names[2]] = figures.verification_figure(verification, title)
             written += canvas.save(drawn, self.figures, self.force)
         if self.json:
             from lite6jax.report import documents
@@ -167,29 +172,6 @@ class Fit:
 
         with screen.progress(self.fk_samples, "asking the controller") as advance:
             return verify(calibration, parse_address(str(self.ip)), self.fk_samples, self.seed, advance)
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Fit a bundled calibration of a simulated Lite 6, to see what the program does.
-
-    For example:
-
-        lite6jax demo --figures figures
-    """
-
-    out: OutFile = None
-    """Write the effective table (JSON, mm and deg) here."""
-    figures: Folder = None
-    """Draw the error against each joint into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-
-    def run(self) -> int:
-        """As `fit` on the bundled file."""
-        print("The calibration below is simulated, of the size that real ones have: no arm was measured.")
-        print(f"lite6jax fit {DEMO}\n", flush=True)
-        return Fit(DEMO, out=self.out, figures=self.figures, force=self.force).run()
 
 
 @dataclass(frozen=True)

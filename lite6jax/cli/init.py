@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, arm_reference
+from lite6jax.cli.arguments import ArmName, arm_reference, pairs
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.join import join
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lite6jax.domains.pose.inspection import Inspection
+    from lite6jax.recordings.fault import DataFault
     from lite6jax.recordings.raw import RawTable
 
 _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -42,12 +44,14 @@ class Init:
     For example:
 
         lite6jax init run7.csv --arm ur10
+        lite6jax init robot.csv tracker.csv --arm ur10
         lite6jax init run7.csv --arm my_arm.urdf --set pose_source=laser_tracker --set pose_frame=base
         lite6jax init run7.csv --column tracker_x=x_mm --column spindle=ignore
     """
 
-    source: Annotated[Positional[str], arg(metavar="RECORDING")]
-    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set."""
+    source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
+    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or
+    two files, one with the joints and one with the poses, which are joined to one table."""
     arm: ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
@@ -61,7 +65,7 @@ class Init:
     json: bool = False
     """Print what was recognised as JSON, and ask nothing."""
     force: bool = False
-    """Replace the sidecar if it exists."""
+    """Replace the sidecar if it exists, and the table that two files are joined to."""
 
     def run(self) -> int:
         """Looks, asks, writes, prints."""
@@ -71,16 +75,20 @@ class Init:
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
-        from lite6jax.report import inspection, screen
+        from lite6jax.report import checks, inspection, screen
 
-        path, topics = split_topics(self.source)
-        sidecar = sidecar_path(path)
-        settings = _pairs("--set", self.set, parsed=True)
-        given = _pairs("--column", self.column)
+        settings = pairs("--set", self.set, parsed=True)
+        given = pairs("--column", self.column)
         declared_settings(None, None, settings)
+        joined = join(self.source, load_nominal(self.arm), given, self.force)
+        source, given = (self.source[0], given) if joined is None else (str(joined.path), dict(joined.given))
+        path, topics = split_topics(source)
+        sidecar = sidecar_path(path)
         arm, shown = self.arm, False
 
         def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
+            if joined is not None:
+                return joined.path, joined.table, list(joined.table.numbers()), list(joined.notes)
             notes: list[str] = []
             place, table = open_table(path, topics, ArmJoints.of(load_nominal(arm)), notes)
             return place, table, list(table.numbers()), notes
@@ -110,20 +118,24 @@ class Init:
         settings.setdefault("motion", found.motion[0])
         if found.computed:
             settings.setdefault("pose_source", "controller_fk")
-        self._check(found, table, file)
+        self._check(found, table, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
-        write_atomically(sidecar, text, self.force)
+        made = [] if joined is None else [joined.write(self.force)]
+        made.append(write_atomically(sidecar, text, self.force))
+        faults = _gross_faults(source, found, notes)
         if self.json:
-            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            told = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
+            print(json.dumps({**found.to_dict(), **told}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
+        screen.show(checks.fault_lines(faults))
         screen.show(screen.notes(notes))
-        screen.written([sidecar])
-        screen.show(inspection.next_steps(found, settings, self.source))
+        screen.written(made)
+        screen.show(inspection.next_steps(found, settings, source))
         return DONE
 
-    def _check(self, found: "Inspection", table: "RawTable", path: "Path") -> None:
+    def _check(self, found: "Inspection", table: "RawTable", path: "Path", notes: list[str]) -> None:
         """Refuses what the other commands would refuse, before anything is written."""
         from lite6jax.recordings.table import tabulated
         from lite6jax.report.inspection import no_angles
@@ -138,27 +150,25 @@ class Init:
                 f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
             )
         dof = None if found.arm is None else found.arm.dof
-        tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
+        tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
+
+
+def _gross_faults(source: str, found: "Inspection", notes: list[str]) -> "tuple[DataFault, ...]":
+    """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
+    from lite6jax.domains.pose.screening.screen import screen as screened
+    from lite6jax.recordings import read_recording
+
+    if found.arm is None or found.of("q") is None or found.of("position") is None:
+        return ()
+    try:
+        return screened(read_recording(source), allow_undecided=True, coarse=True).found
+    except InputError as error:  # of too few rows, and the like: the table was recognised all the same
+        notes.append(str(error))
+        return ()
 
 
 def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:
-    """`name=value` by name; with `parsed`, values as YAML has them."""
-    import yaml
-
-    found: dict[str, Any] = {}
-    for pair in given:
-        name, mark, value = pair.rpartition("=") if not parsed else pair.partition("=")
-        if not mark or not name or not value or len(pair) > 1000:
-            raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if parsed else 'COLUMN=MEANING'}")
-        try:
-            found[name] = yaml.safe_load(value) if parsed else value
-        except yaml.YAMLError as error:
-            raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
-    return found
 
 
 def _asked_arm(found: "Inspection") -> str | None:

@@ -17,13 +17,13 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.compensate import Compensate
-from lite6jax.cli.deprecated import current_spelling
+from lite6jax.cli.demo import Demo
 from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
-from lite6jax.cli.fit import Compare, Demo, Fit
+from lite6jax.cli.fit import Compare, Fit
 from lite6jax.cli.fleet import Fleet
 from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.init import Init
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return DONE
         with wrapped() if is_help(arguments) else nullcontext():
             command = tyro.cli(
-                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
+                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
         from lite6jax.fitting.code_folder import keep_compiled_code

@@ -103,10 +103,10 @@ def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
         check_fleet_document(document, diagnosis)
         return dict, lambda said, source, files, details: population_tables.population_report(said)
     if is_of_torques(document):
-        from lite6jax.report import torque_statements, torque_tables
+        from lite6jax.report import diagnosis_tables, torque_statements
 
         check_torque_document(document, diagnosis)
-        return torque_statements.with_statements, torque_tables.torque_report
+        return torque_statements.with_statements, diagnosis_tables.diagnosis_report
     check_document(document, diagnosis)
     if "torques" in document:
         check_torque_document(document, diagnosis)

@@ -223,9 +223,9 @@ def design_motion(
     )
     written = [write_recording(recording, out, force), sidecar_path(out)]
     if figures is not None:
-        from lite6jax.report import canvas, torque_study_figures
+        from lite6jax.report import canvas, study_figures
 
-        drawing = torque_study_figures.designed_motion(found, source)
+        drawing = study_figures.designed_motion(found, source)
         written += canvas.save({figure_name(out): drawing}, figures, force)
     if as_json:
         from lite6jax.report import documents

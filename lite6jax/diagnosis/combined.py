@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, final
 
 from lite6jax.arms.arm import Arm
@@ -18,18 +19,19 @@ from lite6jax.diagnosis.torque_reference import TorqueComparison, diagnose_torqu
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.user_effects import by_domain
+from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import arm_of
+from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
-from lite6jax.summary import Plotted, Summarised
+from lite6jax.results import PublicResult
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class CombinedDiagnosis(Summarised, Plotted):
+@dataclass(frozen=True, eq=False, repr=False)
+class CombinedDiagnosis(PublicResult):
     """The diagnoses of the poses and of the torques of one recording.
 
     Attributes:
@@ -63,10 +65,10 @@ class CombinedDiagnosis(Summarised, Plotted):
 
 
 def diagnose_combined(
-    recording: Recording,
-    arm: Arm | None = None,
+    recording: Recording | str | Path,
+    arm: Arm | str | Path | None = None,
     *,
-    reference: Recording | None = None,
+    reference: Recording | str | Path | None = None,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     options: Options | None = None,
@@ -77,9 +79,10 @@ def diagnose_combined(
     Torques that cannot be diagnosed (of an arm at rest, or without inertia) are left out with the reason.
 
     Args:
-        recording: with poses and with torques or currents.
-        arm: the nominal arm; from the sidecar, or recognised, where not given.
-        reference: another recording, relative to which both are diagnosed as far as it has poses and torques.
+        recording: with poses and with torques or currents; or the path of its file.
+        arm: the nominal arm, a bundled name or a file; from the sidecar, or recognised, where not given.
+        reference: another recording, or its file, relative to which both are diagnosed as far as it has poses and
+            torques.
         geometry: of the poses, as in `diagnose`.
         effects: a user's own, of either domain.
         options: thresholds.
@@ -88,11 +91,15 @@ def diagnose_combined(
     Raises:
         InputError: poses or torques only, or as `diagnose`.
     """
+    arm = load_nominal(arm)
+    recording = load_recording(recording, arm)
     if recording.position is None or not recording.has_torques:
         has = "torques and no poses" if recording.position is None else "poses and no torques"
         own = "diagnose_torques" if recording.position is None else "diagnose"
         raise InputError(f"{recording.source}: has {has}; call lite6jax.{own}")
     arm = arm or arm_of(recording)
+    reference = None if reference is None else load_recording(reference, arm)
+    require_effects(effects)
     kinematic, dynamic = by_domain(effects)
     seen: ReferenceComparison | None = None
     compared: TorqueComparison | None = None

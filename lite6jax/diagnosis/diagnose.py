@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,14 @@ from lite6jax.diagnosis.heldout import HeldOut, held_out_ahead, held_out_errors,
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.pose.screening.screen import screen_rows
+from lite6jax.domains.pose.screening.screen import screen, screen_rows
 from lite6jax.effects.effect import Effect
-from lite6jax.errors import InputError
+from lite6jax.effects.user_effects import require_effects
+from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.quality import ROUNDING
 from lite6jax.fitting.recognition import with_arm
+from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
@@ -32,8 +36,8 @@ from lite6jax.search.state import State
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
-    recording: Recording,
-    arm: Arm | None = None,
+    recording: Recording | str | Path,
+    arm: Arm | str | Path | None = None,
     *,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
@@ -44,8 +48,8 @@ def diagnose(
     """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
     Args:
-        recording: measured poses, SI units.
-        arm: the nominal arm; from the sidecar, or recognised, where not given.
+        recording: measured poses in SI units, or the path of their file.
+        arm: the nominal arm, a bundled name or a file; from the sidecar, or recognised, where not given.
         geometry: what is known of it, as in `fit`.
         effects: a user's own candidates, tested like the catalogue's.
         factory: the arm's calibration; from the sidecar where not given.
@@ -59,12 +63,18 @@ def diagnose(
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
     """
+    arm = load_nominal(arm)
+    recording = load_recording(recording, arm)
+    require_effects(effects)
+    require_type("options", options, Options | None, "lite6jax.Options(…)")
     if recording.position is None and recording.has_torques:
         raise InputError(f"{recording.source}: has torques and no poses; call lite6jax.diagnose_torques")
     options = options or Options()
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening)
+        # what cannot be read at all ends here, before any process has begun
+        screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
         if (likely := likely_folds(rows.recording, options)) is not None:
             held_out_ahead(rows.recording, arm, geometry, options, likely, effects, factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
@@ -118,10 +128,15 @@ def _turned(held_out: HeldOut, withdrawn: bool) -> tuple[NDArray[np.floating], N
 
 
 def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
-    """`(sample,)`, rows that are far from the model, and rows without joints."""
-    problem = selection.problem
+    """`(sample,)`, rows that are far from the model, and rows without joints.
+
+    A residual within the declared noise, or within the rounding of a file, is none, however small the others are.
+    """
+    problem, residuals = selection.problem, selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
-    return (selection.state.fit.residuals.squares > options.outlier_squares * problem.rows) | ~problem.valid
+    least = ROUNDING if (declared := problem.recording.settings.position_noise_m) is None else declared
+    far = residuals.squares > options.outlier_squares * problem.rows
+    return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
 
 
 def without_effects(selection: Selection) -> Selection:

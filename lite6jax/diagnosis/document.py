@@ -28,11 +28,12 @@ from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, command_line, require_type
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.model import ArmModel
+from lite6jax.recordings.sources import recording_file
 from lite6jax.schema import RepeatedKeyError, unique_keys
-from lite6jax.storage import read_text, write_atomically
+from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
@@ -45,7 +46,7 @@ DAMAGED = "run `lite6jax diagnose` again"
 
 def to_document(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as values that JSON can hold."""
-    problem, kept = found.problem, ~found.outliers
+    problem, kept, settings = found.problem, ~found.outliers, found.problem.recording.settings
     turned = (None, None) if found.turned is None else tuple(errors[kept] for errors in found.turned)
     before, after = _summary(found.before[kept], turned[0]), _summary(found.after[kept], turned[1])
     heldout = before["heldout_position_rms_m"], after["heldout_position_rms_m"]
@@ -74,11 +75,12 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "heldout_blocks": block_count(found.folds),
         "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
         "quick": found.options.quick,
-        "pose_source": problem.recording.settings.pose_source,
-        "date": problem.recording.settings.date,
-        "instrument": problem.recording.settings.instrument,
+        "pose_source": settings.pose_source,
+        "date": settings.date,
+        "instrument": settings.instrument,
         "noise": {
-            "declared_position_m": problem.noise[0] if problem.declared else None,
+            "declared_position_m": problem.declared_noise[0],
+            "declared_orientation_rad": problem.declared_noise[1],
             "estimated_position_m": found.estimated_noise,
         },
         "data_faults": faults,
@@ -293,6 +295,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedA
     Warns:
         InputWarning: the file was changed after it was written.
     """
+    require_type("path", path, str | Path, "the path of a diagnosis (.json)")
     document = parsed_document(path)
     model = model_from_document(document, effects, str(path))
     check_sum(document, path)
@@ -303,8 +306,11 @@ def parsed_document(path: str | Path) -> Any:
     """A document as JSON holds it.
 
     Raises:
-        InputError: no such file, or no JSON.
+        InputError: no such file, no JSON, or a recording, with the command that diagnoses it.
     """
+    if recording_file(path) is not None and exists(path):
+        made = command_line("diagnose", path, "--out", Path(path).with_suffix(".json"))
+        raise InputError(f"{path}: is a recording and no diagnosis; give what `{made}` writes")
     try:
         document = json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
     except InputError:

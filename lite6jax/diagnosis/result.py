@@ -21,8 +21,8 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.recordings.fault import DataFault
+from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
-from lite6jax.summary import Plotted, Summarised
 
 Array = NDArray[np.floating]
 
@@ -129,8 +129,8 @@ class SearchedAgain:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Diagnosis(Summarised, Plotted):
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(PublicResult):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
     Attributes:
@@ -221,9 +221,9 @@ class Diagnosis(Summarised, Plotted):
         problem, fit, kept = self.problem, self.fit, self.problem.valid
         measured = np.asarray(problem.measured.position).T
         predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        noise = problem.noise[0] if problem.declared else None
         left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
         reach, over_noise = problem.arm.reach, max(left, default=None)
+        noise = problem.declared_noise[0]
         return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property

@@ -113,7 +113,10 @@ _PARTS: Mapping[str, Check] = {
     "date": optional(text),
     "instrument": optional(text),
     "inputs": INPUTS,
-    "noise": record({"declared_position_m": optional(_POSITIVE), "estimated_position_m": _POSITIVE}),
+    "noise": record(
+        {"declared_position_m": optional(_POSITIVE), "estimated_position_m": _POSITIVE},
+        {"declared_orientation_rad": optional(_POSITIVE)},
+    ),
     "data_faults": items(_FAULT),
     "ruled_out": items(_FAULT),
     "findings": items(_FINDING),
@@ -177,7 +180,8 @@ _UNCERTAINTY = record(
                 "drivers": mapping(array(2)),
             }
         ),
-    }
+    },
+    {"typical": optional(_PER_AXIS)},
 )
 _MODEL = record(
     {

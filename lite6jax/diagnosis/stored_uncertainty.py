@@ -25,6 +25,7 @@ def uncertainty_as_dict(known: Uncertainty) -> dict[str, Any]:
         "left": _per_axis(known.left),
         "unseen": _per_axis(known.unseen),
         "noise": _per_axis(known.noise),
+        "typical": None if known.typical is None else _per_axis(known.typical),
         "curves": [None if curve is None else _per_axis(curve) for curve in known.curves],
         "recorded": {
             "joint_range_rad": recorded.joints.tolist(),
@@ -68,6 +69,7 @@ def uncertainty_from_dict(entry: Any, physics: Physics, joints: int) -> Uncertai
         noise=_per_axis_from(entry["noise"]),
         curves=curves,
         recorded=RecordedRange(ranges, positions, float(recorded["spacing_rad"]), drivers_from(recorded, ranges)),
+        typical=None if entry.get("typical") is None else _per_axis_from(entry["typical"]),
     )
 
 

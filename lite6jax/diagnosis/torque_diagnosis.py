@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,12 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.user_effects import require_effects
+from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
+from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
@@ -39,8 +43,8 @@ _FOLDS = 10
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_torques(
-    recording: Recording,
-    arm: Arm | None = None,
+    recording: Recording | str | Path,
+    arm: Arm | str | Path | None = None,
     *,
     effects: Sequence[TorqueEffect] = (),
     options: Options | None = None,
@@ -49,10 +53,11 @@ def diagnose_torques(
     """Locates, names, models and verifies what makes motor torques depart from the inverse dynamics of the arm.
 
     Args:
-        recording: a trajectory with times and torques, or currents with their torque constants; SI units. Of static
-            postures gravity alone is compared: offsets, scales, masses, centres of mass, payload, tilt.
-        arm: the declared arm; from the sidecar where not given. Its chain is that of the factory calibration, where the
-            sidecar declares one.
+        recording: a trajectory with times and torques, or currents with their torque constants, in SI units; or the
+            path of its file. Of static postures gravity alone is compared: offsets, scales, masses, centres of mass,
+            payload, tilt.
+        arm: the declared arm, a bundled name or a file; from the sidecar where not given. Its chain is that of the
+            factory calibration, where the sidecar declares one.
         effects: a user's own candidates, tested like the catalogue's.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
@@ -63,7 +68,11 @@ def diagnose_torques(
     Raises:
         InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit.
     """
+    require_effects(effects)
+    require_type("options", options, Options | None, "lite6jax.Options(…)")
     options = options or Options()
+    arm = load_nominal(arm)
+    recording = load_recording(recording, arm)
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 1 + options.folds):

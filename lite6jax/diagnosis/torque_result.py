@@ -21,8 +21,8 @@ from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings.fault import DataFault
+from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
-from lite6jax.summary import Plotted, Summarised
 
 Array = NDArray[np.floating]
 
@@ -31,8 +31,8 @@ _NORMAL = 1.4826
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class TorqueDiagnosis(Summarised, Plotted):
+@dataclass(frozen=True, eq=False, repr=False)
+class TorqueDiagnosis(PublicResult):
     """What makes measured torques depart from the inverse dynamics of the arm.
 
     Attributes:

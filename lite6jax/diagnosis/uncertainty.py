@@ -60,7 +60,12 @@ def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
             curves.append((float(np.sqrt(np.mean(moved[:3] ** 2))), float(np.sqrt(np.mean(moved[3:] ** 2)))))
         else:
             curves.append(None)
-    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change))
+    typical = [
+        float(np.sqrt(np.median(estimated[rows][:, kept].mean(0)) + left[k] ** 2)) if kept.any() else np.inf
+        for k, rows in enumerate((slice(0, 3), slice(3, 6)))
+    ]
+    usual = (typical[0], typical[1]) if np.isfinite(typical).all() and min(typical) > 0 else None
+    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change), usual)
 
 
 def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
@@ -105,8 +110,12 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     """
     problem, fit, kept = found.problem, found.fit, ~found.outliers
     count = max(int(kept.sum()), 1)
-    scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
-    noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
+    scales = fit.scale[problem.groups[[0, -1]]]
+    scale = [
+        float(s if declared is None else min(s, 1.0))
+        for s, declared in zip(scales, problem.declared_noise, strict=True)
+    ]
+    noise = scale[0] * problem.noise[0], scale[1] * (problem.noise[1] or 0.0)
     folds = len(found.folds)
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE

@@ -20,9 +20,9 @@ class Left(NamedTuple):
     """What the model leaves of the residuals, outliers excluded.
 
     Attributes:
-        position: root mean square of held-out position errors per axis over the declared noise; None where no noise is
-            declared.
-        orientation: the same of the fitted orientations; None where none were measured, or no noise is declared.
+        position: root mean square of held-out position errors per axis over the declared noise; None where that of
+            positions is not declared.
+        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
         white: whether residuals of neighbouring rows are uncorrelated.
         acts_at: the joint at which most of it acts; None where there is no such.
     """
@@ -33,7 +33,7 @@ class Left(NamedTuple):
     acts_at: Concentration | None = None
 
     def is_noise(self, limit: float) -> bool:
-        """Whether it is white and at most `limit` times the declared noise; true where no noise is declared."""
+        """Whether it is white, and at most `limit` times the noise of each quantity whose noise is declared."""
         return self.white and all(ratio is None or ratio <= limit for ratio in (self.position, self.orientation))
 
 
@@ -41,11 +41,10 @@ def left_of(found: "Diagnosis") -> Left:
     """What the model of a diagnosis leaves."""
     problem, kept, white = found.problem, ~found.outliers, found.fit.noise.white
     acts_at = concentration(problem, found.fit, found.options.engine)
-    if not problem.declared or not kept.any():
-        return Left(None, None, white, acts_at)
-    position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.noise[0])
-    orientation = None
-    if problem.rows == 6:
+    position, orientation = None, None
+    if problem.declared_noise[0] is not None and kept.any():
+        position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.declared_noise[0])
+    if problem.declared_noise[1] is not None and kept.any():
         rows, fit = found.fit.residuals.rows[3:, kept], found.fit
         freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
         orientation = float(np.sqrt(np.mean(rows**2) / freedom))
@@ -75,7 +74,7 @@ def verdict_of(found: "Diagnosis") -> Verdict:
         return "undetermined" if doubtful else "consistent"
     if max(found.findings, key=lambda finding: finding.gain).effect.nonparametric:
         return "unnamed"
-    if not (as_noise and found.problem.declared):
+    if not as_noise or left.position is None:
         return "partly_explained"
     return "undetermined" if doubtful else "explained"
 

@@ -41,8 +41,17 @@ def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
     return Deflection(*parts)  # type: ignore[arg-type]
 
 
-def at_joint(dof: int, number: int, values: Array) -> Array:
-    """`(joint, …, sample)`: `values` `(…, sample)` at joint `number`, counted from 1, and zero at the others."""
+def place_at_joint(dof: int, number: int, values: Array) -> Array:
+    """What acts at one joint, or at the link behind it, as a part of a `Deflection`: zero at the others.
+
+    Args:
+        dof: how many joints the arm has.
+        number: of the joint, counted from 1.
+        values: `(…, sample)`, rad of a joint, or a `twist` of a link.
+
+    Returns:
+        `(joint, …, sample)`.
+    """
     row = np.zeros((dof,) + (1,) * np.ndim(values))
     row[number - 1] = 1.0
     return row * values  # type: ignore[return-value]  # of NumPy values on the host: columns of a hundred candidates compile nothing
@@ -64,7 +73,13 @@ def twist(
     ry: Array | None = None,
     rz: Array | None = None,
 ) -> Array:
-    """The twist `(6, sample)` with these components, each `()` or `(sample,)`, in m and rad; zero where not given."""
+    """The twist `(6, sample)` with these components; zero where not given.
+
+    Args:
+        samples: how many there are.
+        x, y, z: `()` or `(sample,)` m, the translation.
+        rx, ry, rz: `()` or `(sample,)` rad, the rotation vector.
+    """
     parts = (x, y, z, rx, ry, rz)
     xp = library_of(*parts)
     filled = [xp.zeros(samples) if part is None else xp.broadcast_to(part, (samples,)) for part in parts]

@@ -215,6 +215,13 @@ class Driver:
 
 QUANTITIES = tuple(_SOURCES)
 """The quantities that a driver can be."""
+
+
+def place_of(quantity: str) -> str:
+    """What a quantity is of: a `joint`, a `link`, or, empty, the whole arm."""
+    return _SOURCES[quantity].place
+
+
 _OF_SLIDE = {
     "position": "slide position",
     "velocity": "slide velocity",

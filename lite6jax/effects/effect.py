@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.joint_units import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import Deflection, at_joint
+from lite6jax.effects.deflection import Deflection, place_at_joint
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads
@@ -380,7 +380,7 @@ class JointEffect(Bending, ABC):
     @final
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """What adds at its joint."""
-        return Deflection(joint=at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))
+        return Deflection(joint=place_at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))
 
 
 def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.bases import Basis, Plays, Polynomial, Spline, Waves
-from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
+from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.effect import Bending, Coordinate, Part
 from lite6jax.effects.motion import Motion
@@ -324,10 +324,10 @@ class Unnamed(Bending):
         """Curves `(sample,)` by component, where this effect is."""
         kind, number = place_of(self.where)
         if kind == "joint":
-            return Deflection(joint=at_joint(motion.dof, number, shifts["rz"]))
+            return Deflection(joint=place_at_joint(motion.dof, number, shifts["rz"]))
         if SCALE in shifts:
             return Deflection(scale=library_of(shifts[SCALE]).broadcast_to(shifts[SCALE], (motion.samples,)))
         displaced = twist(motion.samples, **shifts)
         if kind == "link":
-            return Deflection(link=at_joint(motion.dof, number, displaced))
+            return Deflection(link=place_at_joint(motion.dof, number, displaced))
         return Deflection(**{kind: displaced})

@@ -1,7 +1,7 @@
 """Effects that a user defines: reading and checking the Python file that holds them.
 
 The file defines final subclasses of `JointEffect` or `Bending`, or of `JointTorque` or `TorqueEffect` where torques are
-diagnosed, and a list `EFFECTS` of the candidates to test:
+diagnosed, and a list `EFFECTS` of the candidates to test. All that it needs is exported by `lite6jax`:
 
 ```python
 from dataclasses import dataclass
@@ -9,8 +9,7 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Coordinate, JointEffect
+from lite6jax import Coordinate, Driver, JointEffect
 
 
 @final
@@ -35,10 +34,45 @@ class CableDrag(JointEffect):
 EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
 ```
 
-An effect on torques is evaluated in NumPy; `dynamics` has the motion, the joints' velocities and the rigid arm's
-torques (`lite6jax.effects.dynamic.torque_effect.Dynamics`):
+An effect of a link, the base, the tool or the sensor says where it acts, and displaces that frame by a twist:
 
 ```python
+from lite6jax import Bending, Coordinate, Deflection, Driver, place_at_joint, twist
+
+
+@final
+@dataclass(frozen=True)
+class LinkSag(Bending):
+    \"\"\"The frame of a link sinks by c times the payload.\"\"\"
+
+    link: int
+
+    name: ClassVar[str] = "link_sag"
+
+    @property
+    def site(self):
+        return f"link{self.link}"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("sag_m_per_kg", "m/kg", 1e-4),)
+
+    @property
+    def drivers(self):
+        return (Driver("payload"),)
+
+    def deflect(self, values, motion, loads):
+        sunk = twist(motion.samples, z=-values[0] * motion.payload)
+        return Deflection(link=place_at_joint(motion.dof, self.link, sunk))
+```
+
+An effect on torques is evaluated in NumPy; `dynamics` has the motion, the joints' velocities and the rigid arm's
+torques (`lite6jax.Dynamics`):
+
+```python
+from lite6jax import Coordinate, Driver, JointTorque
+
+
 @final
 @dataclass(frozen=True)
 class AirDrag(JointTorque):
@@ -82,7 +116,7 @@ from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Loads, inertia_of
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.storage import read_text
 
 SIZE_LIMIT = 1 << 20
@@ -119,6 +153,17 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         if reason:
             raise InputError(f"{path}: EFFECTS[{index}]: {reason}")
     return tuple(effects)
+
+
+def require_effects(effects: object) -> None:
+    """Refuses what is no list of effects.
+
+    Raises:
+        InputError: as said.
+    """
+    require_type("effects", effects, list | tuple, "a list of effects; lite6jax.load_effects reads a file of them")
+    for place, effect in enumerate(effects):  # type: ignore[arg-type]
+        require_type(f"effects[{place}]", effect, Effect, "an effect, such as an instance of your class")
 
 
 def by_domain(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[TorqueEffect, ...]]:

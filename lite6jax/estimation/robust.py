@@ -59,7 +59,7 @@ def curvature_share(scaled: Array, rows: int, freedom: float) -> float:
     return float(np.mean(w - 2 * w / (freedom + scaled) * scaled / rows) / np.mean(w))
 
 
-def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> float:
+def variance_factor(scaled: Array, rows: int, freedom: float, fitted: float) -> float:
     """The factor by which an M-estimator's covariance exceeds the inverse of its weighted information JᵀWJ.
 
     In a regression the covariance is (JᵀJ)⁻¹ c² E[ψ²] / E[ψ′]² (P. Huber, Robust Statistics, 1981, 7.6); the
@@ -69,7 +69,7 @@ def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> fl
         scaled: squared whitened residuals over the squared scale, `(sample,)`.
         rows: numbers a sample has.
         freedom: of Student's t.
-        fitted: number of parameters that were fitted.
+        fitted: number of parameters that were fitted; those that only a prior determines do not count.
     """
     w = (freedom + rows) / (freedom + scaled)
     spread = np.mean(w**2 * scaled) / rows / np.mean(w) / curvature_share(scaled, rows, freedom) ** 2

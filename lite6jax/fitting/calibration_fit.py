@@ -11,7 +11,7 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.problem import calibration_poses, calibration_problem, whitener_of
 from lite6jax.fitting.residual import POSE
-from lite6jax.fitting.sampling import CHECK_SAMPLES, SAMPLES, sample_within_limits
+from lite6jax.fitting.sampling import SAMPLES, check_positions, sample_within_limits
 from lite6jax.fitting.solution import Result, Solution, prediction_errors
 from lite6jax.fitting.solve import Solver, solve
 
@@ -34,7 +34,7 @@ def fit_calibration(
             f"samples {samples}: too few for {arm.form.size} parameters; give at least {fewest}, better 300"
         )
     # the fitted and the fresh samples in one array: the chain is then compiled for one shape
-    q = np.concatenate([sample_within_limits(arm, samples, seed), sample_within_limits(arm, CHECK_SAMPLES, seed + 1)])
+    q = np.concatenate([sample_within_limits(arm, samples, seed), check_positions(arm, seed)])
     pose = calibration_poses(calibration, q)
     problem = calibration_problem(calibration, q[:samples], pose[:samples])
     whitener = whitener_of(problem.covariance())
@@ -55,6 +55,7 @@ def fit_calibration(
         checked=both.select(slice(samples, None)),
         noise=None,
         weight=np.ones(samples),
+        tolerance=problem.tolerance,
     )
 
 

@@ -16,7 +16,7 @@ from lite6jax.arms.moves import Frame
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.residual import predict_frames
-from lite6jax.fitting.sampling import CHECK_SAMPLES, SAMPLES, sample_within_limits
+from lite6jax.fitting.sampling import SAMPLES, check_positions, sample_within_limits
 from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm
 
@@ -35,7 +35,7 @@ class FittedCalibrations(NamedTuple):
         steps: `(arm,)` of the solver.
         parameters: `(arm, size)`, m and rad.
         fitted: at the `SAMPLES` joint positions that were fitted.
-        checked: at `CHECK_SAMPLES` others.
+        checked: at `check_positions`.
         nominal: of the nominal geometry at these.
     """
 
@@ -66,7 +66,7 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     filled = np.minimum(np.arange(-(-count // CHUNK) * CHUNK), count - 1)
     kinematics, T_joint_flange = kinematics[filled], T_joint_flange[filled]
     chunks = [slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)]
-    q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), sample_within_limits(arm, CHECK_SAMPLES, 1)])
+    q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
     branch = arm.form.unpack(arm.hayati)[1][:, [0, 3]]  # theta and alpha
 
     def errors(parameters: NDArray) -> NDArray:

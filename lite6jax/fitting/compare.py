@@ -13,14 +13,14 @@ from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.forward_kinematics import hayati_fk
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import calibration_poses
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.sampling import check_positions
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
-SAMPLES = 1000
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(PublicResult):
     """Arms of one type side by side.
 
     Attributes:
@@ -50,7 +50,7 @@ class Comparison:
         return np.abs(self.difference).max(0)
 
 
-def compare(calibrations: Sequence[FactoryCalibration], samples: int = SAMPLES, seed: int = 0) -> Comparison:
+def compare(calibrations: Sequence[FactoryCalibration]) -> Comparison:
     """Compares calibrations of one type of arm, in closed form and over joint positions inside its limits.
 
     Raises:
@@ -65,7 +65,7 @@ def compare(calibrations: Sequence[FactoryCalibration], samples: int = SAMPLES, 
                 f"{other.source}: is of a {other.arm.name}, but {calibrations[0].source} of a {arm.name};"
                 " compare arms of one type"
             )
-    q = sample_within_limits(arm, samples, seed)
+    q = check_positions(arm)
     flange = np.stack([calibration_poses(calibration, q)[:, :3, 3] for calibration in calibrations])
     nominal = np.asarray(hayati_fk(arm.form, arm.hayati, q) @ arm.T_joint_flange)[:, :3, 3]
     return Comparison(

@@ -1,7 +1,9 @@
 """Many arms of one type fitted in one call, each with its own result code."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +12,9 @@ from jax.typing import ArrayLike
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.factory import read_factory
 from lite6jax.arms.forward_kinematics import six_parameter_fk
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks
 from lite6jax.fitting.gauss_newton import Prior
 from lite6jax.fitting.residual import POSE
@@ -50,6 +53,7 @@ def fit_fleet(
     Raises:
         InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
     """
+    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
     arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
     q, T = real_array("joint_position", joint_position), real_array("T_base_flange", T_base_flange)
     if T.ndim != 4 or T.shape[2:] != (4, 4):
@@ -109,7 +113,7 @@ def fit_fleet(
 
 
 def fit_fleet_calibrations(
-    factory: ArrayLike,
+    factory: ArrayLike | Sequence[str | Path],
     *,
     nominal: Arm | str,
     samples: int = 300,
@@ -119,17 +123,20 @@ def fit_fleet_calibrations(
     """Fits the Hayati model of many arms to their six-parameter calibrations, by sampling the chains.
 
     Args:
-        factory: `(arm, joint, 6)`, x y z (m) roll pitch yaw (rad) per joint.
-        nominal: the arm's type.
+        factory: `(arm, joint, 6)`, x y z (m) roll pitch yaw (rad) per joint; or the paths of calibrations.
+        nominal: the arm's type, an `Arm` or the name of a bundled one.
         samples: joint positions, uniform inside the arm's limits, the same for all arms.
         seed: of those.
         progress: as in `fit_fleet`.
 
     Raises:
-        InputError: a wrong shape.
+        InputError: a wrong shape or type, or as `read_factory`.
     """
+    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
     arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
-    kinematics = np.asarray(factory, float)
+    if isinstance(factory, list | tuple) and any(isinstance(each, str | Path) for each in factory):
+        factory = np.stack([read_factory(path, arm).kinematics for path in factory])
+    kinematics = real_array("factory", cast(ArrayLike, factory))
     if kinematics.ndim != 3 or kinematics.shape[1:] != (arm.dof, 6):
         raise InputError(f"factory of shape {kinematics.shape}: {arm.name} takes (arm, {arm.dof}, 6)")
     q = sample_within_limits(arm, samples, seed)

@@ -31,7 +31,10 @@ Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)
-"""Position (m) and orientation (rad) noise per axis of the first fit, where a recording does not declare both."""
+"""Position (m) and orientation (rad) noise per axis of the first fit, each where a recording does not declare it."""
+TOLERANCE = {"m": 0.02, "rad": 0.05}
+"""Standard deviation of the prior of each number of an unknown chain about nominal. It is wide enough for any arm: real
+ones are up to 10 mm and 1° off. What the data do not determine stays near nominal by it."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
 """Prior standard deviation of a factory number (m, rad) where geometry is `prior` and none is declared."""
 
@@ -48,9 +51,9 @@ class Problem:
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured.
         noise: one standard deviation per axis of position (m) and orientation (rad), None where that is not measured.
         joint_noise: of a joint's read-out, rad.
-        precision: `(size,)` of the prior; zero is none.
+        precision: `(size,)` of the prior that is declared; zero is none.
         movable: `(size,)` bool, the parameters to estimate.
-        declared: whether the noise is declared; else only its ratio matters.
+        declared_noise: the noise as declared, each None where it is not, or not measured.
         exact: whether the poses have no noise: they are computed from a calibration.
         notes: what was assumed.
     """
@@ -64,7 +67,7 @@ class Problem:
     joint_noise: float
     precision: Array
     movable: NDArray[np.bool_]
-    declared: bool
+    declared_noise: tuple[float | None, float | None]
     exact: bool = False
     notes: tuple[str, ...] = ()
 
@@ -72,6 +75,14 @@ class Problem:
     def rows(self) -> int:
         """Numbers a sample gives: 3 or 6."""
         return POSITION if self.pose.ndim == 2 else POSE
+
+    @property
+    def tolerance(self) -> Array:
+        """`(size,)`, the precision of the prior of what is fitted and nothing is declared of; zero of frames."""
+        chain, precision = self.form.chain, np.zeros(self.form.size)
+        if not self.exact:
+            precision[: chain.size] = [TOLERANCE[unit] ** -2.0 for unit in chain.units]
+        return np.where(self.movable & (self.precision == 0), precision, 0.0)
 
     def select(self, samples: NDArray[np.integer]) -> "Problem":
         """With some of the samples."""
@@ -116,7 +127,7 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
         joint_noise=0.0,
         precision=np.zeros(form.size),
         movable=np.ones(form.size, bool),
-        declared=False,
+        declared_noise=(None, None),
         exact=True,
     )
 
@@ -197,24 +208,23 @@ def recording_problem(
         flange, position, rotation, None if frame else np.eye(4), None if tool else known_tool
     )
     start = ArmModel(values, T_sensor_base, T_joint_flange @ T_flange_tool)  # type: ignore[arg-type]
-    declared = settings.position_noise_m is not None and (
-        rotation is None or settings.orientation_noise_rad is not None
-    )
-    orientation_noise = None if rotation is None else settings.orientation_noise_rad or UNDECLARED_NOISE[1]
-    sigma = (settings.position_noise_m or UNDECLARED_NOISE[0], orientation_noise)
-    if not declared:
-        notes.append("the sidecar does not declare the noise of all that is measured: it is taken from the residuals")
+    declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
+    noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
+    lacking = [declared[0] is None, rotation is not None and declared[1] is None]
+    if any(lacking):
+        what = "positions" if not lacking[1] else "all that is measured" if lacking[0] else "orientations"
+        notes.append(f"the sidecar does not declare the noise of {what}: it is taken from the residuals")
     return Problem(
         arm=arm,
         form=form,
         start=start,
         joint_position=recording.joint_position,
         pose=pose,
-        noise=sigma,
+        noise=noise,
         joint_noise=settings.joint_noise_rad,
         precision=precision,
         movable=movable,
-        declared=declared,
+        declared_noise=declared,
         notes=(*recording.notes, *notes),
     )
 

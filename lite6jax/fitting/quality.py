@@ -37,8 +37,8 @@ class Quality(NamedTuple):
             where it explains less than half of the variance of the positions.
         error: m, which three quarters of the position errors on rows that were not fitted do not exceed.
         limit: m, for `error`.
-        explained: share of the variance of the measured positions that the model explains, in these rows; None for a
-            calibration.
+        explained: share of the variance of the measured positions that the model explains, in these rows; zero of one
+            point, which has none; None for a calibration.
     """
 
     verdict: QualityVerdict
@@ -72,7 +72,7 @@ def quality_of_poses(
         over_noise: residuals over the declared noise; None where there is none.
     """
     limit = max(FARTHEST_SHARE * reach, NOISES * (declared or 0.0))
-    error, spread, moved = upper_quartile(distance), _spread(measured), _spread(predicted)
+    error, spread, moved = upper_quartile(distance), spread_of(measured), spread_of(predicted)
     explained = 1 - (error / spread) ** 2 if spread > 0 else 0.0
     explained = float(explained) if np.isfinite(explained) else -1.0
     if not error <= limit:
@@ -95,6 +95,6 @@ def upper_quartile(distance: Array) -> float:
     return float(np.percentile(distance, _QUARTILE)) if np.isfinite(distance).all() else float("inf")
 
 
-def _spread(position: Array) -> float:
+def spread_of(position: Array) -> float:
     """m, from the median position, as `error` is of the errors."""
     return upper_quartile(np.linalg.norm(position - np.median(position, axis=0), axis=1))

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -10,14 +11,19 @@ from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.forms import hayati_of
+from lite6jax.arms.table import write_table
+from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
-from lite6jax.fitting.quality import Quality, quality_of_calibration, quality_of_poses
+from lite6jax.fitting.quality import ROUNDING, Quality, quality_of_calibration, quality_of_poses
 from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -46,6 +52,10 @@ class Errors:
         """Root of the mean squared 3-D distance, m."""
         return float(np.sqrt(np.mean(self.position**2)))
 
+
+FROM_PRIOR = 0.01
+"""Share of the prior's variance above which an estimate is not determined by the data: its standard deviation is then
+over 2 mm or 0.3°, a tenth of the prior's, and no less than real arms are off nominal."""
 
 _predict = Exported("predict", predict, (0,))
 _AT_ONCE = 24_000
@@ -98,14 +108,20 @@ class Noise:
     """One standard deviation per axis, of position (m) and orientation (rad).
 
     Attributes:
-        declared: by the sidecar, or None.
+        declared: by the sidecar, each None where it is not; None where neither is.
         position: estimated robustly from the residuals; model errors are included.
         orientation: likewise, or None where no orientation was measured.
     """
 
-    declared: tuple[float, float | None] | None
+    declared: tuple[float | None, float | None] | None
     position: float
     orientation: float | None
+
+    @property
+    def over_declared(self) -> float | None:
+        """The residuals over the declared noise, of the part where that is more; None where none is declared."""
+        pairs = zip((self.position, self.orientation), self.declared or (None, None), strict=True)
+        return max((found / told for found, told in pairs if found is not None and told is not None), default=None)
 
 
 @dataclass(frozen=True)
@@ -122,8 +138,8 @@ class Held:
 
 
 @final
-@dataclass(frozen=True)
-class Solution(Summarised):
+@dataclass(frozen=True, repr=False)
+class Solution(PublicResult):
     """The fit of one arm.
 
     Attributes:
@@ -141,6 +157,7 @@ class Solution(Summarised):
         checked: of data not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
         noise: of the data; None for a calibration.
         weight: `(sample,)` in 0…1, of each sample under the robust loss.
+        tolerance: `(size,)`, the precision of the prior about nominal, of which nothing is declared; zero without one.
         notes: assumptions of the fit, each one sentence.
         recording: the recording that was fitted; None for a calibration.
         faults: of its data, in the order in which they were corrected.
@@ -159,6 +176,7 @@ class Solution(Summarised):
     checked: Errors
     noise: Noise | None
     weight: Array
+    tolerance: Array
     notes: tuple[str, ...] = field(default=())
     recording: Recording | None = None
     faults: tuple[DataFault, ...] = ()
@@ -173,12 +191,29 @@ class Solution(Summarised):
         """`(size,)` in m and rad; zero where held."""
         return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
 
+    @property
+    def prior_share(self) -> Array:
+        """`(size,)`: the variance of each estimate over that of its prior about nominal, 1 where the data say nothing.
+
+        Zero without such a prior, and where held.
+        """
+        if self.covariance is None:
+            return np.zeros(self.form.size)
+        share = np.diagonal(self.covariance) * self.tolerance
+        # rounding hides a prior below 1e-16 of the information
+        return np.where((share >= 0) & (share <= 1), share, 1.0)
+
+    @property
+    def determined(self) -> NDArray[np.bool_]:
+        """`(size,)`: estimated, and by more than the prior about nominal."""
+        return self.free & (self.prior_share <= FROM_PRIOR)
+
     @cached_property
     def quality(self) -> Quality:
         """Whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
-        measured, declared = self.recording.position, self.noise.declared
+        measured = self.recording.position
         assert measured is not None
         predicted = np.empty_like(measured)
 
@@ -186,12 +221,26 @@ class Solution(Summarised):
             predicted[some] = poses[:, :3, 3]
 
         _predict_parts(self.form, self.model, self.recording.joint_position, take)
-        over_noise = None
-        if declared is not None:
-            left = (self.noise.position, self.noise.orientation)
-            over_noise = max(a / b for a, b in zip(left, declared, strict=True) if a is not None and b is not None)
-        noise = None if declared is None else declared[0]
-        return quality_of_poses(self.checked.position, measured, predicted, self.arm.reach, noise, over_noise)
+        noise = None if self.noise.declared is None else self.noise.declared[0]
+        return quality_of_poses(
+            self.checked.position, measured, predicted, self.arm.reach, noise, self.noise.over_declared
+        )
+
+    @cached_property
+    def outlying(self) -> NDArray[np.bool_]:
+        """`(sample,)`, rows of little weight whose error exceeds the declared noise, or else the rounding of a file."""
+        declared = (
+            (None, None)
+            if self.recording is None
+            else (
+                self.recording.settings.position_noise_m,
+                self.recording.settings.orientation_noise_rad,
+            )
+        )
+        matters = self.errors.position > (declared[0] or ROUNDING)
+        if self.errors.orientation is not None:
+            matters |= self.errors.orientation > (declared[1] or ROUNDING)
+        return (self.weight < DOWNWEIGHTED) & matters
 
     def predict(self, joint_position: Array) -> Array:
         """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad.
@@ -204,8 +253,8 @@ class Solution(Summarised):
 
 
 @final
-@dataclass(frozen=True)
-class FleetSolution(Summarised):
+@dataclass(frozen=True, repr=False)
+class FleetSolution(PublicResult):
     """The fits of many arms; every array has the arm as its first axis.
 
     Attributes:
@@ -238,3 +287,27 @@ class FleetSolution(Summarised):
     def standard_deviation(self) -> Array:
         """`(arm, size)` m and rad."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+
+def write_solution(solution: Solution, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes the fitted arm's Hayati parameters; sensor frame and tool, which are not the arm's, stay out of it.
+
+    How the fit ended, whether it describes the data and its error on data not fitted are written beside the table.
+
+    A six-parameter chain, near a factory calibration, is converted in closed form.
+
+    Raises:
+        InputError: as `write_table` and `hayati_of`.
+    """
+    form, parameters = solution.form.chain, solution.parameters
+    if not isinstance(form, HayatiForm):
+        arm = solution.arm
+        chain = FactoryCalibration(parameters.reshape(-1, 6), arm, arm.T_joint_flange, str(path))
+        form, parameters = arm.form, hayati_of(chain)
+    error = solution.checked.position_rms
+    fit = {
+        "result": solution.result.name.lower(),
+        "quality": solution.quality.verdict,
+        "checked_position_rms_m": error if np.isfinite(error) else None,
+    }
+    return write_table(form, np.asarray(parameters), path, overwrite, fit)

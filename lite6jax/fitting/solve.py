@@ -19,6 +19,8 @@ Array = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 
 _MAX_SCALE_UPDATES = 30
+_STEPS_OF_A_SCALE = 3
+"""Steps between updates of the scale, until it has settled: no solution of a scale that is wrong need be exact."""
 _FEW = 1500
 """Samples up to which the compiler's optimisation takes longer than it saves, were it a hundred solves."""
 _GAUSSIAN = 1e15
@@ -171,11 +173,13 @@ def solve_robustly(
     scale = scales(
         solve(problem, free, whitener, training, unweighted(freedom, len(training)), start, "gauss_newton", 0)
     )
-    steps, updates = 0, 0
+    steps, updates, settled = 0, 0, False
     while True:
         robust = Robust(np.full(len(scale), freedom), scale)  # type: ignore[arg-type]
-        estimates = solve(problem, free, whitener, training, robust, start, solver, max_steps)
+        most = max_steps if settled else min(_STEPS_OF_A_SCALE, max_steps)
+        estimates = solve(problem, free, whitener, training, robust, start, solver, most)
         start, steps, before, scale = estimates.model, steps + estimates.steps, scale, scales(estimates)
-        updates += 1
-        if updates == _MAX_SCALE_UPDATES or (np.abs(scale / before - 1) < _SCALE_TOLERANCE).all():
+        updates, whole = updates + 1, settled
+        settled = updates >= _MAX_SCALE_UPDATES or bool((np.abs(scale / before - 1) < _SCALE_TOLERANCE).all())
+        if settled and (whole or (estimates.status == Result.CONVERGED).all()):
             return RobustFits(estimates._replace(steps=steps), scale)

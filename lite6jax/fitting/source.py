@@ -6,7 +6,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.fitting.recognition import declared_arm, widest_limits, with_arm
 from lite6jax.recordings import (
     Recording,
@@ -20,9 +20,46 @@ from lite6jax.recordings import (
 )
 
 
-def load_nominal(nominal: Arm | str | None) -> Arm | None:
-    """An arm by name, or as it is."""
-    return read_arm(nominal) if isinstance(nominal, str) else nominal
+def load_nominal(nominal: Arm | str | Path | None) -> Arm | None:
+    """An arm by its name or from its file, or as it is.
+
+    Raises:
+        InputError: another type, or as `read_arm`.
+    """
+    if nominal is None or isinstance(nominal, Arm):
+        return nominal
+    if not isinstance(nominal, str | Path):
+        raise wrong_type("arm", nominal, "an Arm, the name of a bundled one, or the path of an arm's file")
+    return read_arm(str(nominal))
+
+
+def load_recording(
+    recording: Recording | str | Path,
+    arm: Arm | None = None,
+    *,
+    assume_degrees: bool = False,
+    assume_millimetres: bool = False,
+) -> Recording:
+    """A recording as it is, or from its file.
+
+    Args:
+        recording: either.
+        arm, assume_degrees, assume_millimetres: of a file, as in `read_source`.
+
+    Raises:
+        InputError: another type, a calibration's file, or as `read_source`.
+    """
+    if isinstance(recording, Recording):
+        return recording
+    if not isinstance(recording, str | Path):
+        raise wrong_type("recording", recording, f"the path of a recording, or {_MADE}")
+    source = read_source(recording, arm, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
+    if not isinstance(source, Recording):
+        raise InputError(f"{recording}: is a calibration; give a recording (.csv, .parquet, .mcap, .bag)")
+    return source
+
+
+_MADE = "a Recording as Recording.from_arrays and Recording.from_dataframe make it"
 
 
 def read_source(

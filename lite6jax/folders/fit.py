@@ -14,8 +14,8 @@ from lite6jax import storage
 from lite6jax.arms import entries
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
-from lite6jax.arms.factory import FactoryCalibration, factory_from, read_factory
-from lite6jax.arms.nearest import nearest_arms
+from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
+from lite6jax.arms.table import is_table
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.calibrations_fit import fit_calibrations
 from lite6jax.fitting.quality import Quality, quality_of_calibration
@@ -95,9 +95,11 @@ def _attempt(path: Path, work: Callable[[], T], as_shown: Callable[[str], str]) 
 
 
 def _read(path: Path, nominal: Arm | None) -> _Content:
-    if path.suffix.lower() == ".json":
+    if path.suffix.lower() not in (".yaml", ".yml"):
         return _Content(None, None)
     content = storage.read_yaml(path)
+    if is_table(content):
+        return _Content(None, None)
     if not isinstance(content, dict) or "kinematics" not in content:
         raise _NotOneError(f"{path}: not a calibration (it has no key 'kinematics'); passed over")
     if "name" in content:

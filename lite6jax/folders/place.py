@@ -13,7 +13,7 @@ from lite6jax.distribution.kept import sha256_of
 from lite6jax.errors import InputError
 from lite6jax.temporaries import temporary_folder
 
-CALIBRATIONS = (".yaml", ".yml", ".json")
+CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")
 LOGS = (".mcap", ".bag")
 """The suffixes of files; a recording may be a folder as well."""

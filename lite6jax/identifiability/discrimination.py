@@ -20,14 +20,14 @@ from lite6jax.identifiability.evaluation import (
 )
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.refine import Refinement
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class DiscriminationPlan(Summarised):
+@dataclass(frozen=True, eq=False, repr=False)
+class DiscriminationPlan(PublicResult):
     """Poses that discriminate between two rival models of the physics.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -9,17 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import require_type
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, checked_joints, recorded
 from lite6jax.identifiability.monte_carlo import Refits, refit
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.recordings import Recording
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -58,8 +61,8 @@ class Accuracy(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Identification(Summarised):
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(PublicResult):
     """What some poses determine.
 
     Attributes:
@@ -163,6 +166,7 @@ def identify(
     Raises:
         InputError: joints that the arm does not have, degrees for radians, or numbers that are not real or not finite.
     """
+    require_type("experiment", experiment, Experiment, "an Experiment, as lite6jax.plan_experiment makes it")
     arm = experiment.arm
     q = sample_within_limits(arm, poses, seed) if joint_position is None else checked_joints(experiment, joint_position)
     determination = determine(experiment, q)
@@ -180,8 +184,8 @@ def identify(
 
 
 def identify_recording(
-    recording: Recording,
-    arm: Arm | None = None,
+    recording: Recording | str | Path,
+    arm: Arm | str | Path | None = None,
     *,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
@@ -190,13 +194,15 @@ def identify_recording(
     processes: int | None = None,
     scheduler: str | None = None,
 ) -> Identification:
-    """As `identify`, of the poses, the sensor and the unknowns of a recording, and of effects if given.
+    """As `identify`, of the poses, the sensor and the unknowns of a recording or its file, and of effects if given.
 
     Where the sidecar does not declare the noise of all that is measured, it is taken from the residuals of a fit.
 
     Raises:
         InputError: as `recorded`.
     """
+    arm = load_nominal(arm)
+    recording = load_recording(recording, arm)
     recording = recording if arm is not None else with_arm(recording)
     experiment = recorded(recording, arm, geometry)
     notes = list(recording.notes)

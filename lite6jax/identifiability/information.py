@@ -21,7 +21,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.statics import inertia_of
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.chunks import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
@@ -244,6 +244,7 @@ def plan_experiment(
     Raises:
         InputError: no such bundled arm or sensor.
     """
+    require_type("arm", arm, Arm | str, "an Arm or the name of a bundled one")
     arm = bundled.load_bundled(arm) if isinstance(arm, str) else arm
     sensor = sensor_named(sensor) if isinstance(sensor, str) else sensor
     geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof, arm.sliding)

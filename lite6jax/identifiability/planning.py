@@ -22,7 +22,7 @@ from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.refine import Refinement
 from lite6jax.identifiability.sensor import BARE
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 CriterionName = Literal["D", "A", "E", "I"]
@@ -34,8 +34,8 @@ _UNDETERMINED = 1e-6
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Plan(Summarised):
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(PublicResult):
     """Poses to record.
 
     Attributes:

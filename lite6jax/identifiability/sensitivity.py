@@ -18,6 +18,7 @@ from lite6jax.fitting.sampling import sample_within_limits
 from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan_experiment
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.model import ArmModel, ModelForm
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 Measure = Literal["max", "rms"]
@@ -27,8 +28,8 @@ _TOGETHER = 256
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(PublicResult):
     """How far the flange moves per tolerance of each parameter, to first order.
 
     Attributes:
@@ -134,8 +135,8 @@ def sensitivity(
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class GlobalSensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class GlobalSensitivity(PublicResult):
     """Sobol's indices of an arm's error over its poses, and the error's distribution over arms.
 
     Attributes:

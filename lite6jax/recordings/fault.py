@@ -33,6 +33,7 @@ class DataFault:
         declared_tool           translation_m on the flange, and those of a mismatch
         (mismatch)              median_error_m, corrected_error_m, alternatives: lists of faults that fit as well
         undecided               those of a mismatch; nothing was corrected
+        other_arm               declared, arm, median_error_m, corrected_error_m
         unexplained             median_error_m, fitted_error_m, best_alternative_m
         computed_pose           median_error_m, chain ("nominal" or "factory")
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,

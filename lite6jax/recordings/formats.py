@@ -1,6 +1,6 @@
 """Recordings in files and folders with a sidecar: read whole or refused in one line, and written exactly."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.plausible import without_implausible
@@ -63,7 +63,7 @@ def read_recording(
         declared = _declared_joints(path, sidecar)
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
-    columns, _, values = table
+    columns, _, values, _ = table
     settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -105,7 +105,11 @@ class Targets(NamedTuple):
 
 
 def read_targets(
-    path: str | Path, dof: int, joint_limits: ArrayLike | None = None, reach: float | None = None
+    path: str | Path,
+    dof: int,
+    joint_limits: ArrayLike | None = None,
+    reach: float | None = None,
+    columns: Mapping[str, str] | None = None,
 ) -> Targets:
     """Reads poses to be reached, in the columns of a recording: positions, orientations or not, joints or not.
 
@@ -114,17 +118,19 @@ def read_targets(
         dof: the arm's number of joints.
         joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
         reach: in m, to recognise millimetres; unchecked without.
+        columns: names of the table with those that they have in a recording, in place of what the sidecar says.
 
     Raises:
         InputError: as `read_recording`; or there are no positions, or none in any row.
     """
     path, notes = Path(path), []
     sidecar = read_sidecar(sidecar_path(path))
-    path, table = _read(path, (), sidecar, ArmJoints(dof), notes, TABLES, joints_optional=True)
-    columns, joints, values = table
-    if "x_m" not in columns:
+    named = sidecar._replace(columns=columns or sidecar.columns)
+    path, table = _read(path, (), named, ArmJoints(dof), notes, TABLES, joints_optional=True)
+    found, joints, values, _ = table
+    if "x_m" not in found:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
-    given = "q1_rad" in columns
+    given = "q1_rad" in found
     if not given:
         values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
     recording = _assembled(table, path, _checked(sidecar, path, notes), notes)
@@ -147,6 +153,7 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     Raises:
         InputError: another suffix, a file that exists while `overwrite` is false, or a disk that refuses.
     """
+    require_type("recording", recording, Recording, "a Recording")
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")

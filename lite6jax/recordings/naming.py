@@ -220,17 +220,17 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
         joint_names: of the arm, along it, where it has some.
     """
     words = [_taken_apart(name) for name in names]
-    found = [*_labelled(words, joint_names)]
+    found = [*_joint_labels(words, joint_names)]
     labelled = {name for block in found for name in block.columns}
     words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
-    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbered(words)]
+    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
     if not any(block.kind == "q" for block in found):
         found += _unnumbered(words)
     place = {name: k for k, name in enumerate(names)}
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
 
 
-def chosen(found: Sequence[Block], dof: int | None = None) -> list[Block]:
+def choose(found: Sequence[Block], dof: int | None = None) -> list[Block]:
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
 
     Args:
@@ -354,7 +354,7 @@ def _form(words: Iterable[str]) -> dict[str, object]:
     return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
 
 
-def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
+def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
     taken: set[str] = set()
     state = [
@@ -464,7 +464,7 @@ def _unnumbered(words: Sequence[_Word]) -> list[Block]:
     return found if any(block.kind == "q" for block in found) else []
 
 
-def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
+def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
     groups: dict[tuple[str, ...], dict[int, _Word]] = {}
     for word in words:

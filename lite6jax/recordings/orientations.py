@@ -54,7 +54,7 @@ def quaternions(form: tuple[str, ...], values: Array) -> Array:
     return found
 
 
-def no_rotations(matrix: Array) -> NDArray[np.bool_]:
+def is_no_rotation(matrix: Array) -> NDArray[np.bool_]:
     """Of which rows `(sample, 9)`, without gaps, the matrix is no rotation: not orthogonal, or mirrored."""
     R = matrix.reshape(-1, 3, 3)
     with np.errstate(all="ignore"):
@@ -73,7 +73,7 @@ def with_quaternions(values: Mapping[str, Array], source: str = "recording") -> 
         names = [spelled(part) for part in form]
         if all(name in told for name in names):
             parts = np.stack([told.pop(name) for name in names], axis=1)
-            if form == MATRIX and (wrong := np.flatnonzero(no_rotations(parts))).size:
+            if form == MATRIX and (wrong := np.flatnonzero(is_no_rotation(parts))).size:
                 turned = np.linalg.det(parts[wrong[0]].reshape(3, 3)) > 0
                 raise InputError(
                     f"{source}: row {wrong[0] + 1}: r11 … r33 {'is not orthogonal' if turned else 'is mirrored'}, so "

@@ -16,12 +16,12 @@ from lite6jax.recordings.sequence import contiguous_blocks, differentiate, direc
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
 from lite6jax.recordings.units import real_array
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Recording(Summarised):
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(PublicResult):
     """One row per sample, float64, SI: m, rad, s, N·m, A, °C, kg; of prismatic joints m for rad and N for N·m.
 
     Build it with `Recording.from_arrays`, `Recording.from_dataframe` or `read_recording`.

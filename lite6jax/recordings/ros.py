@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_unit
 from lite6jax.errors import InputError
+from lite6jax.recordings import streams
 
 Array = NDArray[np.floating]
 Stamps = NDArray[np.int64]
@@ -21,8 +22,6 @@ TRANSFORM = "geometry_msgs/TransformStamped"
 TF = "tf2_msgs/TFMessage"
 POSES = (POSE_STAMPED, TRANSFORM, TF)
 """Messages from which poses are taken; transforms of TF only where no topic has the others, or by name."""
-LONGEST_GAP = 2.0
-"""Between joint states around a pose, in median steps; beyond, the joints at the pose are not known."""
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
 _SHOWN = 8
@@ -139,7 +138,7 @@ def read_log(
     of_arm: ArmJoints,
     notes: list[str],
 ) -> dict[str, Array]:
-    """The table of a log: a row per pose, with the joints interpolated linearly to its stamp.
+    """The table of a log: a row per pose, with the joints interpolated to its stamp (`streams.join`).
 
     Joints are named q1 … qN by the names of the arm's joints, along Universal Robots' arm, by the numbers in their
     names, or in order of appearance. Positions of prismatic joints are in m.
@@ -176,7 +175,7 @@ def read_log(
             f"the poses are those of {child} in {parent} on {poses.topic}; a robot_state_publisher computes such "
             "transforms from the joints, which measures nothing"
         )
-    kept, columns = _interpolated(path, state, measured.stamp, notes)
+    kept, columns = _at_poses(path, state, measured.stamp, notes)
     stamp = measured.stamp[kept]
     table = {"time_s": _seconds(stamp, stamp[0]), **columns}
     position, quaternion = (
@@ -225,7 +224,7 @@ def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple
 
 
 def _split(name: str, types: Mapping[str, str]) -> _Chosen:
-    topic, mark, child = name.rpartition(":")
+    topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
     return _Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name)
 
 
@@ -337,37 +336,23 @@ def _number(name: str) -> int:
     return int(re.findall(r"\d+", name)[-1])
 
 
-def _interpolated(
+def _at_poses(
     path: Path, state: _JointStates, stamp: Stamps, notes: list[str]
 ) -> tuple[NDArray[np.bool_], dict[str, Array]]:
     """Which poses have joint states around them, and the joints' columns there."""
     if len(state.stamp) < 2:
         raise InputError(f"{path}: has {len(state.stamp)} joint states at different times; record at least 2")
-    gap = np.diff(state.stamp)
-    before = np.clip(np.searchsorted(state.stamp, stamp, side="right") - 1, 0, len(gap) - 1)
-    outside = (stamp < state.stamp[0]) | (stamp > state.stamp[-1])
-    exact = (stamp == state.stamp[before]) | (stamp == state.stamp[before + 1])
-    wide = ~outside & ~exact & (gap[before] > LONGEST_GAP * np.median(gap))
-    kept = ~(outside | wide)
-    if not kept.any():
-        base = min(state.stamp[0], stamp.min())
-        joints, poses = (
-            f"{_seconds(s.min(), base):.3f} to {_seconds(s.max(), base):.3f} s" for s in (state.stamp, stamp)
-        )
+    base = min(state.stamp[0], stamp.min())
+    times = _seconds(state.stamp, base), _seconds(stamp, base)
+    joints = [name for name in state.columns if re.match(r"q\d", name)]
+    joined = streams.join(times[0], state.columns, joints, times[1])
+    if not joined.kept.any():
+        moved, measured = (f"{time.min():.3f} to {time.max():.3f} s" for time in times)
         raise InputError(
-            f"{path}: no pose lies between joint states (joints {joints}, poses {poses}); stamp both by one clock"
+            f"{path}: no pose lies between joint states (joints {moved}, poses {measured}); stamp both by one clock"
         )
-    notes.append("the joints are interpolated linearly to the stamps of the poses")
-    for count, reason in (
-        (int(outside.sum()), "before the first or after the last joint state"),
-        (int(wide.sum()), f"between joint states over {LONGEST_GAP:g} median steps apart"),
-    ):
-        if count:
-            notes.append(f"dropped {count} poses {reason}")
-    share = (stamp - state.stamp[before])[kept] / gap[before[kept]]
-    low, high = before[kept] + (share == 1), before[kept] + (share > 0)  # at a joint state its neighbours do not matter
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite stays so, and its rows are dropped
-        return kept, {name: column[low] * (1 - share) + column[high] * share for name, column in state.columns.items()}
+    notes += streams.said_of(joined)
+    return joined.kept, joined.columns
 
 
 def _seconds(stamp: Any, start: Any) -> Any:

@@ -71,7 +71,7 @@ def increases(time: Array, run: Array | None = None) -> bool:
     return not steps.size or float(np.mean(steps <= 0)) <= BACK
 
 
-def of_unit_length(quaternion: Array) -> bool:
+def has_unit_length(quaternion: Array) -> bool:
     """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
     length = np.linalg.norm(quaternion[np.isfinite(quaternion).all(1)], axis=1)
     length = length[length > 0]
@@ -91,7 +91,7 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
     there = position[np.isfinite(position)]
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
-    if servo and largest <= PERCENT:
+    if servo and WIDE_RAD < largest <= PERCENT:
         return Decision("deg", "assumed", "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)

@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from lite6jax.errors import InputError, command_line
+from lite6jax.recordings import streams
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
 from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise, sliding_of
@@ -24,11 +25,13 @@ class Table(NamedTuple):
         columns: by their names in SI units.
         joints: how many.
         values: `(sample,)` float64 in SI units, by the same names; NaN where absent.
+        row: `(sample,)` of the table, counted from 1; None where every row is a sample.
     """
 
     columns: dict[str, Column]
     joints: int
     values: dict[str, np.ndarray]
+    row: np.ndarray | None = None
 
     @property
     def spelling(self) -> dict[str, str]:
@@ -77,13 +80,19 @@ def tabulated(
         if not problems:
             raise
         problems.append(str(error).removeprefix(f"{source}: "))
-    values = si_values(found.columns, arrays)
+    values, row = si_values(found.columns, arrays), None
     lengths = {len(column) for column in values.values()}
     if len(lengths) > 1:
         problems.append(f"its columns have unequal lengths, {min(lengths)} to {max(lengths)}; give one each")
     elif lengths == {0} and not problems:
         problems.append("has column names but no rows; record again")
     else:
+        try:
+            if (whole := _with_joined_streams(values, found.joints)) is not None:
+                values, row = whole.columns, whole.rows + 1
+                notes += streams.said_of_merged(whole)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
         empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
         empty = [said for said in empty if said]
         # one alone is reported with the rows that are left out for it; targets keep their rows
@@ -96,7 +105,14 @@ def tabulated(
         )
         rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
         notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return Table(found.columns, found.joints, values)
+    return Table(found.columns, found.joints, values, row)
+
+
+def _with_joined_streams(values: Mapping[str, np.ndarray], joints: int) -> streams.Merged | None:
+    """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
+    if "time_s" not in values:
+        return None
+    return streams.merged(values, [f"q{joint}_rad" for joint in range(1, joints + 1)], ("x_m", "y_m", "z_m"), "time_s")
 
 
 def _numbers(array: pa.Array | pa.ChunkedArray, column: Column, notes: list[str]) -> pa.Array | pa.ChunkedArray | str:
@@ -243,6 +259,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         "ambient_temperature": values.get("ambient_degC"),
         "payload": values.get("payload_kg"),
         "run": run,
+        "row": table.row,
     }
 
 

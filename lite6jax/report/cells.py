@@ -24,6 +24,10 @@ MOST_ROWS = 12
 """The largest number of row numbers that are listed."""
 
 
+UNKNOWN = "unknown"
+"""In place of a number that is not finite: what no data determine has no size."""
+
+
 def joint_units(sliding: Sequence[int], joints: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """For each joint the factor from rad, or from m of the prismatic joints counted from 0, and the printed unit."""
     shown = [SCREEN["m" if joint in sliding else "rad"] for joint in range(joints)]
@@ -37,7 +41,7 @@ def torque_units(sliding: Sequence[int], joints: int) -> tuple[str, ...]:
 
 def each_with_unit(values: Sequence[float], units: Sequence[str]) -> str:
     """Numbers one after the other, the unit behind the last where all have the same, else behind each."""
-    shown = [f"{value:.3g}" for value in values]
+    shown = list(map(significant, values))
     if len(set(units)) == 1:
         return f"{', '.join(shown)} {units[0]}"
     return ", ".join(f"{value} {unit}" for value, unit in zip(shown, units, strict=True))
@@ -45,18 +49,29 @@ def each_with_unit(values: Sequence[float], units: Sequence[str]) -> str:
 
 def number(value: float, digits: int = 4) -> str:
     """A number in fixed point, or in scientific notation where fixed point would show only zeros."""
+    if not np.isfinite(value):
+        return UNKNOWN
     if value != 0 and abs(value) < SHOWS_AS_ZERO * 10 ** (4 - digits):
         return f"{value:.1e}"
     return f"{value:.{digits}f}"
 
 
+def significant(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits."""
+    return f"{value:.{digits}g}" if np.isfinite(value) else UNKNOWN
+
+
 def multiple(ratio: float) -> str:
     """A ratio in two digits, and in whole numbers from 100 on."""
+    if not np.isfinite(ratio):
+        return UNKNOWN
     return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:.0f}"
 
 
 def fixed(value: float, digits: int = 4, sign: str = "") -> str:
     """A number in fixed point, without a minus before zero."""
+    if not np.isfinite(value):
+        return UNKNOWN
     text = f"{value:{sign}.{digits}f}"
     return text if float(text) else text.replace("-", sign)
 
@@ -71,8 +86,10 @@ def listing(*headers: str) -> Table:
 
 def plus_minus(value: float) -> str:
     """A standard deviation to two significant digits."""
-    if value == 0 or not np.isfinite(value):
-        return f"{value:.0f}"
+    if not np.isfinite(value):
+        return UNKNOWN
+    if value == 0:
+        return "0"
     return f"{value:.1e}" if value < 1e-4 else f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
 
 
@@ -100,3 +117,19 @@ def ranges(numbers: Iterable[int]) -> list[tuple[str, int]]:
         else:
             parts += [(str(value), 1) for value in numbers[start:end]]
     return parts
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: 1 row, or 3 rows."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def joined(words: Iterable[str], last: str = "and") -> str:
+    """Words in a row: a, b and c."""
+    *first, final = [*words] or [""]
+    return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def capital(text: str) -> str:
+    """With a capital first letter, the others unchanged."""
+    return text[:1].upper() + text[1:]

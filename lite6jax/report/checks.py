@@ -1,6 +1,6 @@
 """The sentences of a check: each made from the code and the numbers of a cause."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms.bundled import VARIANTS, bundled_arms
 from lite6jax.domains.pose.check import Cause, RecordingCheck
+from lite6jax.recordings.fault import DataFault
 from lite6jax.report.cells import SCREEN, rows_named
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statements
 
@@ -30,11 +31,16 @@ def check_report(path: str | Path, found: Sequence[Cause] | RecordingCheck) -> I
     causes = found.causes if isinstance(found, RecordingCheck) else found
     if isinstance(found, RecordingCheck):
         yield from (_line(True, "Note", note) for note in found.notes)
-        for fault in found.faults:
-            rows = f" {_capital(rows_named(fault.rows))}." if fault.rows else ""
-            yield _line(True, fault_name(fault.code), fault_statement(fault) + rows)
+        yield from fault_lines(found.faults)
         yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
     yield from (_line(cause.suspicious, _NAMES[cause.code], statement(cause)) for cause in causes)
+
+
+def fault_lines(faults: Iterable[DataFault]) -> Iterator[RenderableType]:
+    """A line for each fault of the data."""
+    for fault in faults:
+        rows = f" {_capital(rows_named(fault.rows))}." if fault.rows else ""
+        yield _line(True, fault_name(fault.code), fault_statement(fault) + rows)
 
 
 def statement(cause: Cause) -> str:

@@ -9,6 +9,8 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import (
     diagnosis_figures,
     diagnosis_tables,
@@ -18,7 +20,6 @@ from lite6jax.report import (
     torque_figures,
     torque_page,
     torque_statements,
-    torque_tables,
     worth,
 )
 from lite6jax.report.next_steps import Files
@@ -40,6 +41,14 @@ def with_statements(document: Document) -> dict[str, Any]:
     return stated
 
 
+def stated_document(found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis) -> dict[str, Any]:
+    """The document of any diagnosis, with statements."""
+    document = found.to_dict()
+    if isinstance(found, TorqueDiagnosis):
+        return torque_statements.with_statements(document)
+    return with_statements(document)
+
+
 def combined_report(
     document: Document, source: str, files: Files | None = None, details: bool = False
 ) -> Iterator[RenderableType]:
@@ -58,7 +67,7 @@ def combined_report(
         yield ""
         return
     yield Text("Torques", style="bold")
-    yield from torque_tables.torque_report(document["torques"], source, None, details)
+    yield from diagnosis_tables.diagnosis_report(document["torques"], source, None, details)
     yield Text(f"{shared.HEADING}:")
     yield from map(indented, [entry["statement"] for entry in document["shared"]] or [shared.NOTHING])
     yield ""

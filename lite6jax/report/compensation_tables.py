@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
@@ -14,9 +13,15 @@ from lite6jax.domains.pose.compensation_search import REACHED
 from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.report import screen
-from lite6jax.report.bars import NO_BARS, outside_sentence
-from lite6jax.report.cells import fixed, joint_units, listing, number
+from lite6jax.report.cells import counted, fixed, joint_units, listing, number, rows_named
+from lite6jax.report.sections import indented
 
+NO_BARS = (
+    "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
+    "diagnose` again"
+)
+_SHOWN = 0.05
+"""deg or mm, that a joint is beyond its recorded range at least to be named."""
 _ROWS_NAMED = 8
 
 
@@ -73,11 +78,13 @@ def compensation_report(
     effects = len(model.physics.effects)
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(
-        f"{_rows(count)} ({kind} in {where}) for a {model.arm} with {effects} effect{'' if effects == 1 else 's'} "
+        f"{counted(count, 'target')} ({kind} in {where}) for a {model.arm} with {counted(effects, 'effect')} "
         "beyond its geometry."
     )
     yield ""
-    yield Text(f"{_rows(hit)} reached" + (f", {_rows(count - hit)} not:" if hit < count else "."))
+    yield Text(
+        f"{counted(hit, 'target')} reached" + (f", {counted(count - hit, 'target')} not:" if hit < count else ".")
+    )
     texts = np.array([reason_text(reason, model.sliding) for reason in found.reason], object)
     yield from _groups(found, texts, ~found.reached)
     if texts[found.reached].any():
@@ -115,14 +122,6 @@ def _bars(found: Compensation) -> Iterator[RenderableType]:
         )
 
 
-def _indented(line: str) -> RenderableType:
-    return Padding(Text(line), (0, 0, 0, 2))
-
-
-def _rows(count: int) -> str:
-    return f"{count} target{'' if count == 1 else 's'}"
-
-
 def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
     """A line per reason, with the rows and the largest error."""
     reasons = Counter(text for text in texts[chosen] if text)
@@ -130,10 +129,10 @@ def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[Re
         rows = np.flatnonzero(chosen & (texts == reason))
         named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
         more = ", …" if len(rows) > _ROWS_NAMED else ""
-        yield _indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
+        yield indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
     rest = sum(reasons.values()) - sum(n for _, n in reasons.most_common(_ROWS_NAMED))
     if rest:
-        yield _indented(f"and {rest} more, which are in the file")
+        yield indented(f"and {rest} more, which are in the file")
 
 
 def _missed(found: Compensation, rows: NDArray) -> str:
@@ -157,3 +156,46 @@ def _corrections(corrections: NDArray, sliding: Sequence[int]) -> Iterator[Rende
     for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
         table.add_row(name, *(fixed(float(value)) for value in values))
     yield table
+
+
+def outside_sentence(outside: int, rows: int, noun: str) -> str:
+    """How many rows are outside what was recorded.
+
+    Args:
+        outside: how many are.
+        rows: how many there are.
+        noun: what a row is called, in the singular.
+    """
+    if not outside:
+        return f"No {noun} is outside what was recorded."
+    return (
+        f"{outside} of {counted(rows, noun)} {'is' if outside == 1 else 'are'} outside what was recorded, beyond its "
+        "range or in its gaps: the standard deviations are large there."
+    )
+
+
+def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
+    """Which targets leave the recorded range, and by how much; empty where none does.
+
+    Args:
+        found: the joint positions.
+        model: with which they were found.
+    """
+    if found.outside is None or model.uncertainty is None or not found.outside.any():
+        return ""
+    rows = found.recording.row[found.outside].tolist()
+    lower, upper = model.uncertainty.recorded.joints.T
+    q = found.joint_position[found.outside]
+    scales, units = joint_units(model.sliding, model.dof)
+    beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
+    joints = [
+        f"joint {joint} by up to {excess:.3g} {unit}"
+        for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
+        if excess > _SHOWN
+    ]
+    where = f" ({', '.join(joints)})" if joints else ""
+    verb = "is" if len(rows) == 1 else "are"
+    return (
+        f"{rows_named(rows)} {verb} outside what was recorded{where}: there the compensation extrapolates; record "
+        "poses there, or keep targets inside"
+    )

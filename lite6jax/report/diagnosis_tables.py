@@ -1,4 +1,4 @@
-"""The screen report of a diagnosis: verdict, errors before and after, findings, and what was not tested."""
+"""The screen report of a diagnosis, of poses or of torques: verdict, errors before and after, findings, remedies."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -10,8 +10,8 @@ from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.report import reference, statements, worth
-from lite6jax.report.cells import SCREEN, fixed, joint_units, listing, number
+from lite6jax.report import statements, torque_statements, worth
+from lite6jax.report.cells import SCREEN, fixed, joint_units, listing, number, significant
 from lite6jax.report.next_steps import Files
 from lite6jax.report.sections import against, chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
@@ -30,38 +30,60 @@ def diagnosis_report(
         files: for commands to copy; without them there are none.
         details: whether to list also what was ruled out and what was not tested.
     """
-    model, findings = document["model"], statements.findings_of(document)
+    torques = worth.of_torques(document)
+    named = torque_statements if torques else statements
+    findings = named.findings_of(document)
     yield Text(source, no_wrap=True, overflow="ignore")
-    yield Text(f"{model['arm']}, {document['samples']} samples ({model['motion']}).")
+    yield Text(named.setting_statement(document))
     yield ""
-    yield from against(reference.compared(document))
+    yield from against(named.compared(document))
     yield Text(worth.headline(document))
     yield ""
-    yield Text(statements.verdict_statement(document))
-    yield from map(Text, statements.cautions(document))
+    yield Text(named.verdict_statement(document))
+    yield from map(Text, named.cautions(document))
     yield from chart(document, findings)
     yield ""
-    table = listing("held-out position error (mm)", "rms", "p95", "max")
-    for name in ("before", "after"):
-        table.add_row(name, *(number(1e3 * document[name][key]) for key in ERRORS))
-    table.columns[0].no_wrap = False
-    yield table
-    yield Text(statements.held_out_statement(document, f"{document['heldout_rows']} rows"))
-    yield Text(noise_statement(document))
+    if torques:
+        yield _torque_errors(document)
+        yield Text(statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"))
+        yield Text(torque_statements.filter_statement(document))
+        yield Text(torque_statements.inertial_statement(document))
+    else:
+        yield _pose_errors(document)
+        yield Text(statements.held_out_statement(document, f"{document['heldout_rows']} rows"))
+        yield Text(noise_statement(document))
     yield from headed("Data faults:", map(fault_line, document["data_faults"]))
-    yield from finding_list(findings, statements.undistinguished)
+    yield from finding_list(findings, named.undistinguished)
     yield from what_to_do(document, files)
-    yield from headed("Assumptions:", statements.assumptions(document))
-    yield from headed("What to record next:", statements.what_to_record(document))
-    for item in document["separating_poses"]:
+    if not torques:
+        yield from headed("Assumptions:", statements.assumptions(document))
+    yield from headed("What to record next:", named.what_to_record(document))
+    for item in document.get("separating_poses", ()):
         yield ""
         scales, units = joint_units(statements.sliding(document), len(item["joint_position_rad"][0]))
         yield Text(f"{statements.separating_title(item, units)}:")
         yield _poses(item["joint_position_rad"], scales)
-    if document["separating_poses"]:
+    if document.get("separating_poses"):
         yield Text(statements.NOT_CHECKED)
-    yield from ruled_out(document, statements.untested(document), details)
+    yield from ruled_out(document, named.untested(document), details)
     yield ""
+
+
+def _pose_errors(document: Mapping[str, Any]) -> Table:
+    table = listing("held-out position error (mm)", "rms", "p95", "max")
+    for name in ("before", "after"):
+        table.add_row(name, *(number(1e3 * document[name][key]) for key in ERRORS))
+    table.columns[0].no_wrap = False
+    return table
+
+
+def _torque_errors(document: Mapping[str, Any]) -> Table:
+    """Held-out errors by joint, one a line: seven joints side by side do not fit a narrow terminal."""
+    common = torque_statements.common_unit(document)
+    table = listing(f"held-out error ({f'{common} RMS'.strip()})", "before", "after")
+    for joints, unit, _, *sizes in torque_statements.errors(document, [("rms", "RMS")]):
+        table.add_row(joints if common else f"{joints} ({unit})", *map(significant, sizes))
+    return table
 
 
 def noise_statement(document: Mapping[str, Any]) -> str:

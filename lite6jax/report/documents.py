@@ -23,6 +23,7 @@ from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.rows import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
+from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
@@ -31,9 +32,10 @@ from lite6jax.report.cells import STATISTICS
 from lite6jax.report.compensation_tables import reason_text
 
 
-def text(found: Mapping[str, Any], written: Sequence[Path] = ()) -> str:
-    """A document as JSON, with the files that the command wrote; a number that is not finite is null."""
-    return json.dumps(_plain({**found, "written": [str(path) for path in written]}), indent=1, allow_nan=False)
+def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
+    """A document as JSON, with the files that the command wrote, or None; a number that is not finite is null."""
+    files = {} if written is None else {"written": [str(path) for path in written]}
+    return json.dumps(_plain({**found, **files}), indent=1, allow_nan=False)
 
 
 def line(found: Mapping[str, Any]) -> str:
@@ -55,7 +57,16 @@ def document(result: Any) -> dict[str, Any]:
 def _solution(found: Solution) -> dict[str, Any]:
     chain = found.form.chain
     deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
-    entries = zip(chain.names, chain.units, found.parameters, deviation, found.free, strict=False)
+    entries = zip(
+        chain.names,
+        chain.units,
+        found.parameters,
+        deviation,
+        found.free,
+        found.determined,
+        found.prior_share,
+        strict=False,
+    )
     return {
         "schema": "lite6jax/fit/1",
         "arm": found.arm.name,
@@ -63,8 +74,16 @@ def _solution(found: Solution) -> dict[str, Any]:
         "steps": found.steps,
         "quality": found.quality.to_dict(),
         "parameters": [
-            {"name": name, "unit": unit, "value": value, "std": std, "free": free}
-            for name, unit, value, std, free in entries
+            {
+                "name": name,
+                "unit": unit,
+                "value": value,
+                "std": std,
+                "free": free,
+                "determined": sure,
+                "prior_share": share,
+            }
+            for name, unit, value, std, free, sure, share in entries
         ],
         "held": [asdict(each) for each in found.held],
         "T_sensor_base": found.model.T_sensor_base,
@@ -140,6 +159,16 @@ def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> d
             for name, first, total in zip(over_arms.names, over_arms.first, over_arms.total, strict=True)
         ],
     }  # fmt: skip
+
+
+@document.register
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
+    return of_sensitivity(found, None)
+
+
+@document.register
+def _identification(found: Identification) -> dict[str, Any]:
+    return found.to_dict()
 
 
 @document.register

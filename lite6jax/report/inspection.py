@@ -271,7 +271,8 @@ def arm_statement(found: Inspection) -> str:
         return f"Arm: {found.arm.name}, as given; there are no poses to compare it with."
     near = f"its nominal kinematics agree with the poses to {1e3 * found.error:.3g} mm (median)"
     if found.error > 0.05:
-        return f"Arm: {found.arm.name}, but {near}: check the arm, the order of the joints and their signs."
+        missed = f"its nominal kinematics miss the poses by {1e3 * found.error:.3g} mm (median)"
+        return f"Arm: {found.arm.name}, as given; as the columns are read, {missed}."
     others = "; ".join(f"{name} to {1e3 * error:.3g} mm" for name, error in found.arms[1:3])
     return f"Arm: {found.arm.name}; {near}" + (f", {others}." if others else ".")
 

@@ -1,5 +1,6 @@
 """Lists of what there is: the effects of both catalogues, and the bundled arms."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -88,6 +89,31 @@ class ArmEntry(NamedTuple):
 def arm_entry(arm: Arm) -> ArmEntry:
     """What is listed of an arm."""
     return ArmEntry(arm.name, maker_of(arm.name), arm.dof, round(arm.reach, 4), arm.inertia is not None, arm.source)
+
+
+def joint_entries(arm: Arm) -> list[dict[str, Any]]:
+    """What is listed of each joint of an arm: name, kind, and limits in rad or m."""
+    names = arm.joint_names or tuple(f"joint{i + 1}" for i in range(arm.dof))
+    kinds = ["prismatic" if slides else "revolute" for slides in arm.slides]
+    rows = zip(names, kinds, arm.joint_limits.tolist(), arm.joint_units, strict=True)
+    return [{"name": name, "kind": kind, "limits": limits, "unit": unit} for name, kind, limits, unit in rows]
+
+
+def arm_report(arm: Arm) -> Iterator[RenderableType]:
+    """One arm as it is read: where its chain begins and ends, and its joints in order."""
+    inertia = "with inertia" if arm.inertia is not None else "without inertia"
+    yield Text(f"{arm.name}: {arm.dof} joint{'s' * (arm.dof != 1)}, reach up to {1e3 * arm.reach:.0f} mm, {inertia}.")
+    if arm.source:
+        yield Text(f"From: {arm.source}.")
+    yield ""
+    table = listing("", "joint", "kind", "lower", "upper", "unit")
+    for index in (1, 2, 5):
+        table.columns[index].justify = "left"
+    for i, joint in enumerate(joint_entries(arm)):
+        scale, unit = (1e3, "mm") if joint["unit"] == "m" else (math.degrees(1.0), "deg")
+        lower, upper = (f"{scale * limit:.1f}" for limit in joint["limits"])
+        table.add_row(f"q{i + 1}", Text(joint["name"]), joint["kind"], lower, upper, unit)
+    yield table
 
 
 def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType]:

@@ -11,13 +11,14 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import entries, frames
-from lite6jax.arms.arm import sample_joints
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded
 from lite6jax.controller.recorder import Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.fitting.problem import calibration_poses
+from lite6jax.fitting.sampling import check_positions
 from lite6jax.report import screen
 from lite6jax.report.cells import fixed, listing, number
 from lite6jax.report.tables import STATISTICS
@@ -34,13 +35,12 @@ def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
     yield Text(f"{calibration.source}: factory calibration of {arm.dof} joints, of a {arm.name}.")
     if read.error:
         yield from screen.notes(["the controller reports an error or a warning, which does not affect the calibration"])
-    q = sample_joints(arm.dof, 1000)
-    links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
-    apart = frames.chain(links, q)[:, :3, 3] - frames.chain(arm.links, q)[:, :3, 3]
-    distance = 1e3 * np.linalg.norm(apart, axis=1)
+    q = check_positions(arm)
+    nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
+    distance = 1e3 * np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)
     yield Text(
         f"Its flange is {number(float(distance.mean()), 3)} mm from the nominal one on average and"
-        f" {number(float(distance.max()), 3)} mm at most (1000 joint positions)."
+        f" {number(float(distance.max()), 3)} mm at most ({len(q)} joint positions)."
     )
     yield ""
     yield Text("Six parameters (mm, deg); below each number its difference from nominal")

@@ -18,6 +18,8 @@ _FOUND_BY = {
 }
 _DAYS = 365.25
 """In a year: what an arm loses in a day has no digit on the screen."""
+_CHANCE = 0.05
+"""Family-wise p-value from which a change is not significant."""
 
 
 def population_report(document: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -105,7 +107,7 @@ def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
             said = "" if effect["effect"] == "unnamed" else f": {own}"
             yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
     if "drift" in effect and effect["effect"] == "unnamed":
-        yield f"Its change with the date: p = {effect['drift']['p_value']:.1e}."
+        yield f"Its change with the date: {_chance(effect['drift']['p_value'])}."
     elif "drift" in effect:
         drift = effect["drift"]
         for name, each in drift["per_day"].items():
@@ -113,11 +115,16 @@ def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
             shown = _of_a_year(name, each, each["value"])
             yield (
                 f"Drift of {shown.name} in a year: {shown.value} {shown.unit}, 95 % interval {low.value} to"
-                f" {high.value} (p = {drift['p_value']:.1e})."
+                f" {high.value} ({_chance(drift['p_value'])})."
             )
     near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < 6.0]
     if near:
         yield f"Not distinguished from {', '.join(title(rival) for rival in near)}."
+
+
+def _chance(p: float) -> str:
+    """A p-value; one that is no sign of anything is not printed."""
+    return f"p = {p:.1e}" if p < _CHANCE else "not significant"
 
 
 def _nearest(effect: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ NAMES = {
     "mirrored_sensor": "Left-handed sensor",
     "coupled_joint": "Coupled joints",
     "undecided": "Undecided mismatch",
+    "other_arm": "Another arm",
     "unexplained": "Unexplained mismatch",
     "computed_pose": "Computed poses",
     "frame_jump": "Frame jump",
@@ -124,20 +125,19 @@ NO_MISMATCH = {
 }
 """Faults that make poses miss the arm grossly, each as a clause that rules it out."""
 _REMEDIES = {
-    "declared_frame": "The frame was fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
-    "declared_tool": "The tool was fitted. Declare the tool that was set in the controller, or tool: unknown",
-    "inverted_poses": "They were inverted. Write the poses of what moves with the flange, in the frame of what stands "
-    "still",
-    "mirrored_sensor": "The axes were turned into right-handed ones. Export the poses in right-handed axes",
-    "coupled_joint": "The columns were uncoupled. Write each joint's own angle, as the driver (ROS) has it",
+    "declared_frame": "The frame is fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
+    "declared_tool": "The tool is fitted. Declare the tool that was set in the controller, or tool: unknown",
+    "inverted_poses": "Write the poses of what moves with the flange, in the frame of what stands still",
+    "mirrored_sensor": "Export the poses in right-handed axes",
+    "coupled_joint": "Write each joint's own angle, as the driver (ROS) has it",
 }
 
 
 def _mismatch(n: Numbers, code: str) -> str:
     sentence = f"{_capital(_changed(code, n))}. "
     sentence += (
-        f"The median error falls from {_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm with the "
-        "correction, which was applied. "
+        f"With the correction, which is made whenever the file is read, the median error falls from "
+        f"{_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
     )
     if n["alternatives"]:
         sentence += f"The same poses would result where {' or where '.join(map(_together, n['alternatives']))}. "
@@ -150,6 +150,14 @@ def _undecided(rows: Sequence[int], n: Numbers) -> str:
         f"corrections explain that alike, to {_mm(n['corrected_error_m'])} mm: "
         f"{'; or '.join(map(_together, n['alternatives']))}. Nothing was corrected. Find out which it is, and correct "
         "the file."
+    )
+
+
+def _other_arm(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"The poses are not those of a {n['declared']}, whose nominal kinematics miss them by "
+        f"{_mm(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {_mm(n['corrected_error_m'])} mm. "
+        "Name that arm."
     )
 
 
@@ -217,7 +225,7 @@ def _frame(n: Numbers) -> str:
     about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
     said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
     if np.linalg.norm(shift) > 2e-3:
-        said += f" and stands at ({', '.join(map(_mm, shift))}) mm"
+        said += f" and stands at ({', '.join(_mm(x, 4) for x in shift)}) mm"
     if about == "about z" and abs(angle - np.pi) < 0.02:
         said += ", as base_link and base of Universal Robots are to each other"
     return said
@@ -423,6 +431,7 @@ FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "commanded_joints": _commanded,
     **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in NO_MISMATCH},
     "undecided": _undecided,
+    "other_arm": _other_arm,
     "unexplained": _unexplained,
     "computed_pose": _computed_pose,
     "joint_turns": _joint_turns,

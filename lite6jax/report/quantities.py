@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lite6jax.report.cells import plus_minus
+from lite6jax.report.cells import UNKNOWN, plus_minus, significant
 
 _UNITS = (
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
@@ -111,5 +111,5 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
 def rounded(value: float, std: float) -> tuple[str, str]:
     """A value to the digits that its standard deviation supports, and this to two."""
     if not np.isfinite(std) or std < 1e-4:
-        return f"{value:.6g}", f"{std:.1e}"
+        return significant(value, 6), f"{std:.1e}" if np.isfinite(std) else UNKNOWN
     return f"{value:.{max(0, 1 - int(np.floor(np.log10(std))))}f}", plus_minus(std)

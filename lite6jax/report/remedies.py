@@ -17,8 +17,8 @@ class Remedy(NamedTuple):
         cause: what is the matter, a clause with `{place}`, with `{source}` where another joint is its source, and with
             `{exerted}` for what a motor exerts.
         action: what to do, in whole sentences.
-        of_arm: whether it displaces the arm, so that other joint positions compensate it; else it is the sensor's or
-            the clock's, and belongs in the model alone.
+        of_arm: whether it displaces the arm alike at each visit, so that other joint positions compensate it. What the
+            sensor or its clock does is no error of the arm, and where a drift will be is not known.
         of_geometry: whether a new calibration of the geometry contains it.
     """
 
@@ -35,7 +35,7 @@ _FRICTION = "Check the lubrication of the gear if it has grown, and add it to th
 
 OF_POSES: Mapping[str, Remedy] = {
     "joint_offset": Remedy(
-        "the zero of {place} is off", "Set the joint's zero anew, or recalibrate.", of_geometry=True
+        "the zero of {place} is off", "Master the joint (set its zero anew), or recalibrate.", of_geometry=True
     ),
     "joint_scale": Remedy(
         "{place} turns by another angle than its encoder says",
@@ -43,28 +43,32 @@ OF_POSES: Mapping[str, Remedy] = {
     ),
     "joint_compliance": Remedy(
         "{place} gives way to gravity",
-        "Set the payload, so that its load is known, and compensate. Service the gear if its stiffness has fallen.",
+        "Each gear yields under load: compensate, with the payload declared (payload_kg). Service the gear if it has "
+        "become less stiff.",
     ),
     "joint_harmonic": Remedy(
         "the gear or the encoder of {place} runs out of true",
-        "Check how the encoder and the gear are centred; until then compensate.",
+        "Check that encoder and gear run true; until then compensate.",
     ),
     "joint_backlash": Remedy(
         "{place} has play in its gear", "Service the gear. Until then compensate, and approach poses from one side."
     ),
     "joint_lag": Remedy(
         "{place} is behind what its encoder says while it moves",
-        "Measure and work at rest or slowly, check the servo's gains, and compensate where it must move.",
+        "Measure at rest, or slowly. Check the gains of the servo, and compensate where the arm must move.",
     ),
     "joint_coupling": Remedy(
         "the motion of {source} turns {place} as well",
-        "Check cables and gears that the two joints share, and the coupling that the controller assumes; compensate.",
+        "Check cables and gears that the two joints share, and the coupling set in the controller; until then "
+        "compensate.",
     ),
     "link_compliance": Remedy(
-        "{place} bends under gravity", "Tighten the bolts at both of its ends, set the payload, and compensate."
+        "{place} bends under gravity",
+        "Check the bolts at both of its ends, and compensate, with the payload declared (payload_kg).",
     ),
     "link_thermal_expansion": Remedy(
-        "{place} grows as it warms", "Warm the arm up before work, record temperatures, and compensate with them."
+        "{place} grows as it warms",
+        "Warm the arm up before work, or record temperatures and compensate with them.",
     ),
     "frame_offset": Remedy(
         "the geometry at {place} is not that of the calibration",
@@ -75,14 +79,16 @@ OF_POSES: Mapping[str, Remedy] = {
         "the base tilts under the arm's weight", "Tighten the mount and stiffen the stand; compensate what is left."
     ),
     "base_drift": Remedy(
-        "the base drifts", "Tighten the mount, and find what moves it; measure its place again before work."
+        "the base drifts",
+        "Tighten the mount of the arm and the stand of the sensor; measure the base again before work.",
+        of_arm=False,
     ),
     "tool_offset": Remedy(
         "the tool's tip is elsewhere than declared", "Set the tool (TCP) in the controller, and in the sidecar (tool)."
     ),
     "measurement_scale": Remedy(
         "the sensor's lengths are off",
-        "Recalibrate the sensor: scale bar, air temperature and pressure of a tracker.",
+        "Calibrate the sensor: scale bar, air temperature and pressure of a tracker, marker size of a camera.",
         of_arm=False,
     ),
     "time_offset": Remedy(
@@ -110,7 +116,7 @@ OF_POSES: Mapping[str, Remedy] = {
     ),
     "sensor_drift": Remedy(
         "the sensor drifts",
-        "Let the sensor warm up, tighten its stand, and measure reference points during the recording.",
+        "Let the sensor warm up, check its stand, and measure fixed points again during the recording.",
         of_arm=False,
     ),
     "slide_offset": Remedy(
@@ -129,11 +135,14 @@ OF_POSES: Mapping[str, Remedy] = {
     ),
     "unnamed": Remedy(
         "{place} has an error that no effect of the catalogue names",
-        "Compensate: the curve is part of the model. Inspect what moves with its driver there; of a step in time, what "
-        "slipped then, such as a belt or a coupling.",
+        "Inspect what moves there; of a step in time, what slipped, such as a belt or a coupling. Until then "
+        "compensate: the model contains it.",
     ),
 }
 """By the name of an effect on poses."""
+
+_SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or replace it; the arm needs no correction."
+"""Of what no effect of the catalogue names there: joint positions cannot compensate what a sensor shows."""
 
 OF_TORQUES: Mapping[str, Remedy] = {
     "viscous_friction": Remedy("{place} rubs the more the faster it moves", _FRICTION),
@@ -193,7 +202,9 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
     """
     found = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
     if not torques:
-        return found
+        if entry["site"] not in ("sensor", "clock"):
+            return found
+        return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)
     exerted, drive = _exerted(entry), "the screw, the belt or the guide"
     action = found.action.replace("the gear ratio", "the lead") if exerted == "force" else found.action
     action = action.replace("the gear", drive) if exerted == "force" else action

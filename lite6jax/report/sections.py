@@ -12,7 +12,7 @@ from rich.text import Text
 
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import next_steps, statements, worth
-from lite6jax.report.cells import listed
+from lite6jax.report.cells import capital, listed
 from lite6jax.report.data_faults import ruled_out_statements
 from lite6jax.report.next_steps import Files
 from lite6jax.report.reference import Compared
@@ -103,7 +103,7 @@ def what_to_do(document: Mapping[str, Any], files: Files | None) -> Iterator[Ren
         yield ""
         yield Text("Commands to copy:")
     for step in steps:
-        yield indented(f"{statements.capital(step.purpose)}:")
+        yield indented(f"{capital(step.purpose)}:")
         yield Text(f"    {step.command}", no_wrap=True, overflow="ignore")
 
 
@@ -129,7 +129,7 @@ def ruled_out(
 
 def _untested(group: statements.Untested) -> str:
     names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
-    return f"{statements.capital(names)}. {group.reason}"
+    return f"{capital(names)}. {group.reason}"
 
 
 def headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:

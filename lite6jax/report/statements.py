@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.report import data_faults, reference, worth
-from lite6jax.report.cells import fixed, multiple, number, ranges, rows_named
-from lite6jax.report.quality import quality_statement
+from lite6jax.report.cells import capital, fixed, joined, multiple, number, ranges, rows_named
 from lite6jax.report.quantities import quantity
 from lite6jax.report.remedies import effect_name
 
@@ -15,6 +14,10 @@ Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
 
 NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
+COMPUTED = (
+    "The poses are the controller's own computation from the joints: they test nothing but the table of the arm. To "
+    "diagnose the arm itself, record the poses with a sensor."
+)
 INERTIAL = "The loads include the inertial forces of the moving arm, which the recording supports."
 
 _VERDICTS = {
@@ -61,6 +64,17 @@ def with_statements(document: Document) -> dict[str, Any]:
     return stated
 
 
+def setting_statement(document: Document) -> str:
+    """The arm, and how much was recorded."""
+    model = document["model"]
+    return f"{model['arm']}, {document['samples']} samples ({model['motion']})."
+
+
+def compared(document: Document) -> reference.Compared | None:
+    """The comparison with a reference; None where nothing was compared."""
+    return reference.compared(document)
+
+
 def verdict_statement(document: Document) -> str:
     """The verdict in a few sentences, with the site of what is left where that is known."""
     where = document["left"].get("acts_at") if document["verdict"] in _LEFT_OVER else None
@@ -74,8 +88,10 @@ def verdict_statement(document: Document) -> str:
 
 
 def _verdict(document: Document) -> str:
-    verdict, noise, left = document["verdict"], document["noise"], document["left"]
-    declared = noise["declared_position_m"]
+    verdict, left = document["verdict"], document["left"]
+    declared = document["noise"]["declared_position_m"]
+    if verdict == "consistent" and worth.is_computed(document):
+        return "Consistent: the table of the arm reproduces what the controller computed from the joints."
     if verdict == "undetermined":
         more = document["rows_needed"] - document["samples"]
         poses = "1 more pose" if more == 1 else f"{more} more poses"
@@ -83,15 +99,20 @@ def _verdict(document: Document) -> str:
     if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
         return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
     if verdict == "unexplained":
-        times = noise["estimated_position_m"] / declared if declared else 1.0
+        times = max(left["position_over_noise"] or 0.0, left["orientation_over_noise"] or 0.0)
         if times > _EXCESSIVE:
             return (
-                f"Unexplained: no effect that was tested explains the residuals, which are {times:.3g} times the "
+                f"Unexplained: no effect that was tested explains the residuals, which are {multiple(times)} times the "
                 "declared noise: check the arm, the frame, the tool and the columns that the sidecar declares."
             )
         return f"{_VERDICTS[verdict]} {_what_is_left(left)}"
     if verdict == "consistent" and "against" in document:
         return "Consistent: beyond the differences above, the two recordings differ by noise."
+    if verdict == "consistent" and not declared:
+        return (
+            "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
+            f"sidecar declares {_undeclared_noise(document)}."
+        )
     if verdict == "partly_explained" and not declared:
         return (
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
@@ -115,11 +136,13 @@ def undetermined(said: str, document: Document) -> str:
 
 
 def cautions(document: Document) -> list[str]:
-    """What qualifies the verdict: a model that does not describe the poses, effects that were not kept."""
+    """What qualifies the verdict: poses that no sensor measured, a model that does not describe them, effects that were
+    not kept."""
     bad, withdrawn = quality_statement(document["quality"]), document["withdrawn"]
-    lines = [] if bad is None else [bad]
+    lines = [COMPUTED] if worth.is_computed(document) else []
+    lines += [] if bad is None else [bad]
     if withdrawn is not None:
-        names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
+        names = joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
         before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
         was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
         if after > before:
@@ -144,7 +167,30 @@ def _what_is_left(left: Entry) -> str:
         if left[f"{key}_over_noise"] is not None
     ]
     correlated = [] if left["white"] else ["neighbouring rows are correlated"]
-    return f"{capital(_joined([*ratios, *correlated]))}."
+    return f"{capital(joined([*ratios, *correlated]))}."
+
+
+def quality_statement(quality: Entry) -> str | None:
+    """Why a model does not describe the poses it was fitted to, and what to check; None where it does.
+
+    Args:
+        quality: as in JSON documents.
+    """
+    if quality["verdict"] != "bad":
+        return None
+    error = "not finite" if quality["error_m"] is None else f"up to {number(1e3 * quality['error_m'], 3)} mm"
+    if quality["explained_share"] is None:
+        return f"The model does not reproduce the calibration: its errors are {error}. Check the arm that is named."
+    if quality["reason"] == "unrelated":
+        return (
+            "The model does not describe the poses: it explains less than half of the variance of the positions. Check "
+            "that the poses belong to these joint positions, row by row."
+        )
+    return (
+        f"The model does not describe the poses: of three quarters of the held-out rows the errors are {error}, and a "
+        f"model of this arm is expected within {number(1e3 * quality['limit_m'], 3)} mm. Check the arm, that the poses "
+        "belong to these joint positions, and the order, the signs and the units of the joints."
+    )
 
 
 def finding_statement(finding: Entry) -> str:
@@ -159,7 +205,8 @@ def finding_statement(finding: Entry) -> str:
             f"{_shape(where)}{_effective(finding)}, {sizes(finding)}{moves}."
         )
     end, detail = "," if driver else "", _detail(_order_and_source(finding))
-    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}{moves}."
+    said = "is significant" if worth.is_significant(finding) else "is likely"
+    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} {said}: {sizes(finding)}{moves}."
 
 
 def sizes(finding: Entry) -> str:
@@ -196,13 +243,12 @@ def findings_of(document: Document, said: Callable[[Entry], str] = finding_state
 
 
 def p_value_statement(finding: Entry) -> str:
-    """How improbable a finding is without the effect."""
-    return f"Family-wise {chance(finding['p_value'])} over all effects, sites and orders searched."
-
-
-def chance(p: float) -> str:
-    """A p-value; one below what floats hold is not zero."""
-    return f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
+    """How improbable a finding is without the effect; what else it rests on, where a model was chosen as a whole."""
+    if not worth.is_significant(finding):
+        return "It is part of the likeliest model, and is not significant beside the other findings alone."
+    p = finding["p_value"]  # one below what floats hold is not zero
+    shown = f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
+    return f"Family-wise {shown} over all effects, sites and orders searched."
 
 
 def effect_title(entry: Entry) -> str:
@@ -265,7 +311,7 @@ def what_to_record(document: Document) -> list[str]:
         orders = [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]
         if orders:
             asked = f"record positions of {finding['site']} that are no multiples of one angle"
-            lines.append(f"To separate {effect_title(finding)} from order {_joined(orders, 'or')}, {asked}.")
+            lines.append(f"To separate {effect_title(finding)} from order {joined(orders, 'or')}, {asked}.")
         for rival in finding["confusable_with"]:
             pair = f"{effect_title(finding)} from {effect_title(rival)}"
             if rival["status"] == "separable":
@@ -277,17 +323,17 @@ def what_to_record(document: Document) -> list[str]:
                 pairs.append(pair)
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in _drivers(entry)]
     if pairs:
-        vary = f" in which {_joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
-        lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
+        vary = f" in which {joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
+        lines.append(f"To separate {joined(pairs, 'or')}, record more poses{vary}.")
     doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(
-            f"To narrow the ± of {_joined(doubtful)}, record poses with another payload, or with none, as well: most "
+            f"To narrow the ± of {joined(doubtful)}, record poses with another payload, or with none, as well: most "
             "of its variance is that the payload may be wrong by too little to be found."
         )
     for group in untested(document):
         if group.remedy:
-            names = _joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
+            names = joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
     return [*lines, *(_against_confounding(document) if document["confounded"] else [])]
 
@@ -320,9 +366,9 @@ def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar."""
     loaded = any(driver_of(driver).loaded for finding in document["findings"] for driver in _drivers(finding))
     inertial = document["model"]["accelerated"] and loaded
-    undeclared = document["noise"]["declared_position_m"] is None
-    missing = f"The sidecar declares {_undeclared_noise(document)}: tests use the noise estimated from the residuals."
-    lines = [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+    lacking = _undeclared_noise(document)
+    missing = f"The sidecar declares {lacking}: tests use the noise estimated from the residuals."
+    lines = [*([INERTIAL] if inertial else []), *([missing] if lacking else [])]
     if rows := document.get("left_out"):
         lines.append(
             f"A gear may be between its flanks in {rows_named(rows)}: estimates do without, and the held-out errors "
@@ -337,9 +383,13 @@ def _of_one_wave(finding: Entry, rival: Entry) -> bool:
 
 
 def _undeclared_noise(document: Document) -> str:
-    """What a sidecar without declared noise lacks: where orientations were measured, it takes both keys."""
-    both = document["model"]["orientation"]
-    return "not both position_noise_m and orientation_noise_rad" if both else "no position_noise_m"
+    """The keys of the noise of what was measured that the sidecar lacks; empty where it has them."""
+    noise, keys = document["noise"], []
+    if noise["declared_position_m"] is None:
+        keys.append("no position_noise_m")
+    if document["model"]["orientation"] and noise.get("declared_orientation_rad", 1.0) is None:
+        keys.append("no orientation_noise_rad")
+    return " and ".join(keys)
 
 
 def separating_title(item: Entry, units: Iterable[str] = ("deg",)) -> str:
@@ -351,11 +401,6 @@ def separating_title(item: Entry, units: Iterable[str] = ("deg",)) -> str:
 def sliding(document: Document) -> tuple[int, ...]:
     """The prismatic joints of the diagnosed arm, counted from 0."""
     return tuple(joint - 1 for joint in document["model"].get("prismatic_joints", ()))
-
-
-def capital(text: str) -> str:
-    """With a capital first letter, the others unchanged."""
-    return text[:1].upper() + text[1:]
 
 
 def _detailed(document: Document) -> list[dict[str, Any]]:
@@ -370,7 +415,7 @@ def _requirement(entry: Entry) -> str:
 
 
 def _against_confounding(document: Document) -> list[str]:
-    declare = _joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
+    declare = joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
     orientation = document["model"]["orientation"]
     steps = [*([f"declare {declare}"] if declare else []), *([] if orientation else ["measure orientations too"])]
     return [f"To test for effects that are confounded or not observed, {' and '.join(steps)}."] if steps else []
@@ -447,11 +492,6 @@ def _by_gap(finding: Entry) -> list[Entry]:
 
 def _with_gap(rival: Entry) -> str:
     return f"{effect_title(rival)} (log-likelihood {fixed(-rival['log_likelihood_gap'], 1, '+')})"
-
-
-def _joined(words: Iterable[str], last: str = "and") -> str:
-    *first, final = [*words] or [""]
-    return f"{', '.join(first)} {last} {final}" if first else final
 
 
 def _sites(sites: Iterable[str]) -> str:

@@ -1,11 +1,7 @@
-"""`summary()` and a notebook's table of each kind of result: a title, sentences and rows, worded in one function each.
+"""The summary of each kind of result and its table in a notebook: a title, sentences and rows, one function each.
 
-To add a kind, let its class inherit `lite6jax.summary.Summarised` and register a function with `described` here.
+To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `describe` here.
 """
-
-from functools import singledispatch
-from html import escape
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,64 +11,28 @@ from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.pose.compensate import Compensation
+from lite6jax.domains.pose.predict import Prediction
+from lite6jax.domains.pose.registration import Registration
+from lite6jax.domains.torque.predict import TorquePrediction
+from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
+from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.cells import each_with_unit, joint_units, number
+from lite6jax.report.cells import each_with_unit, joint_units, number, torque_units
+from lite6jax.report.compensation_tables import outside_sentence
 from lite6jax.report.data_faults import fault_name
-from lite6jax.report.quality import quality_statement
+from lite6jax.results import Description, describe
 
-MOST_NOTES = 4
 _MOST_FINDINGS = 4
+_MOST_NAMED = 3
 
 
-class Description(NamedTuple):
-    """What a person reads of a result.
-
-    Attributes:
-        title: a few words.
-        sentences: whole ones, with units.
-        rows: of the table: quantity with its unit, and value.
-        notes: what was assumed, a sentence each.
-    """
-
-    title: str
-    sentences: tuple[str, ...]
-    rows: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...] = ()
-
-
-@singledispatch
-def described(result: object) -> Description:
-    """The description of a result.
-
-    Raises:
-        TypeError: a class for which no function is registered here.
-    """
-    raise TypeError(f"{type(result).__name__} has no description in lite6jax.report.summaries; register one")
-
-
-def summary(result: object) -> str:
-    """The sentences of a result as one text."""
-    return " ".join(described(result).sentences)
-
-
-def html(result: object) -> str:
-    """The table of a result with its notes, without styles, scripts or links."""
-    title, _, rows, notes = described(result)
-    lines = [f"<table><caption>{escape(title)}</caption><tbody>"]
-    lines += [f"<tr><th scope=row>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows]
-    lines.append("</tbody></table>")
-    if notes:
-        shown = [*notes[:MOST_NOTES], *([f"{len(notes) - MOST_NOTES} more notes"] if len(notes) > MOST_NOTES else [])]
-        lines.append(f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in shown)}</ul>")
-    return "".join(lines)
-
-
-@described.register
+@describe.register
 def _recording(recording: Recording) -> Description:
     settings = recording.settings
     poses = {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
@@ -105,7 +65,7 @@ def _recording(recording: Recording) -> Description:
     return Description(f"Recording of {settings.arm or 'an arm'}", tuple(sentences), tuple(rows), recording.notes)
 
 
-@described.register
+@describe.register
 def _solution(solution: Solution) -> Description:
     moved, held = int(solution.free.sum()), len(solution.held)
     data = "calibration" if solution.noise is None else "recording"
@@ -117,12 +77,16 @@ def _solution(solution: Solution) -> Description:
         f"{solution.arm.name}.",
         f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
     ]
-    bad = quality_statement(solution.quality.to_dict())
+    bad = statements.quality_statement(solution.quality.to_dict())
     if bad is not None:
         sentences.append(bad)
     if held:
         names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
         sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
+    unsure = np.flatnonzero(solution.free & ~solution.determined)
+    if unsure.size:
+        names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
+        sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
     rows = [
         ("arm", solution.arm.name),
         ("result", solution.result.message),
@@ -137,7 +101,8 @@ def _solution(solution: Solution) -> Description:
             rows.append((f"orientation error, {name} (deg RMS)", _degrees(_rms(errors.orientation))))
     if solution.noise is not None:
         found = _millimetres(solution.noise.position)
-        declared = "" if solution.noise.declared is None else f"; declared {_millimetres(solution.noise.declared[0])}"
+        told = solution.noise.declared and solution.noise.declared[0]
+        declared = "" if told is None else f"; declared {_millimetres(told)}"
         sentences.append(
             f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
         )
@@ -145,7 +110,7 @@ def _solution(solution: Solution) -> Description:
     return Description(f"Fit of a {data}, {solution.arm.name}", tuple(sentences), tuple(rows), solution.notes)
 
 
-@described.register
+@describe.register
 def _fleet(fleet: FleetSolution) -> Description:
     arms = len(fleet.result)
     converged = fleet.result == Result.CONVERGED
@@ -172,7 +137,7 @@ def _fleet(fleet: FleetSolution) -> Description:
     return Description("Fits of a fleet", tuple(sentences), tuple(rows))
 
 
-@described.register
+@describe.register
 def _identification(found: Identification) -> Description:
     d, accuracy = found.determination, found.accuracy
     sentences = [
@@ -205,7 +170,7 @@ def _identification(found: Identification) -> Description:
     return Description(f"Identifiability, {found.experiment.arm.name}", tuple(sentences), tuple(rows), found.notes)
 
 
-@described.register
+@describe.register
 def _plan(plan: Plan) -> Description:
     reached = float(plan.accuracy[-1])
     sentences = [
@@ -233,7 +198,7 @@ def _plan(plan: Plan) -> Description:
     return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences), tuple(rows))
 
 
-@described.register
+@describe.register
 def _discrimination(plan: DiscriminationPlan) -> Description:
     one, other = plan.rivals
     reached, random = float(plan.distance[-1]), float(np.nanmedian(plan.random_distance))
@@ -252,7 +217,148 @@ def _discrimination(plan: DiscriminationPlan) -> Description:
     return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences, rows)
 
 
-@described.register
+@describe.register
+def _comparison(found: Comparison) -> Description:
+    arms, units = len(found.names), np.array(found.arm.form.units)
+    between, nominal = _millimetres(float(found.between.max())), _millimetres(float(found.from_nominal.max()))
+    lengths, angles = (found.spread[units == unit] for unit in ("m", "rad"))
+    sentences = (
+        f"The flanges of {arms} arms of type {found.arm.name} are up to {between} mm apart at equal joint positions.",
+        f"The one furthest from the nominal geometry is {nominal} mm from it.",
+    )
+    rows = (
+        ("arms", str(arms)),
+        ("largest distance of two flanges (mm)", between),
+        ("largest distance from nominal (mm)", nominal),
+        ("standard deviation of lengths over the arms (mm, largest)", _millimetres(float(lengths.max()))),
+        ("standard deviation of angles over the arms (deg, largest)", _degrees(float(angles.max()))),
+    )
+    return Description(f"Comparison of {arms} arms, {found.arm.name}", sentences, rows)
+
+
+@describe.register
+def _sensitivity(found: Sensitivity) -> Description:
+    expected = _millimetres(_rms(found.expected_error))
+    order = np.argsort(-found.share, kind="stable")[:_MOST_NAMED]
+    shares = [f"{found.names[i]} {100 * found.share[i]:.0f} %" for i in order]
+    sentences = (
+        f"An arm assembled within the tolerances is {expected} mm RMS from nominal, over "
+        f"{_counted(len(found.joint_position), 'pose')}.",
+        f"Of the mean squared error most is caused by {', '.join(shares)}.",
+    )
+    rows = (
+        ("poses", str(len(found.joint_position))),
+        ("parameters", str(len(found.names))),
+        ("expected position error (mm RMS)", expected),
+        *((f"share of {found.names[i]} (%)", f"{100 * found.share[i]:.1f}") for i in order),
+    )
+    return Description("Sensitivity of the flange to the tolerances", sentences, rows)
+
+
+@describe.register
+def _global_sensitivity(found: GlobalSensitivity) -> Description:
+    order = np.argsort(-found.total, kind="stable")[:_MOST_NAMED]
+    shares = [f"{found.names[i]} {100 * found.total[i]:.0f} %" for i in order]
+    median, high = (_millimetres(float(np.percentile(found.error, percent))) for percent in (50, 95))
+    sentences = (
+        f"Half of {_counted(len(found.error), 'arm')} drawn within the tolerances have an error below {median} mm, "
+        f"95 % one below {high} mm.",
+        f"Of its variance most depends on {', '.join(shares)}, alone and together with others.",
+    )
+    rows = (
+        ("arms", str(len(found.error))),
+        ("parameters", str(len(found.names))),
+        ("error (mm, median of the arms)", median),
+        ("error (mm, 95th percentile)", high),
+        *((f"total index of {found.names[i]} (%)", f"{100 * found.total[i]:.1f}") for i in order),
+    )
+    return Description("Sobol's indices of the arm's error", sentences, rows)
+
+
+@describe.register
+def _prediction(found: Prediction) -> Description:
+    rows, empty = len(found.poses), int(np.isnan(found.poses[:, 0, 0]).sum())
+    sentences = [f"{_counted(rows, 'pose')} {_be(rows)} predicted."]
+    table = [("poses", str(rows))]
+    if empty:
+        sentences.append(f"{_counted(empty, 'row')} {_be(empty)} empty: the clock offset reaches beyond the motion.")
+        table.append(("empty rows", str(empty)))
+    if found.position_std is not None:
+        std = np.sqrt(np.nansum(found.position_std**2, 1))
+        typical, most = (_millimetres(float(value)) for value in (np.median(std), std.max()))
+        sentences.append(f"The standard deviation of a position is {typical} mm in the median, {most} mm at most.")
+        table += [("std of a position (mm, median)", typical), ("std of a position (mm, largest)", most)]
+    return _marked("Predicted poses", sentences, table, found.outside)
+
+
+@describe.register
+def _torque_prediction(found: TorquePrediction) -> Description:
+    rows, joints = found.torque.shape
+    units = torque_units(found.sliding, joints)
+    largest = each_with_unit(np.abs(found.torque).max(0).tolist(), units)
+    sentences = [f"The torques of {_counted(joints, 'joint')} are predicted in {_counted(rows, 'sample')}.",
+                 f"The largest of each joint are {largest}."]  # fmt: skip
+    table = [("samples", str(rows)), ("joints", str(joints)), ("largest torque of each joint", largest)]
+    if found.std is not None:
+        typical = each_with_unit(np.median(found.std, 0).tolist(), units)
+        sentences.append(f"Their standard deviations are {typical} in the median.")
+        table.append(("standard deviation of each joint, median", typical))
+    return _marked("Predicted torques", sentences, table, found.outside)
+
+
+def _marked(
+    title: str, sentences: list[str], rows: list[tuple[str, str]], outside: NDArray[np.bool_] | None
+) -> Description:
+    """With what is said of the rows that are outside what was recorded."""
+    if outside is None:
+        sentences.append("The diagnosis does not say what was recorded, and so which rows are outside of it.")
+    else:
+        sentences.append(outside_sentence(int(outside.sum()), len(outside), "row"))
+        rows.append(("rows outside what was recorded", str(int(outside.sum()))))
+    return Description(title, tuple(sentences), tuple(rows))
+
+
+@describe.register
+def _compensation(found: Compensation) -> Description:
+    targets, hit = len(found.reached), int(found.reached.sum())
+    sentences = [f"{hit} of {_counted(targets, 'target')} {_be(hit)} reached."]
+    rows = [("targets", str(targets)), ("reached", str(hit))]
+    if hit:
+        most = _millimetres(float(np.nanmax(found.position_error[found.reached])))
+        sentences.append(f"There the model is at most {most} mm from the target.")
+        rows.append(("distance from the target (mm, largest of those reached)", most))
+    if found.correction is not None:
+        scales, units = joint_units(found.recording.sliding, found.correction.shape[1])
+        largest = each_with_unit((scales * np.nanmax(np.abs(found.correction), 0)).tolist(), units)
+        sentences.append(f"The joints are moved by up to {largest}.")
+        rows.append(("largest correction of each joint", largest))
+    if found.omitted:
+        sentences.append(f"Effects of the sensor are left out: {', '.join(found.omitted)}.")
+    described = _marked("Compensation", sentences, rows, found.outside)
+    return described._replace(notes=found.notes)
+
+
+@describe.register
+def _registration(found: Registration) -> Description:
+    samples, outliers = len(found.weight), int(np.sum(~found.kept))
+    rms, noise = _millimetres(found.rms), _millimetres(found.noise[0])
+    sentences = [
+        f"Sensor frame and tool are fitted to {_counted(samples, 'pose')}, {_counted(outliers, 'outlier')} among them.",
+        f"The others are {rms} mm RMS from the arm as modelled, {noise} mm per axis.",
+    ]
+    if not found.determined:
+        sentences.append("These poses do not determine every number of the two frames.")
+    rows = (
+        ("poses", str(samples)),
+        ("outliers", str(outliers)),
+        ("position error (mm RMS)", rms),
+        ("position error per axis (mm, robust)", noise),
+        ("determined by the poses", "yes" if found.determined else "no"),
+    )
+    return Description("Registration of sensor and tool", tuple(sentences), rows)
+
+
+@describe.register
 def _diagnosis(found: Diagnosis) -> Description:
     document = to_document(found)
     findings, verdict = statements.findings_of(document), statements.verdict_statement(document)
@@ -285,7 +391,7 @@ def _diagnosis(found: Diagnosis) -> Description:
     return Description(f"Diagnosis of a {found.problem.arm.name}", tuple(sentences), tuple(rows), notes)
 
 
-@described.register
+@describe.register
 def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
     document = to_torque_document(found)
     findings = torque_statements.findings_of(document)
@@ -322,14 +428,14 @@ def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
     )
 
 
-@described.register
+@describe.register
 def _combined(found: CombinedDiagnosis) -> Description:
     document = found.to_dict()
-    poses = described(found.poses)
+    poses = describe(found.poses)
     title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
     if found.torques is None:
         return Description(title, (*poses.sentences, shared.refusal(document)), poses.rows, poses.notes)
-    torques = described(found.torques)
+    torques = describe(found.torques)
     both = tuple(shared.statement(entry) for entry in document["shared"])
     rows = (*((f"poses: {name}", value) for name, value in poses.rows),
             *((f"torques: {name}", value) for name, value in torques.rows))  # fmt: skip

@@ -12,13 +12,14 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.problem import TOLERANCE
 from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, STATISTICS, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
-from lite6jax.report.quality import quality_statement
+from lite6jax.report.statements import quality_statement
 
 Array = NDArray[np.floating]
 _MOST_ROWS = 5
@@ -48,6 +49,7 @@ def recording_read(recording: Recording, solution: Solution) -> Iterator[Rendera
     frame = "unknown, fitted" if solution.form.frame else "the arm's base"
     tool = "unknown, fitted" if solution.form.tool else "none" if settings.tool == "none" else "as declared"
     yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+    yield from screen.notes(_notes_of_data(solution))
 
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
@@ -78,8 +80,13 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield from _fault_lines(solution)
         yield from _held_lines(solution.held)
         yield from _noise_line(solution.noise, solution.checked)
-        yield from _outlier_line(solution.weight, recording)
-        yield from screen.notes(solution.notes)
+        yield from _outlier_line(solution, recording)
+        yield from screen.notes(note for note in solution.notes if note not in _notes_of_data(solution))
+
+
+def _notes_of_data(solution: Solution) -> tuple[str, ...]:
+    """What was dropped or assumed as the recording was read: it stands above the results."""
+    return () if solution.recording is None else solution.recording.notes
 
 
 def _result_line(solution: Solution, recorded: bool) -> str:
@@ -93,7 +100,7 @@ def _result_line(solution: Solution, recorded: bool) -> str:
     most = 1e3 * float(solution.nominal_errors.position.max())
     return (
         f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
-        f" {number(most, 3)} mm off."
+        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
     )
 
 
@@ -113,7 +120,7 @@ def errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
 def hayati_columns(form: HayatiForm) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The parameters that the base of a form has, and those that any of its links has, in the order of tables."""
     given = set(form.names)
-    base = [name for name in ("x", "y", "roll", "pitch", "yaw") if f"base_{name}" in given]
+    base = [name for name in ("x", "y", "z", "roll", "pitch", "yaw") if f"base_{name}" in given]
     rows = [
         name
         for name in ("theta_off", "d", "a", "b", "alpha", "beta")
@@ -134,7 +141,7 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
     measured = solution.standard_deviation is not None
     below = solution.standard_deviation if measured else solution.parameters - solution.arm.hayati
     assert below is not None
-    free = solution.free[: form.size]
+    free, determined = solution.free[: form.size], solution.determined[: form.size]
     at = {name: i for i, name in enumerate(form.names)}
 
     def cell(name: str, otherwise: str = "") -> str:
@@ -144,7 +151,8 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         scale, _ = SCREEN[form.units[i]]
         value = fixed(scale * solution.parameters[i])
         if measured:
-            return f"{value}\n{f'±{plus_minus(scale * below[i])}' if free[i] else 'held'}"
+            deviation = f"±{plus_minus(scale * below[i])}" if free[i] else "held"
+            return f"{value}\n{deviation if determined[i] or not free[i] else f'({deviation})'}"
         return f"{value}\n{fixed(scale * below[i], sign='+')}"
 
     under = "its standard deviation" if measured else "its difference from nominal"
@@ -161,6 +169,12 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         cells = [cell(f"{name}{i + 1}", otherwise) for name, otherwise in zip(in_rows, empty, strict=True)]
         table.add_row(joint_name(form, i), *cells)
     yield table
+    if (free & ~determined).any():
+        length, angle = (f"{SCREEN[unit][0] * TOLERANCE[unit]:.2g}" for unit in ("m", "rad"))
+        yield Text(
+            "In brackets: these data do not determine the number. Its prior does, which is the nominal one "
+            f"± {length} mm or {angle} deg."
+        )
     if form.sliding:
         yield Text(
             "P: a prismatic joint, whose axis is drawn through the origin of the frame before it; b is a shift along y "
@@ -236,13 +250,13 @@ def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     found = f"{number(1e3 * noise.position)} mm"
     if noise.orientation is not None:
         found += f", {number(np.rad2deg(noise.orientation))} deg"
-    if noise.declared is None:
-        yield Text(f"Noise per axis: not declared for every measured quantity; the residuals have {found}.")
+    ratio = noise.over_declared
+    if noise.declared is None or ratio is None:
+        yield Text(f"Noise per axis: not declared; the residuals have {found}.")
         return
-    declared = f"{number(1e3 * noise.declared[0])} mm"
-    if noise.declared[1] is not None:
-        declared += f", {number(np.rad2deg(noise.declared[1]))} deg"
-    ratio = noise.position / noise.declared[0]
+    parts = zip(noise.declared, ("m", "rad"), strict=True)
+    told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
+    declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
     verdict = "as declared" if ratio < ABOVE_NOISE else f"{ratio:.0f} times it: this geometry does not explain the rest"
     yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")
 
@@ -253,10 +267,10 @@ def _fault_lines(solution: Solution) -> Iterator[Text]:
         yield Text(f"Data fault: {fault_statement(fault)}{rows}")
 
 
-def _outlier_line(weight: Array, recording: Recording) -> Iterator[Text]:
-    low = np.flatnonzero(weight < DOWNWEIGHTED)
+def _outlier_line(solution: Solution, recording: Recording) -> Iterator[Text]:
+    weight, low = solution.weight, np.flatnonzero(solution.outlying)
     if not low.size:
-        yield Text(f"No outliers: all {len(weight)} samples keep their weight.")
+        yield Text(f"No outliers among {len(weight)} samples.")
         return
     rows = recording.row[low[np.argsort(weight[low])]]
     named = ", ".join(str(row) for row in rows[:_MOST_ROWS])

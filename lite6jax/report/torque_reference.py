@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lite6jax.report.cells import each_with_unit
+from lite6jax.report.cells import capital, each_with_unit
 from lite6jax.report.quantities import OF_TORQUES, quantity
-from lite6jax.report.statements import capital, effect_title
+from lite6jax.report.statements import effect_title
 
 Document = Mapping[str, Any]
 

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from lite6jax.report import data_faults, reference, statements, torque_reference
-from lite6jax.report.cells import each_with_unit, multiple, torque_units
+from lite6jax.report import data_faults, reference, statements, torque_reference, worth
+from lite6jax.report.cells import capital, each_with_unit, multiple, significant, torque_units
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.remedies import effect_name
-from lite6jax.report.statements import Untested, capital, effect_title
+from lite6jax.report.statements import Untested, effect_title
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -45,6 +45,11 @@ def verdict_statement(document: Document) -> str:
     if verdict == "partly_explained" and document["noise"]["declared_torque_Nm"] is None:
         return (
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
+            "sidecar declares no torque_noise_Nm."
+        )
+    if verdict == "consistent" and document["noise"]["declared_torque_Nm"] is None:
+        return (
+            "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
             "sidecar declares no torque_noise_Nm."
         )
     if verdict == "undetermined":
@@ -176,13 +181,14 @@ def finding_statement(finding: Entry) -> str:
             f"{_of_what(finding)}: {moved}.{near}"
         )
     shown = ", ".join(str(size) for size in sizes(finding) if size.std)
-    return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
+    said = "is significant" if worth.is_significant(finding) else "is likely"
+    return f"{capital(effect_title(finding))} {said}: {shown}; {moved}."
 
 
 def _moved(finding: Entry) -> str:
     """What a finding adds to the torques of revolute joints, and to the forces of prismatic ones."""
     pairs = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
-    return " and ".join(f"{finding[key]:.3g} {words}" for key, words in pairs if key in finding)
+    return " and ".join(f"{significant(finding[key])} {words}" for key, words in pairs if key in finding)
 
 
 def _described(entry: Entry) -> str:

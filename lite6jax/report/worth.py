@@ -186,6 +186,17 @@ def _kept(document: Document, count: int, torques: bool) -> str:
     return f"with {which} findings {'compensated' if of_arm else 'in the model'},"
 
 
+def is_computed(document: Document) -> bool:
+    """Whether no sensor measured the poses: the controller computed them from the joints."""
+    found = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
+    return found or document.get("pose_source") == "controller_fk"
+
+
+def is_significant(finding: Entry) -> bool:
+    """Whether a finding was tested by itself; numbers that share a prior are found together."""
+    return bool(finding["p_value"] < _NEARLY)
+
+
 def is_nearly_significant(nearest: Entry | None) -> bool:
     """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
     return nearest is not None and nearest["p_value"] < _NEARLY
@@ -196,13 +207,19 @@ def _nothing_found(document: Document) -> str:
     measures, whose = (measures_of(document), "sensors'") if torques else ((POSITION,), "sensor's")
     errors = [_size(measure.scale * document["before"][measure.error], measure) for measure in measures]
     error = f"{' and '.join(errors)} RMS"
-    faults = [fault for fault in document["data_faults"] if fault["fault"] != "outliers"]
+    if document["verdict"] == "consistent" and is_computed(document):
+        return f"The poses are the controller's own computation: the arm's table reproduces them to {errors[0]} RMS."
+    faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
     begin = (
         f"The data have {_faults(faults)}; with {'this' if len(faults) == 1 else 'these'} corrected, " if faults else ""
     )
     of = "torques" if torques else "poses"
+    consistent = f"nothing is missing from the model: the error of {error} is the {whose} noise."
+    key = "torque_noise_Nm" if torques else "position_noise_m"
+    if document["noise"]["declared_torque_Nm" if torques else "declared_position_m"] is None:
+        consistent = f"no effect is significant, and the error of {error} looks like noise; declare {key} to test this."
     said = {
-        "consistent": f"nothing is missing from the model: the error of {error} is the {whose} noise.",
+        "consistent": consistent,
         "undetermined": f"the recording is too short to tell what the error of {error} is.",
     }.get(document["verdict"], f"the error of {error} is not the noise of the {of} alone, and nothing explains it.")
     if document["verdict"] == "undetermined" and is_nearly_significant(document.get("nearest")):

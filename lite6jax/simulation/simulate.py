@@ -10,7 +10,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.simulation.instruments import AS_DECLARED, Instrument, UndeclaredNoise, instrument
 from lite6jax.simulation.measurement import measure
@@ -79,6 +79,7 @@ def simulate(
         InputError: an unknown arm, sensor or effect; joint positions of another shape, not finite, or in degrees; a
             number out of its range; a motion without a quantity that an effect depends on.
     """
+    require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
     arm = read_arm(arm) if isinstance(arm, str) else arm
     chosen = instrument(sensor)
     chosen = chosen._replace(sensor=chosen.sensor.with_noise(position_noise, orientation_noise, joint_noise))

@@ -359,7 +359,7 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
         (
             {"bounds": []},
             ": has the unknown key 'bounds'; accepted are name, kinematics, joint_limits_rad, joint_limits, inertial,"
-            " dynamics, dh, flange, source",
+            " dynamics, dh, convention, flange, source",
         ),
         ({"name": 7}, ": name is 7, which is not text; put it in quotes"),
         ({"source": ["a"]}, ": source is ['a'], which is not text; put it in quotes"),
@@ -610,12 +610,13 @@ def table_change(*path_and_value):
     ("spoil", "message"),
     [
         (
-            table_change("units", "m and rad"),
-            ": units is 'm and rad'; this table is in 'mm and deg' only, convert it",
+            table_change("units", "cm and deg"),
+            ": units is 'cm and deg'; write 'mm and deg', or m instead of mm, rad instead of deg",
         ),
         (
             table_change("alpha", 1.0),
-            ": has the unknown key 'alpha'; accepted are units, base, dh, beta_joint2, fit, checksum",
+            ": has the unknown key 'alpha'; accepted are units, dh, base, beta_joint2, convention, first_axis, fit,"
+            " checksum",
         ),
         (
             table_change("base", "z", 1.5),
@@ -644,7 +645,7 @@ def table_change(*path_and_value):
         (table_change("dh", {}), ": dh must be a list with one row per joint: joint, theta_off, d, a, alpha"),
         (
             table_change("beta_joint6", 0.0),
-            ": beta_joint6 is for a joint that no other follows (there are 6); remove it",
+            ": beta_joint6 is for a joint that no other follows: dh has 6 rows; give one row per joint, or remove it",
         ),
     ],
 )

@@ -146,7 +146,9 @@ def test_model_steps_are_named():
     assert form.units[28:] == ("m", "m", "m", "rad", "rad", "rad") * 2
 
 
-@pytest.mark.parametrize("form", [LITE6, HayatiForm(6, (1, 2)), HayatiForm(11, (9,)), SixParameterForm(6)])
+@pytest.mark.parametrize(
+    "form", [LITE6, HayatiForm(6, (1, 2)), HayatiForm(11, (9,)), HayatiForm(6, (1,), (), 1), SixParameterForm(6)]
+)
 def test_walking_order_is_a_permutation(form):
     assert sorted(form.walking_order) == list(range(form.size))
     assert form.flags.shape == (form.dof,)
@@ -190,6 +192,11 @@ def test_joint_axes_are_the_lines_about_which_the_joints_turn(seed):
 
 REFUSED = [
     (lambda: HayatiForm(6, (5,)), "parallel joints (5,): give each once, in order, from 0 to 4"),
+    (lambda: HayatiForm(6, first_axis=3), "first_axis joints (3,): give each once, in order, from 0 to 2"),
+    (
+        lambda: HayatiForm(6, sliding=(0,), first_axis=1),
+        "first_axis joints (1,): give each once, in order, from 2 to 2",
+    ),
     (lambda: HayatiForm(6, (2, 1)), "parallel joints (2, 1): give each once, in order, from 0 to 4"),
     (lambda: HayatiForm(6, (1, 1)), "parallel joints (1, 1): give each once, in order, from 0 to 4"),
     (lambda: HayatiForm(6, (-1,)), "parallel joints (-1,): give each once, in order, from 0 to 4"),
@@ -242,6 +249,26 @@ def generic_model(chain, seed):
     rng = np.random.default_rng(seed)
     frame, tool = (origin_transform(row) for row in random_kinematics(rng, 2))
     return arm_model(rng.uniform(-1, 1, chain.size), frame, tool), random_positions(rng, 60, chain.dof)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@given(seed=seeds)
+def test_the_base_leads_to_joint_1_along_any_of_its_axes(axis, seed):
+    rng = np.random.default_rng(seed)
+    form = HayatiForm(3, (1,), (), axis)
+    parameters, positions = rng.uniform(-1, 1, form.size), random_positions(rng, 3, 3)
+    given = dict(zip(form.names, parameters, strict=True))
+    x, y, z, yaw, pitch, roll = (given.get(f"base_{name}", 0.0) for name in ("x", "y", "z", "yaw", "pitch", "roll"))
+    # the quarter turns that take z to the axis, and x and y to the two that follow it
+    turned = (
+        rotate("y", np.pi / 2) @ rotate("z", np.pi / 2),
+        rotate("x", -np.pi / 2) @ rotate("z", -np.pi / 2),
+        np.eye(4),
+    )
+    base = shift(x, y, z) @ rotate("z", yaw) @ rotate("y", pitch) @ rotate("x", roll) @ turned[axis]
+    _, dh, betas = form.unpack(parameters)
+    expected = base @ hayati_poses(np.zeros(4), dh, {1: betas[0]}, positions)
+    np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=EXACT)
 
 
 @pytest.mark.parametrize("dof", [3, 6, 7])

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, hayati_form_of, joint_axes
@@ -56,6 +57,29 @@ def test_conversion_of_any_arm(dof, seed):
     # two axes a sine apart meet their common normal only to rounding over that sine
     tolerance = 1e-13 / np.min(sines, initial=1) ** 2
     np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=tolerance)
+
+
+@pytest.mark.parametrize("sliding", [(), (2,)])
+@pytest.mark.parametrize("axis", range(3))
+@given(seed=seeds, forwards=st.booleans())
+def test_joint_1_may_point_along_any_axis_of_the_base(axis, sliding, seed, forwards):
+    rng = np.random.default_rng(seed)
+    kinematics = random_kinematics(rng, 4)
+    kinematics[1:, 3] = rng.uniform(0.3, 1.2, 3)  # no two neighbouring axes are parallel
+    kinematics[1:, 4] *= 0.1
+    along = (np.eye(3)[axis] + rng.uniform(-0.3, 0.3, 3)) * (1 if forwards else -1)
+    kinematics[0, 3:] = Rotation.align_vectors([along], [[0, 0, 1]])[0].as_euler("xyz")
+    form = hayati_form_of(kinematics, sliding)
+    assert form.first_axis == axis
+    absent = (("x", "roll"), ("y", "pitch"), ("z", "yaw"))[axis]
+    given_names = {name.removeprefix("base_") for name in form.names if name.startswith("base_")}
+    assert given_names == {"x", "y", "z", "roll", "pitch", "yaw"} - set(absent)
+    parameters = six_parameter_to_hayati(form, kinematics)
+    positions = random_positions(rng, 5, 4)
+    expected = six_parameter_fk(kinematics, positions, sliding)
+    np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=1e-12)
+    again, T_joint_flange = hayati_to_six_parameter(form, parameters)
+    np.testing.assert_allclose(six_parameter_fk(again, positions, sliding) @ T_joint_flange, expected, atol=1e-12)
 
 
 @named
@@ -172,7 +196,7 @@ REFUSED = [
     (
         LITE6,
         moved(1, roll=np.pi / 2),
-        "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
+        "joint 1: its axis is at right angles to the base's z, along which this form draws it; check the arm's model",
     ),
     (
         HayatiForm(6),

@@ -177,7 +177,10 @@ def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
     assert read_urdf(path, tip="hand").dof == 2
     assert read_urdf(path, tip="left").sliding == (2,)
     assert read_urdf(path, base="a", tip="hand").dof == 1
-    with pytest.raises(InputError, match=r"joint 'r' mimics another; .*, name a chain without it with --tip hand"):
+    coupled = (
+        r"joint 'r' is coupled: it mimics 1 times 'l'; .*, name a chain without it with --tip hand, or as arm.urdf#hand"
+    )
+    with pytest.raises(InputError, match=coupled):
         read_urdf(path, tip="right")
     with pytest.raises(InputError, match="'hand' is not below 'left'; name another --base or --tip"):
         read_urdf(path, base="left", tip="hand")

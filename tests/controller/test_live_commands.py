@@ -22,6 +22,7 @@ from typed import flat, refused, run
 from lite6jax.arms.factory import read_factory
 from lite6jax.controller import calibration
 from lite6jax.emulator import Faults, draw_sines
+from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -112,6 +113,29 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
     stem = str(address).replace(":", "_")
     kinds = ("error_by_joint", "controller")
     assert names == {f"{stem}_{kind}.{suffix}" for kind in kinds for suffix in ("png", "svg")}
+
+
+def test_fit_saves_the_calibration_that_it_read(capsys, tmp_path, monkeypatch):
+    saved, read = tmp_path / "arm.yaml", tmp_path / "read.yaml"
+    with emulated() as (_, address):
+        run(capsys, "read", "--ip", address, "--out", read)
+        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", saved)
+        assert code == 0
+        assert f"Wrote {saved}" in flat(said)
+        assert saved.read_bytes() == read.read_bytes()
+        assert "exists already" in refused(capsys, "fit", "--ip", address, "--save-calibration", saved)
+
+        def fail(*_, **__):
+            raise InputError("no fit")
+
+        monkeypatch.setattr("lite6jax.fitting.calibration_fit.fit_calibration", fail)
+        again = tmp_path / "again.yaml"
+        assert "no fit" in refused(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", again)
+        assert again.read_bytes() == saved.read_bytes()
+    assert "add --ip ADDRESS" in refused(capsys, "fit", saved, "--save-calibration", tmp_path / "other.yaml")
+    assert "let the name end in .yaml" in refused(
+        capsys, "fit", "--ip", address, "--save-calibration", tmp_path / "a.json"
+    )
 
 
 def test_fit_without_the_sdk_asks_for_the_calibration_only(capsys):

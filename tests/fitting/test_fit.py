@@ -1,11 +1,15 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 import lite6jax
 from lite6jax.estimation.robust import gaussian_t_scale, t_scale
+from lite6jax.fitting import recording_fit
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
+from lite6jax.report.documents import document, text
 from tests.oracles.arms import NOMINAL, lite6_positions, perturbed_parameters
 from tests.oracles.chains import seed_poses
 from tests.oracles.transforms import perturb_poses, quaternions, random_transform
@@ -161,17 +165,57 @@ def test_what_the_frames_carry_is_held_at_nominal_and_said():
         assert found.standard_deviation[k] == 0
 
 
-def test_what_positions_alone_do_not_determine_is_held_and_said():
+def test_what_positions_alone_do_not_determine_stays_near_nominal_and_is_marked():
     """The flange point stands on joint 6's axis: its turning is not seen, and a5, alpha5 do what theta5, d5 do."""
     rng = np.random.default_rng(2)
-    found = lite6jax.fit(recording(rng, perturbed_parameters(rng), orientation=False))
-    held = {item.name: item.carried_by for item in found.held}
-    assert set(held) == {"a5", "alpha5", "theta_off6", "alpha6"}
-    assert held["theta_off6"] == held["alpha6"] == ()
-    assert "theta_off5" in held["a5"]
-    assert "d5" in held["alpha5"]
+    x = perturbed_parameters(rng)
+    data = recording(rng, x, orientation=False, noise=(1e-4, 1e-4))
+    found = lite6jax.fit(data)
+    assert (found.result, found.held) == (lite6jax.Result.CONVERGED, ())
+    unsure = {name for name, sure in zip(found.form.names, found.determined, strict=True) if not sure}
+    assert unsure == {"theta_off5", "alpha5", "theta_off6", "alpha6"}
+    deviation, share = found.standard_deviation, found.prior_share
+    z = (found.parameters - x) / deviation
+    assert np.abs(z).max() < 4
+    assert np.mean(z[found.determined] ** 2) < z_bounds(24)[1]
+    assert share[found.form.names.index("alpha6")] == pytest.approx(1, abs=1e-6)  # nothing depends on it
     assert found.noise.orientation is None
     assert found.checked.orientation is None
+    # one row less moves the table by little of what it says of itself
+    fewer = lite6jax.fit(data.select(np.arange(120) != 40))
+    assert np.abs((fewer.parameters - found.parameters) / deviation).max() < 0.5
+    entries = json.loads(text(document(found)))["parameters"]
+    said = {item["name"]: (item["determined"], item["prior_share"]) for item in entries}
+    assert said["alpha6"] == (False, pytest.approx(1, abs=1e-6))
+    assert said["d4"] == (True, pytest.approx(0, abs=1e-4))
+    assert "The data do not determine, and their prior about nominal decides: theta_off5, " in found.summary()
+
+
+def test_a_touched_point_sets_no_scale():
+    """The chain must not shrink on the point, where all that is measured stands still: its longest length is held."""
+    rng = np.random.default_rng(3)
+    x, tool, point = perturbed_parameters(rng), np.eye(4), (0.3, 0.05, 0.15)
+    tool[:3, 3] = 0.01, -0.02, 0.15
+    q = []
+    while len(q) < 40:
+        near = lite6_positions(rng, 1)[0]
+        reached = least_squares(lambda q: (seed_poses(x, q[None]) @ tool)[0, :3, 3] - point, near, xtol=1e-12)
+        if reached.cost < 1e-12 and np.abs(reached.x).max() < 6:
+            q.append(reached.x)
+    settings = RecordingSettings(arm="lite6", motion="static", tool="unknown", position_noise_m=1e-4)
+    q = np.array(q) + 1e-4 * rng.normal(size=(40, 6))
+    data = Recording.from_arrays(q, position=np.zeros((40, 3)), settings=settings, source="touched.csv")
+    found = recording_fit.fit_recording(data)
+    assert (found.result, found.quality.verdict) == (lite6jax.Result.CONVERGED, "good")
+    assert {item.name: item.carried_by for item in found.held}["d4"] >= ("a2",)
+    away = found.parameters - found.arm.hayati
+    assert np.abs(away / [{"m": 0.02, "rad": 0.05}[unit] for unit in found.form.chain.units]).max() < 1
+    # all others are those of the chain at the scale of that length
+    chain, sure = found.form.chain, found.determined[:28]
+    k = chain.names.index("d4")
+    scaled = np.where(np.array(chain.units) == "m", found.arm.hayati[k] / x[k], 1.0) * x
+    z = ((found.parameters - scaled) / np.maximum(found.standard_deviation[:28], 1e-12))[sure]
+    assert np.mean(z**2) < z_bounds(sure.sum())[1]
 
 
 @pytest.mark.long
@@ -288,6 +332,20 @@ def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
     assert low < np.mean(squares) < high
     assert found.noise.position == pytest.approx(2e-4, rel=0.1)
     assert found.noise.orientation == pytest.approx(1e-4, rel=0.1)
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_noise_that_is_declared_in_part_counts_where_it_is(part):
+    """The residuals are fifty times the declared noise: not noise; that of the other part is taken from them."""
+    rng = np.random.default_rng(14)
+    key = ("position_noise_m", "orientation_noise_rad")[part]
+    declared = {"position_noise_m": None, "orientation_noise_rad": None, key: (2e-5, 1e-4)[part]}
+    found = lite6jax.fit(recording(rng, perturbed_parameters(rng), noise=(1e-3, 5e-3), **declared))
+    assert found.noise.declared == (declared["position_noise_m"], declared["orientation_noise_rad"])
+    assert found.noise.position == pytest.approx(1e-3, rel=0.1)
+    assert found.noise.orientation == pytest.approx(5e-3, rel=0.1)
+    assert found.quality.verdict == "above_noise"
+    assert any(f"the noise of {('orientations', 'positions')[part]}" in note for note in found.notes)
 
 
 @pytest.mark.long

@@ -6,9 +6,8 @@ import pytest
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.factory import write_factory
+from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
-from lite6jax.arms.nearest import nearest_arms
 from lite6jax.cli import main
 from lite6jax.errors import InputError
 from lite6jax.fitting.calibration_fit import fit_calibration

@@ -166,6 +166,14 @@ def test_frames_of_tf_are_named(tmp_path):
     assert read_recording(f"{path}#/joint_states").position is None
 
 
+def test_the_name_of_a_frame_may_have_colons_and_slashes(tmp_path):
+    path = bag2(tmp_path / "run7", topics_of(STORE, "tf", ("tag36h11:7", "tag36h11:8/left:x")))
+    for k, child in enumerate(("tag36h11:7", "tag36h11:8/left:x")):
+        recording = read_recording(f"{path}#/joint_states,/tf:{child}")
+        np.testing.assert_allclose(recording.position, P + k, atol=1e-12)
+    assert "has no transform to tag36h11:9; it has tag36h11:7 in" in refusal(f"{path}#/joint_states,/tf:tag36h11:9")
+
+
 def test_folders_that_are_damaged_and_packages_that_are_missing(tmp_path, monkeypatch):
     path = bag2(tmp_path / "run7", topics_of(STORE))
     (part,) = path.glob("*.db3")

@@ -423,7 +423,7 @@ NAMINGS = {
 def meant(names, joint_names=()):
     """The blocks of a table by their names alone, and of the first of its poses."""
     found = naming.candidates(names, joint_names)
-    blocks = naming.chosen(found)
+    blocks = naming.choose(found)
     used = {name for block in blocks for name in block.columns}
     poses = naming.sources([block for block in found if not used & set(block.columns)])
     return [*blocks, *([poses[0].position, *poses[0].rotations[:1]] if poses else [])], len(poses)

@@ -12,7 +12,7 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.recordings import Recording
-from lite6jax.report.ranking_figure import ranking_figure
+from lite6jax.report.plots import ranking_figure
 from lite6jax.report.remedies import remedy_of
 from lite6jax.report.torque_faults import FOUND
 from lite6jax.report.torque_figures import drawings

@@ -1,6 +1,7 @@
 """The sentences of a diagnosis on the page, on the terminal and in its JSON file: the same, from codes and numbers."""
 
 import json
+import re
 import textwrap
 from dataclasses import replace
 from io import StringIO
@@ -10,6 +11,7 @@ import pytest
 from diagnosed import (
     AMPLITUDES,
     COMPLIANCE,
+    LITE6,
     WAVES,
     Reader,
     diagnosed,
@@ -22,6 +24,7 @@ from diagnosed import (
 from rich.console import Console
 from rich.text import Text
 
+from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.evidence_map import peak_to_peak
@@ -29,13 +32,15 @@ from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
+from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, reference, statements, worth
+from lite6jax.report import cells, diagnosis_figures, population_tables, reference, statements, worth
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
 from lite6jax.report.quantities import quantity, rounded
+from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
 
@@ -272,7 +277,7 @@ def test_a_function_that_explains_as_much_is_named_by_its_site_and_driver():
 def test_numbers_have_the_digits_that_they_are_known_to():
     assert rounded(1.52689, 0.0123) == ("1.527", "0.012")
     assert rounded(21654.3, 4320.0) == ("21654", "4320")
-    assert rounded(1.0, np.inf) == ("1", "inf")
+    assert rounded(1.0, np.inf) == ("1", "unknown")
 
 
 @pytest.mark.parametrize(
@@ -429,17 +434,83 @@ def test_what_is_confounded_is_to_be_declared(compliant):
 # ------------------------------------------------------------------ verdicts and the JSON file
 
 
+def of_six_numbers(folder, noise, **declared):
+    """The diagnosis without findings of poses with noise, of a declaration that may be another."""
+    calibration = write_factory(LITE6.kinematics, folder / "arm.yaml", overwrite=True)
+    settings = RecordingSettings(arm="lite6", motion="static", factory_calibration=str(calibration))
+    given = {"position_noise": noise, "orientation_noise": noise, "joint_noise": 0.0}
+    recording = simulate(LITE6, samples=250, settings=settings, sensor="tracker_6d", **given)
+    measured = recording.settings
+    changed = {"position_noise_m": None, "orientation_noise_rad": None, **declared}
+    return diagnosed(recording.made_anew(settings=replace(measured, **changed)), ())
+
+
+@pytest.mark.parametrize("key", ["position_noise_m", "orientation_noise_rad"])
+def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_sensors_noise(tmp_path, key):
+    found = of_six_numbers(tmp_path, 2e-3, **{key: 2e-5})
+    document = documented(found)
+    assert found.verdict == "unexplained"
+    assert re.search(r"are (9\d|1\d\d) times the declared noise", statements.verdict_statement(document))
+    assert worth.headline(document).endswith(" is not the noise of the poses alone, and nothing explains it.")
+    over = document["left"][{"position_noise_m": "position_over_noise"}.get(key, "orientation_over_noise")]
+    assert over == pytest.approx(100, rel=0.2)
+    as_declared = of_six_numbers(tmp_path, 2e-5, **{key: 2e-5})
+    assert as_declared.verdict == "consistent"
+
+
+def test_of_a_noise_that_is_not_declared_no_size_is_claimed(tmp_path):
+    document = documented(of_six_numbers(tmp_path, 2e-3))
+    assert statements.verdict_statement(document) == (
+        "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
+        "sidecar declares no position_noise_m and no orientation_noise_rad."
+    )
+    assert worth.headline(document).startswith("No effect is significant, and the error of ")
+
+
+def test_poses_of_the_controller_test_the_table_alone(compliant):
+    document = documented(compliant)
+    none = {**document, "findings": [], "pose_source": "controller_fk"}
+    none["model"] = {**document["model"], "effects": []}
+    assert statements.verdict_statement({**none, "verdict": "consistent"}) == (
+        "Consistent: the table of the arm reproduces what the controller computed from the joints."
+    )
+    assert statements.cautions(none)[0].startswith("The poses are the controller's own computation from the joints")
+    assert "To diagnose the arm itself, record the poses with a sensor." in flat_report(none)
+    assert statements.COMPUTED not in flat_report(document)
+
+
+def test_a_finding_without_a_test_of_its_own_has_no_p_value(compliant):
+    document = documented(compliant)
+    document["findings"][0]["p_value"] = 1.0
+    (finding,) = statements.findings_of(document)
+    said = finding["statement"] + " " + statements.p_value_statement(finding)
+    assert "significant: " not in said
+    assert said.endswith("It is part of the likeliest model, and is not significant beside the other findings alone.")
+    assert "p-value" not in flat_report(document)
+
+
+def flat_report(document):
+    console = Console(file=StringIO(), width=100)
+    for part in diagnosis_report(document, "run.csv"):
+        console.print(part)
+    return " ".join(console.file.getvalue().split())
+
+
 def test_the_verdict_says_what_the_numbers_say(compliant):
     document = documented(compliant)
 
-    def verdict(code, declared=2e-5, estimated=2e-5, position=1.0, orientation=None, white=True, rows=None):
-        noise = {"declared_position_m": declared, "estimated_position_m": estimated}
+    def verdict(code, declared=2e-5, position=1.0, orientation=None, white=True, rows=None):
+        noise = {
+            "declared_position_m": declared,
+            "declared_orientation_rad": None,
+            "estimated_position_m": 2e-5,
+        }
         left = {"position_over_noise": position, "orientation_over_noise": orientation, "white": white}
         changed = {"verdict": code, "noise": noise, "left": left, "rows_needed": rows}
         return statements.verdict_statement({**document, **changed})
 
     assert verdict("consistent") == "Consistent: the model of the arm and the sensor's noise explain the recording."
-    assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", estimated=1.1e-4)
+    assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", position=5.5)
     assert verdict("unexplained", position=2.34, white=False) == (
         "Unexplained: what is left is not the sensor's noise alone, and no effect is significant. Held-out "
         "position errors are 2.3 times the declared noise and neighbouring rows are correlated."
@@ -450,9 +521,10 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
     )
     for turned, said in (
         (False, "no position_noise_m."),
-        (True, "not both position_noise_m and orientation_noise_rad."),
+        (True, "no position_noise_m and no orientation_noise_rad."),
     ):
         document = {**document, "model": {**document["model"], "orientation": turned}}
+        assert verdict("consistent", declared=None).endswith(f"not tested, as the sidecar declares {said}")
         assert verdict("partly_explained", declared=None).endswith(f"because the sidecar declares {said}")
     document = {**document, "findings": [], "nearest": None}
     assert verdict("undetermined", rows=document["samples"] + 30) == (
@@ -493,3 +565,15 @@ def test_a_summary_is_sentences_of_a_few_lines(compliant):
     html = compliant._repr_html_()
     assert f"<td>{size}</td>" in html
     assert "<script" not in html
+
+
+@pytest.mark.parametrize(("p_value", "said"), [(1.0, "not significant"), (2e-9, "p = 2.0e-09")])
+def test_a_change_with_the_date_that_is_none_has_no_p_value(p_value, said):
+    effect = {"effect": "unnamed", "between_p_value": 1.0, "arms": [], "drift": {"p_value": p_value}, "rivals": []}
+    assert f"Its change with the date: {said}." in list(population_tables.remarks(effect, over=True))
+
+
+def test_a_number_that_is_not_finite_is_unknown():
+    for shown in (cells.number, cells.significant, cells.multiple, cells.fixed, cells.plus_minus):
+        assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
+    assert cells.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"

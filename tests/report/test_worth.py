@@ -1,6 +1,7 @@
 """The first sentence, the ranking, the remedies and the commands of a diagnosis say what the document holds."""
 
 import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,6 +138,7 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
     document = {
         "verdict": verdict, "findings": [], "data_faults": [{"fault": "outliers"}],
         "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
+        "noise": {"declared_position_m": 2e-5},
     }  # fmt: skip
     assert worth.headline(document) == says
     nearly = {**document, "nearest": {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}}
@@ -144,6 +146,31 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
     assert worth.headline(nearly) == (open_still if verdict == "undetermined" else says)
     faulty = {**document, "data_faults": [{"fault": "swapped_joints"}]}
     assert worth.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
+    if verdict == "consistent":
+        assert worth.headline({**document, "noise": {"declared_position_m": None}}) == (
+            "No effect is significant, and the error of 0.034 mm RMS looks like noise; declare position_noise_m to "
+            "test this."
+        )
+        for computed in ({"pose_source": "controller_fk"}, {"data_faults": [{"fault": "computed_pose"}]}):
+            assert worth.headline({**document, **computed}) == (
+                "The poses are the controller's own computation: the arm's table reproduces them to 0.034 mm RMS."
+            )
+
+
+@pytest.mark.parametrize(
+    "at", [{"effect": "measurement_scale", "site": "sensor"}, {"effect": "sensor_drift", "site": "sensor"},
+           {"effect": "unnamed", "site": "sensor"}, {"effect": "lens", "site": "sensor"},
+           {"effect": "time_offset", "site": "clock"}, {"effect": "base_drift", "site": "base"}],
+)  # fmt: skip
+def test_what_is_no_error_of_the_arm_is_not_compensated(found, at):
+    """A finding at the sensor: no sentence and no command says that joint positions compensate it."""
+    document = documented(found)
+    first, second = document["findings"]
+    alone = {**document, "findings": [{**first, **at}]}
+    said = [worth.headline(alone), *(action for _, action in next_steps.actions(alone))]
+    said += [step.command for step in next_steps.steps(alone, Files(Path("run.csv"), Path("d.json")))]
+    assert not any("compensat" in line.lower() for line in said)
+    assert "compensated" not in worth.headline({**document, "findings": [{**first, **at}, second]})
 
 
 def test_of_torques_the_worth_is_that_at_the_joint(motors):

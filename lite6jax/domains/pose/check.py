@@ -14,24 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
-from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.domains.pose.screening.hypotheses import touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
+from lite6jax.fitting.sampling import check_positions
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording, outside_limits
 from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
 
-_SAMPLES = 1000
 _RMS_OF_MEDIAN = 1.1260
 """Of the length of an isotropic Gaussian 3-vector: √3 / √(median of χ²₃). Outliers move the median little."""
 
@@ -76,7 +75,7 @@ class RecordingCheck:
 def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions | None = None) -> list[Cause]:
     """A calibration's distance to each nominal table, and a constant displacement of the flange."""
     options, arm = options or ScreeningOptions(), calibration.arm
-    q = sample_joints(arm.dof, _SAMPLES)
+    q = check_positions(arm)
     links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
     pose = frames.chain(links, q, arm.sliding) @ calibration.T_joint_flange
     tables = _tables(arm)
@@ -117,7 +116,7 @@ def check_recording(
     assert arm is not None
     causes = _joint_limits(recording, arm)
     # beside a mismatch that nothing explains, no share of the error means anything
-    if not any(screened.count(code) for code in ("undecided", "unexplained")):
+    if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained")):
         causes += [*_recorded_tool_offset(recording, arm, options), *_geometry_and_outliers(recording, arm, options)]
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
@@ -190,7 +189,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     )
     share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
     noise = solution.noise
-    declared = noise.declared[0] * np.sqrt(3) if noise and noise.declared else 0.0
+    declared = (noise.declared[0] or 0.0) * np.sqrt(3) if noise and noise.declared else 0.0
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
@@ -204,7 +203,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
         "start": "factory_calibration" if recording.settings.factory_calibration else "nominal_arm",
     }
     geometry = Cause("geometry", kind in ("partly", "other", "too_far"), (), numbers)
-    outlying = np.flatnonzero(solution.weight < DOWNWEIGHTED)
+    outlying = np.flatnonzero(solution.outlying)
     if not outlying.size:
         return [geometry, Cause("outliers", False)]
     worst = float(solution.errors.position[outlying].max())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.compensation_search import CompensationSearch, reached
+from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.inverse import Solved
-from lite6jax.domains.pose.predict import DiagnosedArm, recording_of
+from lite6jax.domains.pose.predict import DiagnosedArm, recording_of, require_model
 from lite6jax.domains.pose.uncertainty import Bars, bars_of
-from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, SensorDrift, TimeOffset
+from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, Targets
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -42,8 +45,8 @@ class Reason(NamedTuple):
     angles: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Compensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(PublicResult):
     """Joint positions for targets, one row per target.
 
     Attributes:
@@ -58,8 +61,7 @@ class Compensation:
         position_std: `(row, 3)` m, of the pose that is reached, along the axes of the targets' frame, as those of
             `predicted`; None where the diagnosis does not say.
         orientation_std: `(row, 3)` rad, about the tool's axes; None also where no orientation was recorded.
-        outside: `(row,)` bool, whether a joint, or a quantity on which an effect depends, is beyond what was recorded;
-            None where the diagnosis does not say.
+        outside: `(row,)` bool, as of `Prediction`; None where the diagnosis does not say.
     """
 
     recording: Recording
@@ -82,7 +84,7 @@ class Compensation:
 
 def compensate(
     model: DiagnosedArm,
-    targets: Targets | ArrayLike,
+    targets: Targets | str | Path | ArrayLike,
     *,
     start: ArrayLike | None = None,
     frame: TargetFrame = "sensor",
@@ -100,7 +102,7 @@ def compensate(
     Args:
         model: the arm, from a diagnosis.
         targets: poses of the measured tool point: `(row, 4, 4)`, or positions `(row, 3)` in m with any orientation, or
-            what `read_pose_targets` gives.
+            the path of a table of them, as `lite6jax compensate` reads it.
         start: `(row, joint)` rad, beside targets that are an array.
         frame: the frame of the targets: the sensor's, with its scale and drift; or the arm's base.
         approach: for each joint -1, 0 or 1, the direction from which it approaches every target; by default each row
@@ -111,6 +113,9 @@ def compensate(
         InputError: the targets lack what an effect needs, by name; arrays of another shape; degrees; `approach` of
             another length; or a model without joint limits.
     """
+    require_model(model)
+    if isinstance(targets, str | Path):
+        targets = read_pose_targets(targets, model)
     if approach is not None and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
         raise InputError(f"approach: give -1, 0 or 1 for each of the {model.dof} joints")
     if model.joint_limits is None:
@@ -153,15 +158,16 @@ def _targets_of(
 
 def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedArm, tuple[str, ...]]:
     """The model without what concerns the sensor's readings and not where the arm is."""
-    sensor: tuple[type, ...] = (TimeOffset,)
+    sites = ("clock",)
     if frame == "base":
-        sensor = (TimeOffset, MeasurementScale, BaseDrift, SensorDrift)
+        sites = ("clock", "sensor")
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
         known = None if model.uncertainty is None else model.uncertainty.without_base()
         model = replace(model, model=rigid, uncertainty=known)
     effects = model.physics.effects
-    omitted = tuple(effect.label for effect in effects if isinstance(effect, sensor))
-    return model.keeping([not isinstance(effect, sensor) for effect in effects]), omitted
+    without = [effect.site in sites or (frame == "base" and isinstance(effect, BaseDrift)) for effect in effects]
+    omitted = tuple(effect.label for effect, left_out in zip(effects, without, strict=True) if left_out)
+    return model.keeping([not left_out for left_out in without]), omitted
 
 
 def _complete(recording: Recording) -> Flags:

@@ -18,7 +18,7 @@ from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
 from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming, sizes
+from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
     ANGLES,
     IGNORED,
@@ -33,7 +33,7 @@ from lite6jax.recordings.columns import (
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
-from lite6jax.recordings.orientations import no_rotations, quaternions
+from lite6jax.recordings.orientations import is_no_rotation, quaternions
 
 Array = NDArray[np.floating]
 
@@ -184,17 +184,18 @@ def inspect(
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names = () if arm is None else arm.joint_names
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
-    slots = _given_slots({name: said for name, said in given.items() if name in numbers})
-    blocks = _with_given(naming.chosen(possible, None if arm is None else arm.dof), slots)
-    blocks = _fitting(blocks, given, arm)
+    slots = _slots({name: said for name, said in given.items() if name in numbers})
+    blocks = _merge_given(naming.choose(possible, None if arm is None else arm.dof), slots)
+    blocks = _split_by_joint(blocks, given, arm)
     joints = {name for block in blocks for name in block.columns}
-    poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    poses = _merge_given_poses([block for block in possible if not joints & set(block.columns)], slots)
     kept = {block.source for block in poses if block.kind == "position"}
     lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
-    readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    numbers = _at_poses(numbers, [*blocks, *poses], source)
+    readings = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
     readings = [reading for reading in readings if reading.travel > 0] or readings
-    taken = _taken(readings, pose_source)
+    taken = _choose_pose(readings, pose_source)
     found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
     nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
     agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
@@ -222,17 +223,30 @@ def inspect(
     )
 
 
+def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
+    """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
+    joints = [name for block in blocks if block.kind == "q" for name in block.columns]
+    time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
+    for position in (block.columns for block in blocks if block.kind == "position"):
+        try:
+            if (found := streams.merged(numbers, joints, position, time)) is not None:
+                return found.columns
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
+    return numbers
+
+
 def computed_by_controller(error: float, step: float) -> bool:
     """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
 
     Args:
         error: m, the median distance of the positions from those of the arm's nominal kinematics.
-        step: m, how far apart positions are that are written alike (`written_step`); 0 of all digits.
+        step: m, how far apart positions are that are written alike (`digit_step`); 0 of all digits.
     """
     return error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
 
 
-def written_step(values: Array) -> float:
+def digit_step(values: Array) -> float:
     """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
     there = values[np.isfinite(values)]
     there = there[:: max(len(there) // 1000, 1)]
@@ -296,12 +310,13 @@ def _near(name: str, names: Sequence[str]) -> str:
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
     """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
     run: Array | None = None
-    of_unit_length: set[tuple[str, ...]] = set()
+    unit_length: set[tuple[str, ...]] = set()
     possible: list[Block] = []
     denied: dict[str, str] = {}
     for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
-        values = _stacked(numbers, block.matrix or block.columns)
-        values = values if block.kind in ("run", "time") else values[:: max(len(values) // _ENOUGH, 1)]
+        names = block.matrix or block.columns
+        step = 1 if block.kind in ("run", "time") else max(len(numbers[names[0]]) // _ENOUGH, 1)
+        values = np.stack([numbers[name][::step] for name in names], 1)
         if block.kind == "run":
             there = values[np.isfinite(values)]
             right = bool((there == np.round(there)).all())
@@ -309,13 +324,13 @@ def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[lis
         elif block.matrix:
             right = _matrix(values)
         elif block.kind == "rotation" and len(block.columns) == 4:
-            right = sizes.of_unit_length(values)
-            of_unit_length |= {block.columns} if right else set()
+            right = sizes.has_unit_length(values)
+            unit_length |= {block.columns} if right else set()
         elif block.kind == "rotation":
             right = bool(np.nanmax(np.abs(values), initial=0.0) < WIDEST_ANGLE)
         else:
             right = block.kind != "time" or sizes.increases(values[:, 0], run)
-            right = right and not (block.kind == "q" and block.columns in of_unit_length)
+            right = right and not (block.kind == "q" and block.columns in unit_length)
         if right:
             possible.append(block)
         elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
@@ -327,7 +342,7 @@ def _matrix(entries: Array) -> bool:
     """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
     M = entries[np.isfinite(entries).all(1)]
     M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
-    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9))
+    wrong = is_no_rotation(M[:, :3, :3].reshape(-1, 9))
     if M.shape[1] == 4:
         wrong |= (np.abs(M[:, 3] - [0, 0, 0, 1]) > 1e-6).any(1)
     return bool(len(M)) and float(np.mean(wrong)) < 0.1
@@ -339,13 +354,13 @@ _XYZ = ("x", "y", "z")
 _Slots = Mapping[tuple[str, int], tuple[str, str]]
 
 
-def _given_slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
+def _slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
     """Of quantities, and of which joint, the column that is given and its unit."""
     said = {name: known_column(own) for name, own in given.items() if own != IGNORED}
     return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
 
 
-def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+def _merge_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """With the columns that are given in their places, of all but poses."""
     found = {block.kind: block for block in blocks}
     own = {name for name, _ in slots.values()}
@@ -362,7 +377,7 @@ def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     return [found[kind] for kind in naming.KINDS if kind in found]
 
 
-def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
     for form in (_XYZ, QUATERNION, MATRIX, *ANGLES):
@@ -380,7 +395,7 @@ def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     return found
 
 
-def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
+def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
@@ -411,7 +426,7 @@ def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None)
     return found
 
 
-def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
+def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
     position = _stacked(numbers, source.position.columns)
     there = position[np.isfinite(position).all(1)]
@@ -436,7 +451,7 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
         turn = None if rotation is None or len(rotation.columns) != 3 else rotation.unit
         tried = [(one, agreement(one, pose, angle, slide, source.position.unit, turn)) for one in arms]
         tried = sorted(tried, key=lambda entry: entry[1].error)
-        chosen, agreed = _chosen(arm, tried)
+        chosen, agreed = _choose_arm(arm, tried)
         if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
@@ -452,12 +467,12 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
 def _computed(agreed: Agreement, pose: Pose) -> bool:
     if not agreed.close or agreed.spread < LEAST_TRAVEL_M:
         return False
-    step = written_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
-    turn = written_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
+    step = digit_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
+    turn = digit_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
     return computed_by_controller(agreed.error, np.hypot(step, turn * agreed.spread * pose.joint.shape[1] ** 0.5))
 
 
-def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
+def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
     pool = poses_of([reading.role for reading in readings], pose_source)
     if len({readings[k].role for k in pool}) == 1:
@@ -466,7 +481,7 @@ def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     return pool[0] if len(pool) == 1 else None
 
 
-def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
+def _choose_arm(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
     """The arm whose kinematics decide, where it agrees; the nearest bundled one where no other is as near."""
     if not tried:
         return arm, NO_AGREEMENT

@@ -125,10 +125,7 @@ def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple
 def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if block.slides:
         return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
-    turned = sizes.angle_unit(values).choice == "deg"
-    servo = all(
-        name.lower().endswith(".pos") or (turned and name.startswith("observation.state")) for name in block.columns
-    )
+    servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
     return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import jax
@@ -11,6 +12,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
 from lite6jax.domains.pose.uncertainty import Uncertainty, bars_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -18,11 +20,12 @@ from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -59,7 +62,7 @@ _STATIC = (
 
 @final
 @partial(jax.tree_util.register_dataclass, data_fields=_LEAVES, meta_fields=_STATIC)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiagnosedArm:
     """An arm with the effects that a diagnosis found. A pytree: arrays are its leaves, all else is static.
 
@@ -94,6 +97,10 @@ class DiagnosedArm:
     reference: ReferenceOrigin | None = None
     uncertainty: Uncertainty | None = None
     sliding: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        effects = ", ".join(effect.label for effect in self.physics.effects) or "no effects"
+        return f"model of a {self.arm} with {effects}"
 
     @property
     def dof(self) -> int:
@@ -209,7 +216,9 @@ def has_memory(effect: Effect) -> bool:
     return bool(getattr(effect, "memory", ()))
 
 
-class Prediction(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(PublicResult):
     """Predicted poses with standard deviations, sample by sample; NaN as the poses are.
 
     The deviations are those of the true pose from the predicted one, which the estimated numbers and what is left of
@@ -221,8 +230,9 @@ class Prediction(NamedTuple):
             of earlier versions.
         orientation_std: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was
             recorded.
-        outside: `(sample,)` bool, rows in which a joint, or a quantity on which an effect depends, is beyond what was
-            recorded; None where the diagnosis does not say what was.
+        outside: `(sample,)` bool, rows that the recording does not support: a joint, or a quantity on which an effect
+            depends, is beyond what was recorded, or the recorded rows near it are too few; None where the diagnosis
+            does not say.
     """
 
     poses: Array
@@ -231,15 +241,16 @@ class Prediction(NamedTuple):
     outside: NDArray[np.bool_] | None
 
 
-def predict(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances: ArrayLike) -> Array:
+def predict(model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, **circumstances: ArrayLike) -> Array:
     """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor shows in a motion.
 
     Rows are NaN where a clock's offset reaches beyond the ends of a run.
 
     Args:
         model: the arm, from a diagnosis.
-        motion: a recording, whose settings say at which temperature the geometry holds and whether the arm stands
-            still at each row; or joint positions `(sample, joint)` in rad, for which the diagnosed recording's hold.
+        motion: a recording or the path of its file, whose settings say at which temperature the geometry holds and
+            whether the arm stands still at each row; or joint positions `(sample, joint)` in rad, for which the
+            diagnosed recording's hold.
         circumstances: beside joint positions, arrays by the names of `Recording.from_arrays` in its shapes and units:
             `payload`, `time`, `run`, `joint_velocity`, `joint_temperature`, `ambient_temperature`.
 
@@ -249,7 +260,9 @@ def predict(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances:
     return _poses(model, _sequence(model, motion, circumstances))
 
 
-def predicted(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances: ArrayLike) -> Prediction:
+def predicted(
+    model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, **circumstances: ArrayLike
+) -> Prediction:
     """The poses that the sensor shows in a motion, with their standard deviations.
 
     Rows outside what was recorded are marked. There what is left of the model is taken to grow: its variance by the
@@ -274,7 +287,19 @@ def predicted(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstance
     return Prediction(poses, bars.position, bars.orientation if model.orientation else None, bars.outside)
 
 
-def _sequence(model: DiagnosedArm, motion: Recording | ArrayLike, circumstances: dict[str, Any]) -> Motion:
+def require_model(model: object) -> None:
+    """Refuses what is no model of an arm.
+
+    Raises:
+        InputError: as said.
+    """
+    if not isinstance(model, DiagnosedArm):
+        raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a Diagnosis")
+
+
+def _sequence(model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, circumstances: dict[str, Any]) -> Motion:
+    require_model(model)
+    motion = read_motion(motion, model) if isinstance(motion, str | Path) else motion
     if isinstance(motion, Recording):
         if circumstances:
             raise InputError(f"predict: a recording has its own {', '.join(circumstances)}; give joint positions")
@@ -286,6 +311,18 @@ def _poses(model: DiagnosedArm, sequence: Motion) -> Array:
     poses = np.array(predict_poses(sequence.chain, model.physics, model.model, model.values, sequence, model.inertia))
     poses[np.asarray(_beyond(model.physics, model.values, sequence))] = np.nan
     return poses
+
+
+def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values: those of the poses, and then the standard deviations and `outside` where these are known.
+
+    Args:
+        found: poses with their standard deviations.
+        orientation: whether to give quaternions as well.
+    """
+    return pose_columns(found.poses, orientation) | bar_columns(
+        found.position_std, found.orientation_std, found.outside
+    )
 
 
 def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) -> Recording:

@@ -77,7 +77,7 @@ class PoseProblem:
         inertia: the arm's masses as declared, or None where they are not known.
         measured: the poses.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
-        declared: whether the sidecar declares it.
+        declared_noise: the same, each None where the sidecar does not declare it.
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
         clock_offset: s, from a pose's stamp to the instant at which it shows the arm, if set before the search; or 0.
@@ -99,7 +99,7 @@ class PoseProblem:
     inertia: Inertia | None
     measured: Measured
     noise: tuple[float, float | None]
-    declared: bool
+    declared_noise: tuple[float | None, float | None]
     candidates: tuple[Effect, ...]
     untestable: tuple[Untestable, ...]
     clock_offset: float
@@ -136,8 +136,14 @@ class PoseProblem:
 
     @property
     def groups(self) -> NDArray[np.integer]:
-        """Position and orientation share one scale over their declared noise."""
-        return np.zeros(self.rows, int)
+        """Position and orientation share one scale over their noise, unless that of one alone is declared."""
+        apart = len({noise is None for noise in self.declared_noise[: self.rows // 3]}) == 2
+        return np.repeat((0, int(apart)), 3)[: self.rows]
+
+    @property
+    def declared(self) -> bool:
+        """Whether the noise of all that is measured is declared."""
+        return None not in self.declared_noise[: self.rows // 3]
 
     @lazy
     def run(self) -> NDArray[np.integer]:
@@ -449,7 +455,7 @@ def pose_problem(
         inertia=inertia,
         measured=rigid.measured,
         noise=rigid.noise,
-        declared=rigid.declared,
+        declared_noise=rigid.declared_noise,
         candidates=tuple(effect for effect in every if effect not in lacking),
         untestable=missing,
         clock_offset=0.0,

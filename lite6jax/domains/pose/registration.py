@@ -3,17 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, final
+from pathlib import Path
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_from_quaternion
-from lite6jax.domains.pose.predict import DiagnosedArm, predict
+from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.uncertainty import registered
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank
@@ -23,6 +25,7 @@ from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -32,7 +35,9 @@ _NUMBERS = {3: 15, 6: 12}
 """Numbers that determine both frames: from positions alone, a closed form first finds the nine cosines of one."""
 
 
-class Registration(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration(PublicResult):
     """The frames that carry a chain's flange poses to measured ones.
 
     Attributes:
@@ -107,8 +112,8 @@ def register(
     )
 
 
-def register_model(model: DiagnosedArm, recording: Recording) -> tuple[DiagnosedArm, Registration]:
-    """The model with sensor frame and tool fitted to a recording of another set-up, and that fit.
+def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
+    """The model with sensor frame and tool fitted to a recording of another set-up, or its file; and that fit.
 
     All else stays, but for a drift of the old set-up, which is removed. Where only positions were measured, the tool
     keeps its rotation, and the model predicts positions only.
@@ -116,6 +121,11 @@ def register_model(model: DiagnosedArm, recording: Recording) -> tuple[Diagnosed
     Raises:
         InputError: no poses, too few of them (both counts), poses that do not determine a frame, or as `predict`.
     """
+    require_model(model)
+    if isinstance(recording, str | Path):
+        recording = read_motion(recording, model)
+    if not isinstance(recording, Recording):
+        raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
     model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
     bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]

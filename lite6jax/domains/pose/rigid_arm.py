@@ -31,14 +31,11 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import Geometry, recording_problem, whitener_of
+from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem, whitener_of
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
-
-GAUGE = {"m": 0.02, "rad": 0.05}
-"""Standard deviation of the prior of each number of an unknown chain: wide enough for any arm, it fixes the gauge."""
 
 
 @final
@@ -58,7 +55,7 @@ class RigidArm:
         offset: `(unknown,)`, from the prior's mean to `start`.
         informative: whether the sidecar declares the chain's uncertainty.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
-        declared: whether the sidecar declares it.
+        declared_noise: the same, each None where the sidecar does not declare it.
         whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
         exact: whether the sidecar declares the chain.
     """
@@ -71,7 +68,7 @@ class RigidArm:
     offset: Array
     informative: bool
     noise: tuple[float, float | None]
-    declared: bool
+    declared_noise: tuple[float | None, float | None]
     whitener: Array
     exact: bool
 
@@ -257,7 +254,7 @@ def rigid_arm(
     if form.tool:
         unknown += [("tool", 0, k) for k in range(problem.rows)]
     uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (GAUGE["m"], GAUGE["rad"])
+    sigma = (TOLERANCE["m"], TOLERANCE["rad"])
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
@@ -273,7 +270,7 @@ def rigid_arm(
         offset=np.zeros(len(unknown)),
         informative=uncertainty is not None,
         noise=problem.noise,
-        declared=problem.declared,
+        declared_noise=problem.declared_noise,
         whitener=whitener_of(np.diag(noise**2)),
         exact=exact,
     )

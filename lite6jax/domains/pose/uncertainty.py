@@ -39,6 +39,8 @@ DRIVEN = 0.25
 """Of the recorded range of a driver: so far beyond it what is left counts twice, and a curve is mostly unknown."""
 MARGIN = 0.02
 """Of a recorded range: a row within this of its ends is not outside."""
+SPARSE = 3.0
+"""Times what is typical of the recorded rows: a row whose standard deviation is larger lies where they are too few."""
 _ROWS_AT_ONCE = 4096
 
 
@@ -76,6 +78,7 @@ class Uncertainty:
         noise: the sensor's, which is no part of the bars.
         curves: for each effect, what it moves per axis where it is a curve without a name; else None.
         recorded: the range.
+        typical: the standard deviation of the recorded rows, their median; None where the diagnosis does not say.
     """
 
     sites: tuple[Site, ...]
@@ -85,6 +88,7 @@ class Uncertainty:
     noise: PerAxis
     curves: tuple[PerAxis | None, ...]
     recorded: RecordedRange
+    typical: PerAxis | None = None
 
     def keeping(self, physics: Physics, kept: Sequence[bool]) -> "Uncertainty":
         """That of the model with some of the effects of `physics`; the others' numbers stay as uncertain as they are.
@@ -133,7 +137,7 @@ def registered(model: "DiagnosedArm", motion: Motion, noise: tuple[float, float 
     rest = known.covariance[np.ix_(numbers, numbers)]
     together = -follow @ rest
     C = np.block([[own - together @ follow.T, together], [together.T, rest]])
-    return replace(known, sites=(*frames, *others), covariance=C)
+    return replace(known, sites=(*frames, *others), covariance=C, typical=None)  # the new frames are less certain
 
 
 class Bars(NamedTuple):
@@ -142,7 +146,8 @@ class Bars(NamedTuple):
     Attributes:
         position: `(sample, 3)` m, along the sensor's axes.
         orientation: `(sample, 3)` rad, about the predicted tool's axes.
-        outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range.
+        outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range, or the recorded rows are too
+            few near it: the standard deviation is `SPARSE` times what is typical of them.
     """
 
     position: Array
@@ -257,6 +262,10 @@ def bars_of(model: "DiagnosedArm", motion: Motion) -> Bars | None:
         for moved, share in zip(filter(None, known.curves), curved, strict=True):
             variance[rows] += moved[k] ** 2 * share
     std = np.sqrt(variance)
+    if known.typical is not None:
+        measured = (slice(0, 3), slice(3, 6))[: 2 if model.orientation else 1]
+        for rows, usual in zip(measured, known.typical, strict=False):
+            outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
     return Bars(std[:3].T, std[3:].T, outside)
 
 

@@ -1,21 +1,24 @@
 """The torques of a diagnosed arm's motors in any motion."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from pathlib import Path
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_unit
+from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.torque.composition import composed, offsets_of
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
 from lite6jax.effects.dynamic.torque_effect import Dynamics
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -24,7 +27,7 @@ _LINE = 10
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiagnosedMotors:
     """An arm with the effects on torques that were found.
 
@@ -50,6 +53,10 @@ class DiagnosedMotors:
     uncertainty: TorqueUncertainty | None = None
     relative_to: str | None = None
 
+    def __repr__(self) -> str:
+        effects = ", ".join(str(getattr(term, "label", term)) for term in self.terms.terms) or "no effects"
+        return f"model of the motors of a {self.arm.name} with {effects}"
+
     @property
     def dof(self) -> int:
         """Number of joints."""
@@ -66,7 +73,9 @@ class DiagnosedMotors:
         return "trajectory"
 
 
-class TorquePrediction(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class TorquePrediction(PublicResult):
     """Predicted torques with standard deviations.
 
     Attributes:
@@ -75,19 +84,21 @@ class TorquePrediction(NamedTuple):
             all is explained, and the sensor has noise; None where the diagnosis says nothing of it.
         outside: `(sample,)` bool, rows in which a joint's position, velocity or acceleration, or a quantity on which an
             effect depends, is beyond what was recorded; None where the diagnosis does not say what was.
+        sliding: the prismatic joints, counted from 0.
     """
 
     torque: Array
     std: Array | None
     outside: NDArray[np.bool_] | None
+    sliding: tuple[int, ...] = ()
 
 
-def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
+def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> Array:
     """The torques `(sample, joint)` Nm that the sensors of a diagnosed recording would show in a motion.
 
     Args:
         model: as diagnosed.
-        recording: joint positions with times, and with the drivers of its effects.
+        recording: joint positions with times, and with the drivers of its effects; or the path of their file.
 
     Raises:
         InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
@@ -95,7 +106,7 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     return _torques(model, *_along(model, recording))
 
 
-def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePrediction:
+def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
     """The torques of a motion as `predict_torques`, with their standard deviations.
 
     Rows outside what was recorded are marked, and their standard deviations grow as those of `predicted` do.
@@ -105,15 +116,16 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePre
     """
     bodies, runs = _along(model, recording)
     torque, bars = _torques(model, bodies, runs), bars_of(model, bodies, runs)
-    return TorquePrediction(torque, *((None, None) if bars is None else (bars.std.T, bars.outside)))
+    std, outside = (None, None) if bars is None else (bars.std.T, bars.outside)
+    return TorquePrediction(torque, std, outside, model.sliding)
 
 
-def torque_columns(model: DiagnosedMotors, found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
+def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
     """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
 
     Those of prismatic joints are `tau3_N` and `tau3_std_N`.
     """
-    units = [joint_unit("Nm", slides) for slides in model.arm.slides]
+    units = [joint_unit("Nm", joint in found.sliding) for joint in range(found.torque.shape[1])]
     columns: dict[str, Array | NDArray[np.integer]] = {
         f"tau{joint}_{unit}": row for joint, (unit, row) in enumerate(zip(units, found.torque.T, strict=True), 1)
     }
@@ -124,8 +136,14 @@ def torque_columns(model: DiagnosedMotors, found: TorquePrediction) -> dict[str,
     return columns
 
 
-def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, NDArray[np.integer]]:
+def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[RigidBodies, NDArray[np.integer]]:
     """The dynamics of the model's links along a motion, and the run of each sample."""
+    if not isinstance(model, DiagnosedMotors):
+        raise wrong_type("model", model, "lite6jax.read_torque_model('d.json'), or the `model` of a TorqueDiagnosis")
+    if isinstance(recording, str | Path):
+        recording = read_motion(recording, model)
+    if not isinstance(recording, Recording):
+        raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
     bodies, chosen, _ = bodies_of(recording, model.arm)

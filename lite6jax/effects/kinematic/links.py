@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from lite6jax.deferred import Array
-from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
+from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Coordinate
 from lite6jax.effects.kinematic import bounds
@@ -54,7 +54,7 @@ class LinkCompliance(Bending):
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         rotation = twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
-        return Deflection(link=at_joint(motion.dof, self.link, rotation))
+        return Deflection(link=place_at_joint(motion.dof, self.link, rotation))
 
 
 @final
@@ -89,7 +89,7 @@ class LinkThermalExpansion(Bending):
             return Deflection(stretch=library_of(growth).broadcast_to(growth, (motion.dof, motion.samples)))
         if self.link >= motion.dof:
             raise InputError(f"{self.label}: no joint follows the last link; choose a link from 1 to {motion.dof - 1}")
-        return Deflection(stretch=at_joint(motion.dof, self.link + 1, growth))
+        return Deflection(stretch=place_at_joint(motion.dof, self.link + 1, growth))
 
 
 @final
@@ -124,7 +124,7 @@ class FrameOffset(Bending):
         displaced = library_of(values).broadcast_to(values[:, None], (6, motion.samples))
         if self.link is None:
             return Deflection(base=displaced)
-        return Deflection(link=at_joint(motion.dof, self.link, displaced))
+        return Deflection(link=place_at_joint(motion.dof, self.link, displaced))
 
 
 @final
@@ -171,4 +171,4 @@ class AxisWobble(Bending):
         about_x = sum(value * wave for value, wave in zip(values[:4], waves, strict=True))
         about_y = sum(value * wave for value, wave in zip(values[4:], waves, strict=True))
         tilt = twist(motion.samples, rx=cosine * about_x + sine * about_y, ry=cosine * about_y - sine * about_x)
-        return Deflection(link=at_joint(motion.dof, self.joint, tilt))
+        return Deflection(link=place_at_joint(motion.dof, self.joint, tilt))

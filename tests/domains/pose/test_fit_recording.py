@@ -7,8 +7,15 @@ import pytest
 from diagnosis.recorded import NOISE, Made, static_motion
 
 import lite6jax
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.check import check_recording
-from lite6jax.recordings import write_recording
+from lite6jax.recordings import RecordingSettings, write_recording
+from lite6jax.simulation import simulate
+
+LITE6 = load_bundled("lite6")
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +128,19 @@ def test_a_folder_of_recordings_is_screened_too(tmp_path, good):
     assert cli.main(["fleet", str(folder), "--out", str(out)]) == 0
     (row,) = pyarrow.parquet.read_table(out).to_pylist()
     assert row["message"] == "converged; data faults: orientation_convention"
+
+
+@pytest.mark.parametrize(("size", "rows"), [(3e-8, []), (3e-4, [7])])
+def test_a_row_that_is_off_by_less_than_rounding_is_no_outlier(tmp_path, size, rows):
+    """Poses that a controller computed are exact to nanometres, beside which 0.03 µm stands out and matters nothing."""
+    calibration = write_factory(LITE6.kinematics, tmp_path / "arm.yaml")
+    settings = RecordingSettings(arm="lite6", factory_calibration=str(calibration))
+    exact = simulate(LITE6, samples=40, settings=settings, position_noise=1e-9, joint_noise=0.0)
+    position = exact.position.copy()
+    position[6] += size
+    recording = exact.made_anew(position=position, settings=replace(exact.settings, position_noise_m=None))
+    solution = lite6jax.fit(recording)
+    assert solution.weight[6] < 0.1
+    assert recording.row[solution.outlying].tolist() == rows
+    found = diagnose(recording, options=QUICK)
+    assert recording.row[found.outliers].tolist() == rows

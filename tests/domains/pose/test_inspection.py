@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.domains.pose.inspection import computed_by_controller, inspect, written_step
+from lite6jax.domains.pose.inspection import computed_by_controller, digit_step, inspect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.raw import of_arrays
@@ -477,10 +477,10 @@ def test_what_counts_as_rounding():
     assert computed_by_controller(1.5e-5, 2e-5)
     assert not computed_by_controller(1.5e-5, 1e-6)
     assert not computed_by_controller(5e-5, 1e-3)  # a sensor may be as exact
-    steps = [written_step(np.round(P, k)) for k in (1, 3, 6)]
+    steps = [digit_step(np.round(P, k)) for k in (1, 3, 6)]
     np.testing.assert_allclose(steps, [1e-1, 1e-3, 1e-6])
-    assert written_step(P) == 0.0
-    assert written_step(np.array([np.nan])) == 1.0
+    assert digit_step(P) == 0.0
+    assert digit_step(np.array([np.nan])) == 1.0
 
 
 # ------------------------------------------------------------------ joints that are no angles
@@ -490,14 +490,19 @@ SERVOS = tuple(f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbo
 
 def test_percent_and_ticks_are_no_degrees():
     percent = np.random.default_rng(0).uniform(-100, 100, (ROWS, 5))
-    for values, reason in ((percent, "percent"), (np.round(2048 + 20 * percent), "ticks"), (0.02 * percent, "percent")):
+    for values, reason in ((percent, "percent"), (np.round(2048 + 20 * percent), "ticks")):
         frame = dict(zip(SERVOS, values.T, strict=True)) | {"gripper.pos": ROOM}
         unit = inspect(list(frame.items())).of("q").unit
         assert (unit.sure, unit.reason) == ("assumed", reason)
         given = {name: f"q{k}_deg" for k, name in enumerate(SERVOS, 1)}
         assert inspect(list(frame.items()), None, given).of("q").unit[:3] == ("deg", "certain", "name")
-    beyond = dict(zip(SERVOS, 1.5 * percent.T, strict=True))
-    assert inspect(list(beyond.items())).of("q").unit[:2] == ("deg", "certain")
+    for factor, unit in ((1.5, ("deg", "certain")), (0.02, ("rad", "likely"))):
+        scaled = dict(zip(SERVOS, factor * percent.T, strict=True))
+        assert inspect(list(scaled.items())).of("q").unit[:2] == unit
+    state = {f"observation.state[{k}]": column for k, column in enumerate(percent.T)}
+    assert inspect(list(state.items())).of("q").unit.reason == "percent"
+    others = {f"joint_{k}": column for k, column in enumerate(percent.T)}
+    assert inspect(list(others.items())).of("q").unit[:2] == ("deg", "likely")
 
 
 # ------------------------------------------------------------------ any table

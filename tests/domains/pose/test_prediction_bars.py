@@ -22,6 +22,7 @@ from lite6jax.domains.pose.compensate import compensate
 from lite6jax.domains.pose.predict import predict, predicted
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.domains.pose.uncertainty import (
+    SPARSE,
     Derivatives,
     RecordedRange,
     Uncertainty,
@@ -37,7 +38,7 @@ from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording, read_recording, write_recording
-from lite6jax.report.bars import NO_BARS
+from lite6jax.report.compensation_tables import NO_BARS
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 SITES = tuple((name, j, k) for name, j in (("base", 0), ("link", 2), ("tool", 0)) for k in range(6))
@@ -373,7 +374,9 @@ def test_the_columns_that_predict_writes(capsys, model, content, motion_file, tm
     bars = shown(model, motion)
     count = int(bars.outside.sum())
     assert 1 <= count < 12
-    assert f"{count} of 12 rows {'is' if count == 1 else 'are'} outside what was recorded; the standard" in flat(said)
+    assert f"{count} of 12 rows {'is' if count == 1 else 'are'} outside what was recorded, beyond its range or" in flat(
+        said
+    )
     table = pyarrow.csv.read_csv(out)
     std = [f"{axis}_std_m" for axis in "xyz"], [f"r{axis}_std_rad" for axis in "xyz"]
     assert table.column_names == [*("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"), *std[0], *std[1], "outside"]
@@ -388,6 +391,23 @@ def test_predict_says_that_an_earlier_diagnosis_has_none(capsys, arm, motion_fil
     assert code == 0
     assert flat(err).strip() == f"{diagnosis}: {NO_BARS}"
     assert out.read_text().splitlines()[0] == "x_m,y_m,z_m"
+
+
+def test_rows_near_which_too_few_were_recorded_are_outside(found, model):
+    """Inside the recorded range too: the standard deviation is three times what is typical of the recorded rows."""
+    known, recorded = model.uncertainty, found.problem.recording
+    at = {"time": recorded.time, "joint_temperature": recorded.joint_temperature, "payload": recorded.payload}
+    there = predicted(model, recorded.joint_position, **at)
+    size = np.sqrt(np.mean(there.position_std**2, 1))[~found.outliers]
+    assert known.typical[0] == pytest.approx(np.median(size), rel=0.02)
+    assert there.outside.mean() < 0.05
+    motion = narrow(5, 12)
+    before = shown(model, motion)
+    size = np.sqrt(np.mean(before.position_std**2, 1))
+    typical = float(np.median(size)) / SPARSE
+    sparse = replace(model, uncertainty=replace(known, typical=(typical, np.inf)))
+    np.testing.assert_array_equal(shown(sparse, motion).outside, before.outside | (size > np.median(size)))
+    assert shown(sparse, motion).outside.sum() > before.outside.sum()
 
 
 # ------------------------------------------------------------------ compensation

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.domains.pose.rigid_arm import GAUGE, RigidArm, rigid_arm
+from lite6jax.arms.bundled import bundled_of
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
+from lite6jax.fitting.problem import TOLERANCE
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
@@ -142,6 +144,7 @@ class Comparison(NamedTuple):
         alternatives: hypotheses that fit as well; where none is taken, two or more that cannot be told apart.
         fitted_error: m, the median with the geometry fitted, where that is too large for any arm; else None.
         one_point: whether the positions are one point, so that nothing was compared.
+        other_arm: a bundled arm whose nominal kinematics agree where those of the declared one do not.
     """
 
     error: float
@@ -151,6 +154,7 @@ class Comparison(NamedTuple):
     alternatives: tuple[Hypothesis, ...] = ()
     fitted_error: float | None = None
     one_point: bool = False
+    other_arm: str | None = None
 
 
 def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
@@ -163,7 +167,7 @@ def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
 def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
     """What is wrong with a recording that misses the arm grossly; what was ruled out where nothing is."""
     compared = compare_hypotheses(state, options)
-    if compared.found is not None or compared.alternatives or compared.fitted_error is not None:
+    if compared.found or compared.alternatives or compared.other_arm or compared.fitted_error is not None:
         return Detection(compared)
     numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
     if compared.one_point:
@@ -177,6 +181,10 @@ def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
 def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOptions) -> Screened:
     """The recording as the best hypothesis has it; as it is where several fit alike, or none does."""
     arm = state.rigid_arm
+    if compared.other_arm is not None:
+        errors = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
+        named = {"declared": arm.arm.name, "arm": compared.other_arm}
+        return state.corrected(DataFault("other_arm", (), named | errors))
     if compared.fitted_error is not None:
         errors = {"median_error_m": compared.error, "fitted_error_m": compared.fitted_error}
         return state.corrected(DataFault("unexplained", (), errors | {"best_alternative_m": compared.corrected_error}))
@@ -216,6 +224,10 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
         return Comparison(error, limit)
     allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
     near = _search(few, options, allowed)
+    other, left = _nearest_arm(few)
+    unfitted = [_median_error(_free_frames(few, undo(h, few.recording))) for h in near]
+    if left <= min([allowed, error / options.clearly_nearer, *unfitted]):
+        return Comparison(error, limit, None, left, other_arm=other)
     fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
     errors = [_median_error(fit) for _, fit in fits]
     least = min(errors, default=np.inf)
@@ -293,7 +305,7 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
         beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
         if not beam:
             break
-        for h in beam if scored[beam[0]] > options.unfitted_ratio * allowed else ():
+        for h in beam[: options.zeros_first] if scored[beam[0]] > options.unfitted_ratio * allowed else ():
             zeros = _zeros(rows, h)
             if zeros:
                 refined = _joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
@@ -330,9 +342,22 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     changes = []
     for i, value in total.items():
         quarters = np.round(value / (np.pi / 2)) * np.pi / 2
-        value = float(quarters if abs(value - quarters) < GAUGE["rad"] else value)
+        value = float(quarters if abs(value - quarters) < TOLERANCE["rad"] else value)
         changes += [Change("joint_turns", (i,), value)] if value else []
     return tuple(changes)
+
+
+def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
+    """The other bundled arm whose nominal kinematics agree best, and its median error in m."""
+    declared_tool = np.linalg.inv(few.arm.T_joint_flange) @ few.T_flange_tool
+    errors = []
+    for one in bundled_of(few.recording.dof):
+        if one.sliding == few.recording.sliding and one.name != few.arm.name:
+            tool = one.T_joint_flange @ declared_tool
+            start = few.start._replace(geometry=one.kinematics.ravel(), T_flange_tool=tool)  # type: ignore[arg-type]
+            errors.append((_median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
+    error, name = min(errors, default=(np.inf, None))
+    return name, error
 
 
 def _rigid(state: Screened, recording: Recording) -> RigidArm:

@@ -80,11 +80,15 @@ class ScreeningOptions:
     pairs_first: int = option(
         8, "best hypotheses that are joined with further changes, and best ones that are fitted", "bounds the time"
     )
+    zeros_first: int = option(3, "best hypotheses beside which zeros of any angle are fitted", "each takes a fit")
     unfitted_ratio: float = option(
         2.0, "ratio by which the allowed error may be exceeded before a fit", "frames in closed form are less exact"
     )
     fitted_ratio: float = option(
         3.0, "median error over the least up to which a correction is fitted", "a fit changes the order of few"
+    )
+    clearly_nearer: float = option(
+        20.0, "ratio of median errors by which another bundled arm must agree better", "arms differ by centimetres"
     )
     most_changes: int = option(3, "faults that a hypothesis joins, a set of signs counted as one", "bounds the time")
     worth_another: float = option(

@@ -67,7 +67,7 @@ SCREENS = (
     Screen(("position_unit",), "recording", rows.detect_position_unit, rows.convert_positions),
     Screen(("commanded_joints",), "arm", rows.detect_commanded, rows.note_commanded),
     Screen(
-        (*hypotheses.CODES, "undecided", "unexplained"),
+        (*hypotheses.CODES, "undecided", "other_arm", "unexplained"),
         "arm",
         hypotheses.detect_mismatch,
         hypotheses.correct_mismatch,

@@ -10,6 +10,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_radians, require_samples
 
@@ -24,6 +25,7 @@ def screen(
     corrections: Corrections | None = None,
     factory: FactoryCalibration | None = None,
     allow_undecided: bool = False,
+    coarse: bool = False,
 ) -> Screened:
     """The recording without the faults of its data, and those faults.
 
@@ -35,9 +37,11 @@ def screen(
         corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
         allow_undecided: whether poses may miss the arm grossly for one of several reasons that fit alike.
+        coarse: whether only faults that show without a fit are looked for.
 
     Raises:
-        InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch, or as
+        InputError: no measured poses, joint positions that are degrees in all columns, an undecided mismatch,
+            poses of another arm, or as
             `recording_problem`.
     """
     require_samples(recording, 1)
@@ -45,12 +49,21 @@ def screen(
     state = Screened(recording, arm, geometry, corrections or Corrections(), factory=factory)
     fitted = False
     for entry in SCREENS:
+        if coarse and entry.needs == "fit":
+            break
         if entry.needs != "recording" and state.rigid is None:
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
             state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
         state = _applied(entry, state, options)
+        if state.count("other_arm") and not allow_undecided:
+            n = state.found[-1].numbers
+            raise InputError(
+                f"{recording.source}: its poses are not those of a {n['declared']} (off by "
+                f"{1e3 * n['median_error_m']:.4g} mm, median) but of a {n['arm']} ({1e3 * n['corrected_error_m']:.3g} "
+                f"mm); name that arm with --arm, or in the sidecar"
+            )
         if state.count("undecided") and not allow_undecided:
             error = 1e3 * state.found[-1].numbers["median_error_m"]
             raise InputError(

@@ -1,0 +1,88 @@
+"""The command that shows the point: a simulated arm with two hidden faults is diagnosed, its factory file fitted."""
+
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import refuse_inputs
+from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.inputs import inputs
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable, exists, write_atomically
+
+CALIBRATION = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
+"""The factory calibration of the simulated arm."""
+FOLDER = Path("lite6jax-demo")
+HIDDEN = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=1.5e-3")
+"""The faults: each is far above the noise of the tracker, and only one of them can be seen without a model."""
+POSES = 200
+"""Enough for both faults in half a minute on two cores with nothing compiled before."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """See what the program does: simulate a Lite 6 with two hidden faults, diagnose it, write the page with the
+    figures, and fit the arm's factory calibration. Takes less than a minute.
+
+    For example:
+
+        lite6jax demo
+    """
+
+    folder: Annotated[Positional[Path | None], arg(metavar="DIR")] = None
+    """Write the files here; into lite6jax-demo, or lite6jax-demo-2 …, where not given."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Simulates, diagnoses, fits, and shows what was hidden beside what was found."""
+        folder = self.folder or (FOLDER if self.force else _fresh())
+        run, factory, diagnosis, page, table = (
+            folder / name for name in ("run.csv", "factory.yaml", "diagnosis.json", "report.html", "model.json")
+        )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: this folder cannot be created ({error.strerror}); choose another") from error
+        for path in (run, run.with_suffix(".yaml"), factory, diagnosis, page, table):
+            check_writable(path, self.force)
+        refuse_inputs([factory], [CALIBRATION])
+        from lite6jax.arms.factory import read_factory
+        from lite6jax.cli.fit import Fit
+        from lite6jax.diagnosis.diagnose import diagnose
+        from lite6jax.diagnosis.document import write_document
+        from lite6jax.diagnosis.fold_processes import fold_processes
+        from lite6jax.diagnosis.options import QUICK
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.recordings import RecordingSettings
+        from lite6jax.report import demo, screen, stages
+        from lite6jax.report.combined import stated_document
+        from lite6jax.report.next_steps import Files
+        from lite6jax.report.result_files import page_text
+        from lite6jax.simulation import simulate
+
+        write_atomically(factory, CALIBRATION.read_bytes(), self.force)
+        arm = read_factory(factory)
+        settings = RecordingSettings(arm="lite6", factory_calibration=factory.name)
+        simulated = simulate(arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings)
+        simulated.save(run, overwrite=self.force)
+        screen.show(demo.beginning(run, POSES))
+        with fold_processes(None), stages.shown() as entered:
+            found = diagnose(run, options=QUICK, progress=entered)
+        document = {**stated_document(found), "inputs": inputs(run)}
+        write_document(document, diagnosis, self.force)
+        write_atomically(page, page_text(found, document, Files(run, diagnosis)), self.force)
+        screen.show(demo.diagnosed(document, run, diagnosis, page))
+        screen.show(demo.before_the_fit(factory, table))
+        Fit(factory, out=table, force=self.force).run()
+        screen.show(demo.end([parse_effect(text) for text in HIDDEN], found, page))
+        return DONE
+
+
+def _fresh() -> Path:
+    """The first folder that does not exist yet."""
+    numbered = (FOLDER.with_name(f"{FOLDER.name}-{number}") for number in count(2))
+    return FOLDER if not exists(FOLDER) else next(folder for folder in numbered if not exists(folder))

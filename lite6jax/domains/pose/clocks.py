@@ -1,0 +1,567 @@
+"""Two clocks, a robot's and a sensor's: their offset and drift from the motion that both have recorded.
+
+    t_robot = t_sensor + offset + drift (t_sensor - middle)
+
+At the right offset the flange, by the nominal chain, moves as the measured point does, whatever the sensor's frame and
+the place of the point on the flange. So each offset of a grid is tried with both fitted in closed form, and the best
+are refined by Gauss–Newton over offset, drift, frame and point, with Cauchy's weights. Then the geometry joins
+them, with a prior about the nominal one: its errors look like a delay where the arm moves one way only.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.pose.readings import CLOSE, FEWEST
+from lite6jax.errors import InputError
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.recordings.streams import JointStream
+
+Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+Rows = NDArray[np.integer]
+
+ALIKE = 1.5
+"""Times the error of the best offset, within which another one is as likely: a motion that repeats itself."""
+_TRIED_ROWS = 80
+"""Rows of the sensor by which an offset is tried, where it ran no longer than the robot's log, …"""
+_MOST_TRIED_ROWS = 800
+"""… and at most where it ran longer."""
+_FEWEST_TRIED = 20
+"""Of them inside the robot's log: frame, point and offset have ten numbers, …"""
+_LEAST_OVERLAP = 0.3
+"""… and as a share of those that could be."""
+_LONGEST_WINDOW_S = 600.0
+"""In which the offset is sought: a drift of 1e-4 moves its ends by 30 ms."""
+_GROWTH = 4.0
+"""Of the window from one fit to the next, until it holds all rows."""
+_FINEST_S = 2e-3
+_MOST_FRAMES = 200_000
+"""Of the flange, by which its speed is found."""
+_STEP = 0.04
+"""Of the extent of the motion, covered from one offset to the next at a speed that the flange seldom exceeds."""
+_STEPS_S = (2e-3, 0.5)
+_MOST_OFFSETS = 60_000
+_AT_ONCE = 40_000
+"""Rows of offsets that are tried together."""
+_TRIED_AGAIN, _TRIALS = 0.05, 3
+"""Share of the offsets that are tried again, and how often."""
+_NEAR_S = 10.0
+"""Around the offset of clocks that count from one day."""
+_CANDIDATES = 4
+"""Minima that are refined, …"""
+_REFINED_ROWS = 1500
+"""… by so many rows; the best then by all of them up to …"""
+_MOST_ROWS = 20_000
+_GEOMETRY = (1e-3, 3e-3)
+"""Standard deviations in m and rad of the numbers of an arm about the nominal ones, …"""
+_MOST_WITH_GEOMETRY = 3000
+"""… which are fitted by so many rows."""
+_DIFFERENCE = 1e-6
+"""m and rad, by which their derivatives are found."""
+_DRIFT = 1e-3
+"""Standard deviation of drifts beforehand: clocks drift by 1e-4 at most, nominal frame rates are off by 1e-3."""
+_OFFSET_S = 1.0
+"""The same of offsets, around the candidate."""
+_STILL_M = 5e-3
+"""A flange or a point that moves by less says nothing of the time."""
+_LEVER_M = 0.1
+"""By which rotations of the flange count as motion."""
+_STANDSTILL_S = 0.1
+"""A change of the offset that no moving arm would hide."""
+_DIFFERENCE_S = 1e-4
+"""By which velocities are found."""
+_BEYOND = 2
+"""Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
+_LEAST_LEFT = 0.1
+"""Of the rows, as many as they are worth, that is left beside the numbers that were fitted."""
+_ROUNDS, _ROUNDS_WITH_GEOMETRY, _DONE_S, _DONE = 30, 10, 1e-9, 1e-2
+"""At most; a step in s, and in standard deviations of the offset, that is the last."""
+
+
+class Clocks(NamedTuple):
+    """How a sensor's clock runs against a robot's.
+
+    Attributes:
+        offset: s, the robot's time less the sensor's at `middle`.
+        drift: by how much that grows per second.
+        middle: s, the middle of the rows that show it, in the sensor's time.
+        offset_std, drift_std: standard deviations; autocorrelated residuals count as the fewer that they are worth.
+            Where the arm stood still at the poses, by how much the offset may be changed before it moves, and infinity.
+        error: m, the median distance of measured positions and those of the nominal arm.
+        moved: m, the median distance of the positions from their middle.
+        rows: of the sensor, by which they were found.
+        fitted_error: as `error`, with the geometry fitted beside the clocks; infinite where it was not.
+    """
+
+    offset: float
+    drift: float
+    middle: float
+    offset_std: float
+    drift_std: float
+    error: float
+    moved: float
+    rows: int
+    fitted_error: float = np.inf
+
+    @property
+    def close(self) -> bool:
+        """Whether the nominal arm agrees with the poses at all."""
+        return self.error <= CLOSE * self.moved
+
+    @property
+    def ratio(self) -> float:
+        return self.error / max(self.moved, 1e-9)
+
+    def robot_time(self, time: Array) -> Array:
+        """The times of a sensor's rows in the robot's clock, s."""
+        return time + self.offset + self.drift * (time - self.middle)
+
+
+class Pairing(NamedTuple):
+    """Captures of joints and of positions that belong together in their order: from these rows on, so many.
+
+    Attributes:
+        joint, position: the first rows.
+        rows: how many.
+        error: m, the median distance of measured and predicted positions.
+    """
+
+    joint: int
+    position: int
+    rows: int
+    error: float
+
+
+def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, likely: float | None = None) -> Clocks:
+    """The offset and the drift of a sensor's clock against a robot's.
+
+    Args:
+        arm: the nominal arm.
+        joints: the robot's log in SI units, in its own time.
+        time: `(sample,)` s, the sensor's own, increasing; both count from nearby, so that a float resolves nanoseconds.
+        position: `(sample, 3)` m, the measured point.
+        likely: s, the offset near which the right one is, where several fit alike.
+
+    Raises:
+        InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
+    """
+    lasting = _window(time, position)
+    track = _Track.of(arm, joints)
+    if min(track.extent, _extent(position)) < _STILL_M:
+        who = "the arm" if track.extent < _STILL_M else "the measured point"
+        raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
+    found = []
+    for offset in track.candidates(time[lasting], position[lasting], likely):
+        rows = lasting[_spread_over(len(lasting), _REFINED_ROWS)]
+        found.append(_fitted(arm, joints, time[rows], position[rows], offset, 0.0, float(np.mean(time[rows]))))
+    found.sort(key=lambda one: one.ratio)
+    if not found or not found[0].close:
+        best = f"; the best leaves {1e3 * found[0].error:.3g} mm" if found else ""
+        raise InputError(
+            f"the arm's motion and the poses agree at no offset of the clocks{best}: check that both files are of one "
+            "session, the arm (--arm), and the order, signs and units of the joints"
+        )
+    first = found[0]
+    alike = [one for one in found if one.ratio < ALIKE * first.ratio and not _same(arm, joints, time, first, one)]
+    if alike and likely is None:
+        raise InputError(
+            f"the motion repeats itself: offsets of the clocks that differ by {abs(alike[0].offset - first.offset):.3f}"
+            " s fit alike; record a motion that does not repeat, or stamp both files by one clock"
+        )
+    first = first if likely is None else min([first, *alike], key=lambda one: abs(one.offset - likely))
+    half = max(_LONGEST_WINDOW_S / 2, 1.0)
+    center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
+    while True:
+        rows = np.flatnonzero(np.abs(time - center) <= half)
+        rows = rows[_spread_over(len(rows), _MOST_ROWS)]
+        first = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle)
+        if half >= reach:
+            break
+        half *= _GROWTH
+    if width := _standstill(arm, joints, time[rows], first):
+        return first._replace(offset_std=width, drift=0.0, drift_std=np.inf)
+    rows = rows[_spread_over(len(rows), _MOST_WITH_GEOMETRY)]
+    last = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle, _GEOMETRY)
+    return last._replace(error=first.error, moved=first.moved, fitted_error=last.error)
+
+
+def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
+    """Captures that belong together in their order; None where the nominal arm agrees with none, or with several.
+
+    Args:
+        arm: the nominal arm.
+        joint: `(capture, joint)` in SI units.
+        position: `(capture, 3)` m; of other numbers of captures the first or the last ones may be missing. Rows of a
+            motion, which fit their neighbours nearly as well, are no captures.
+    """
+    flange = flange_poses(arm, joint)
+    surplus = len(joint) - len(position)
+    found = []
+    for shift in range(min(surplus, 0) - _BEYOND, max(surplus, 0) + _BEYOND + 1):
+        first = max(shift, 0), max(-shift, 0)
+        count = min(len(joint) - first[0], len(position) - first[1])
+        if count >= FEWEST:
+            error = _error(flange[first[0] :][:count], position[first[1] :][:count])
+            found.append(Pairing(*first, count, error))
+    if not found:
+        return None
+    best, *others = sorted(found, key=lambda one: one.error)
+    whole = best.rows == min(len(joint), len(position))
+    alone = all(other.error > ALIKE * best.error for other in others)
+    return best if whole and alone and best.error <= CLOSE * _median_distance(position) else None
+
+
+def flange_poses(arm: Arm, joint: Array) -> Array:
+    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
+    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+
+
+def _same(arm: Arm, joints: JointStream, time: Array, one: Clocks, other: Clocks) -> bool:
+    """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
+    rows = time[_spread_over(len(time), _REFINED_ROWS)]
+    start, end = one.robot_time(rows), other.robot_time(rows)
+    times = [start + share * (end - start) for share in np.linspace(0, 1, 6)]
+    known = np.logical_and.reduce([joints.known(at) for at in times])
+    if known.sum() < FEWEST:
+        return False
+    places = [flange_poses(arm, joints.at(at[known]))[:, :3, 3] for at in times]
+    apart = [float(np.median(np.linalg.norm(place - places[0], axis=1))) for place in places]
+    return max(apart) <= max(one.error, other.error)
+
+
+def _standstill(arm: Arm, joints: JointStream, time: Array, found: Clocks) -> float:
+    """s, by which the offset may be changed either way before the arm moves; zero where less than `_STANDSTILL_S`."""
+    width = 0.0
+    for tried in _STANDSTILL_S * 2.0 ** np.arange(8):
+        ways = [_same(arm, joints, time, found, found._replace(offset=found.offset + s * tried)) for s in (1, -1)]
+        if not any(ways):
+            break
+        width = float(tried)
+    return width
+
+
+class _Track(NamedTuple):
+    """The flange on a grid of times.
+
+    Attributes:
+        start, step: s, of the grid.
+        flange: `(time, 4, 4)`.
+        known: `(time,)`, where joint states are near.
+        extent: m, by which it moves.
+    """
+
+    start: float
+    step: float
+    flange: Array
+    known: Flags
+    extent: float
+
+    @classmethod
+    def of(cls, arm: Arm, joints: JointStream) -> "_Track":
+        start, end = joints.time[[0, -1]]
+        fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
+        times = np.arange(start, end, fine)
+        flange, known = flange_poses(arm, joints.at(times)), joints.known(times)
+        points = np.concatenate([flange[:, :3, 3], flange[:, :3, 3] + _LEVER_M * flange[:, :3, 2]], 1)
+        points = np.concatenate([points, flange[:, :3, 3] + _LEVER_M * flange[:, :3, 0]], 1)
+        extent = _extent(points[known]) if known.any() else 0.0
+        speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
+        step = float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S))
+        stride = max(1, round(step / fine))
+        return cls(float(start), stride * fine, flange[::stride], known[::stride], extent)
+
+    def candidates(self, time: Array, position: Array, likely: float | None) -> list[float]:
+        """Offsets in s around which the clocks may be, the most likely first.
+
+        Args:
+            time: `(sample,)` s, of the sensor.
+            position: `(sample, 3)` m.
+            likely: s, near which one is tried, whatever others are like.
+        """
+        span, logged = time[-1] - time[0], self.step * len(self.flange)
+        rows = _spread_over(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
+        place = np.round((time[rows] - time[0]) / self.step).astype(int)
+        stride = 1 + (len(self.flange) + int(place[-1])) // _MOST_OFFSETS
+        shifts = np.arange(-int(place[-1]), len(self.flange), stride)
+        fewest = max(_FEWEST_TRIED, _LEAST_OVERLAP * len(rows) * min(1.0, logged / max(span, 1e-9)))
+        y = position[rows] - np.median(position[rows], axis=0)
+        everything = np.arange(len(shifts))
+        scores = self._scores(place, shifts, everything, y, min(fewest, len(rows)), 1)
+        # an offset tried once has its outliers in it: those that may be the best are tried again without
+        limit = np.sort(scores)[int(_TRIED_AGAIN * len(scores))]
+        again = everything[np.isfinite(scores) & (scores <= limit)]
+        scores[again] = self._scores(place, shifts, again, y, min(fewest, len(rows)), _TRIALS)[again]
+        offsets = self.start + self.step * shifts - time[0]
+        order = np.argsort(scores)
+        near = order[:0] if likely is None else order[np.abs(offsets[order] - likely) <= _NEAR_S][:1]
+        found: list[float] = []
+        for shift in (*near, *order):
+            if np.isfinite(scores[shift]) and all(
+                abs(offsets[shift] - other) > 5 * stride * self.step for other in found
+            ):
+                found.append(float(offsets[shift]))
+            if len(found) == _CANDIDATES or not np.isfinite(scores[shift]):
+                break
+        return found
+
+    def _scores(self, place: Rows, shifts: Rows, chosen: Rows, y: Array, fewest: float, rounds: int) -> Array:
+        """`(shift,)`, the misfit of those chosen; infinite where too few rows are inside, and of all others."""
+        scores = np.full(len(shifts), np.inf)
+        for some in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
+            at = place + shifts[some, None]
+            there = (at >= 0) & (at < len(self.flange))
+            there &= self.known[np.where(there, at, 0)]
+            enough = there.sum(1) >= fewest
+            if enough.any():
+                flange = self.flange[np.where(there, at, 0)[enough]]
+                scores[some[enough]] = _misfit(flange[..., :3, :3], flange[..., :3, 3], y, there[enough], rounds)
+        return scores
+
+
+def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
+    """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
+
+    p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
+    `fitting.start` for one offset.
+
+    Args:
+        R: `(offset, sample, 3, 3)` of the flange; `p` its position.
+        y: `(sample, 3)`, measured.
+        there: `(offset, sample)`, where the flange is known.
+        rounds: of weights by which outliers count less.
+    """
+    offsets, samples = there.shape
+    M = np.zeros((offsets, samples, 3, 15))
+    for axis in range(3):
+        M[:, :, axis, 3 * axis : 3 * axis + 3] = y
+        M[:, :, axis, 9 + axis] = -1.0
+    M[..., 12:] = -R
+    weight, scale = there.astype(float), np.zeros(offsets)
+    for _ in range(rounds):
+        A = _least_squares(M, p, weight)[:, :9].reshape(-1, 3, 3)
+        U, _, Vt = np.linalg.svd(A)
+        U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
+        R_sensor_base = np.swapaxes(U @ Vt, 1, 2)
+        turned = R_sensor_base[:, None] @ R
+        rest = y - np.einsum("oij,osj->osi", R_sensor_base, p)
+        columns = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], 3)
+        found = _least_squares(columns, rest, weight)
+        distance = np.linalg.norm(rest - np.einsum("osij,oj->osi", columns, found), axis=2)
+        scale = np.nanmedian(np.where(there, distance, np.nan), axis=1)
+        weight = there / (1 + (distance / (2 * np.maximum(scale, 1e-9))[:, None]) ** 2)
+    seen = np.where(there[..., None], y, np.nan)
+    moved = np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=2)
+    return scale / np.maximum(np.nanmedian(moved, axis=1), 1e-9)
+
+
+def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
+    """`(offset, unknown)` of `(offset, sample, 3, unknown)` columns; nearly the shortest where it is not unique."""
+    offsets, samples, _, unknowns = columns.shape
+    root = np.sqrt(weight)[..., None]
+    A = (root[..., None] * columns).reshape(offsets, 3 * samples, unknowns)
+    b = (root * target).reshape(offsets, 3 * samples, 1)
+    normal = np.swapaxes(A, 1, 2) @ A
+    ridge = 1e-10 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(unknowns)
+    return np.linalg.solve(normal + ridge, np.swapaxes(A, 1, 2) @ b)[..., 0]
+
+
+class _Estimate(NamedTuple):
+    """Offset and drift, the arm, the sensor's frame, and the measured point on the flange."""
+
+    offset: float
+    drift: float
+    arm: Arm
+    R_sensor_base: Array
+    t_sensor_base: Array
+    tool: Array
+
+
+class _Linearised(NamedTuple):
+    """Residuals `(sample, 3)` m and their columns `(sample, 3, 11 | 11 + 6 joints)`, of rows whose joints are known.
+
+    The columns are offset, drift, the turn and the translation of the sensor's frame, the point, and the geometry. What
+    is believed beforehand of each has a standard deviation (infinite for nothing) and a distance from there.
+    """
+
+    since: Array
+    position: Array
+    missed: Array
+    J: Array
+    distance: Array
+    scale: float
+    weight: Array
+    believed_std: Array
+    away: Array
+
+    @property
+    def noise(self) -> float:
+        """m², of an axis, roughly: the prior decides only what the rows leave open."""
+        return (self.scale / 3) ** 2
+
+    @property
+    def prior(self) -> Array:
+        return self.noise / self.believed_std**2
+
+    @property
+    def score(self) -> Array:
+        return self.weight[:, None] * np.einsum("sim,si->sm", self.J, self.missed)
+
+    def information(self, weight: Array) -> Array:
+        return np.einsum("s,sim,sin->mn", weight, self.J, self.J) + np.diag(self.prior)
+
+
+def _fitted(
+    arm: Arm,
+    joints: JointStream,
+    time: Array,
+    position: Array,
+    offset: float,
+    drift: float,
+    middle: float,
+    geometry: tuple[float, float] | None = None,
+) -> Clocks:
+    """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known.
+
+    The geometry is fitted too where standard deviations of its lengths and angles about the nominal ones are given.
+    """
+    known = joints.known(time + offset + drift * (time - middle))
+    nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
+    if known.sum() < FEWEST:
+        return nothing
+    center = float(np.mean(time[known]))
+    offset, middle = offset + drift * (center - middle), center
+    flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
+    now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
+    found = _linearised(arm, joints, time, position, middle, now, geometry)
+    for _ in range(_ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY):
+        normal = found.information(found.weight)
+        gradient = found.score.sum(axis=0) - found.prior * found.away
+        step = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
+        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
+        turned = _rotation(step[2:5]) @ now.R_sensor_base
+        moved = now.t_sensor_base + step[5:8], now.tool + step[8:11]
+        bent = _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm
+        now = _Estimate(float(now.offset + step[0]), float(now.drift + step[1]), bent, turned, *moved)
+        found = _linearised(arm, joints, time, position, middle, now, geometry)
+        if len(found.missed) < FEWEST:
+            return nothing
+        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(found.since)))
+        if shift < max(_DONE_S, _DONE * float(np.sqrt(found.noise / max(normal[0, 0], 1e-300)))):
+            break
+    curved = found.weight - (2 / 3) * found.weight**2 * (found.distance / found.scale) ** 2
+    inverse = np.linalg.pinv(found.information(curved), rcond=1e-12, hermitian=True)[:, :2]
+    by_prior = found.noise * found.prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
+    offset_std, drift_std = np.hypot(
+        [_std_of_sum(part, found.J.shape[2]) for part in (found.score @ inverse).T], np.sqrt(by_prior)
+    )
+    error, moved = float(np.median(found.distance)), _median_distance(found.position)
+    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(found.missed))
+
+
+def _linearised(
+    nominal: Arm,
+    joints: JointStream,
+    time: Array,
+    position: Array,
+    middle: float,
+    now: _Estimate,
+    geometry: tuple[float, float] | None,
+) -> _Linearised:
+    at = time + now.offset + now.drift * (time - middle)
+    known = joints.known(at)
+    at, since, seen = at[known], time[known] - middle, position[known]
+    q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
+    R = now.R_sensor_base
+
+    def placed(arm: Arm, joint: Array) -> Array:
+        return _points(flange_poses(arm, joint), now.tool) @ R.T
+
+    velocity = (placed(now.arm, ahead) - placed(now.arm, behind)) / (2 * _DIFFERENCE_S)
+    flange, here = flange_poses(now.arm, q), placed(now.arm, q)
+    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], -_cross_matrix(here)]
+    columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
+    believed, away = (
+        [_OFFSET_S, _DRIFT, *[np.inf] * 9],
+        [0.0, now.drift, *np.zeros(9)],
+    )  # an offset is believed as it is
+    if geometry is not None:
+        unit = _DIFFERENCE * np.eye(6 * nominal.dof).reshape(-1, nominal.dof, 6)
+        columns += [((placed(_changed(now.arm, one), q) - here) / _DIFFERENCE)[:, :, None] for one in unit]
+        believed += [*np.tile(np.repeat(geometry, 3), nominal.dof)]
+        away += [*(now.arm.kinematics - nominal.kinematics).ravel()]
+    missed = seen - here - now.t_sensor_base
+    distance = np.linalg.norm(missed, axis=1)
+    scale = 2 * max(float(np.median(distance)), 1e-9) if len(at) else np.inf
+    weight = 1 / (1 + (distance / scale) ** 2)
+    J = np.concatenate(columns, axis=2)
+    return _Linearised(since, seen, missed, J, distance, scale, weight, np.array(believed), np.array(away))
+
+
+def _changed(arm: Arm, change: Array) -> Arm:
+    """An arm with other numbers `(joint, 6)` in m and rad."""
+    return replace(arm, kinematics=arm.kinematics + change, dh=None)
+
+
+def _std_of_sum(parts: Array, parameters: int) -> float:
+    """The standard deviation of a sum of autocorrelated parts of mean zero `(sample,)`.
+
+    Bartlett's weights up to the lag that D. W. K. Andrews (Econometrica 59, 1991) gives for an autoregression.
+    """
+    n = len(parts)
+    correlation = float(np.clip(parts[1:] @ parts[:-1] / max(parts @ parts, 1e-300), 0.0, 0.999))
+    persistence = 4 * correlation**2 / ((1 - correlation) ** 2 * (1 + correlation) ** 2)
+    lags = int(min(1.1447 * (persistence * n) ** (1 / 3), n // 4))
+    white = float(parts @ parts)
+    variance = white + sum(2 * (1 - k / (lags + 1)) * (parts[k:] @ parts[:-k]) for k in range(1, lags + 1))
+    share = parameters * max(variance / max(white, 1e-300), 1.0) / n  # of the parts that the numbers have used up
+    return float(np.sqrt(max(variance, white) / max(1 - share, _LEAST_LEFT)))
+
+
+def _window(time: Array, position: Array) -> Rows:
+    """The rows in which the offset is sought: all, or of a long log the part in which the point moves most."""
+    if time[-1] - time[0] <= _LONGEST_WINDOW_S:
+        return np.arange(len(time))
+    starts = np.arange(time[0], time[-1] - _LONGEST_WINDOW_S / 2, _LONGEST_WINDOW_S / 2)
+    windows = [np.flatnonzero((time >= start) & (time <= start + _LONGEST_WINDOW_S)) for start in starts]
+    return max(windows, key=lambda rows: _median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
+
+
+def _spread_over(count: int, most: int) -> Rows:
+    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
+def _points(flange: Array, tool: Array) -> Array:
+    return flange[:, :3, 3] + flange[:, :3, :3] @ tool
+
+
+def _error(flange: Array, position: Array) -> float:
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
+    seen = _points(flange, T_flange_tool[:3, 3]) @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
+    return float(np.median(np.linalg.norm(position - seen, axis=1)))
+
+
+def _median_distance(position: Array) -> float:
+    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+
+
+def _extent(position: Array) -> float:
+    """The width of the middle nine tenths, along the axis where that is most."""
+    return float(np.max(np.ptp(np.quantile(position, [0.05, 0.95], axis=0), axis=0)))
+
+
+def _cross_matrix(v: Array) -> Array:
+    x, y, z = v.T
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], 1).reshape(-1, 3, 3)
+
+
+def _rotation(vector: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()

@@ -1,0 +1,330 @@
+"""One table of what stands in several places: joints and poses in two files, reflectors in place of a pose.
+
+What is joined keeps its names and units, so that it is looked at as any table is. Codes and numbers only: the words are
+those of `report.joining`.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import islice, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
+from lite6jax.domains.pose.inspection import Inspection, inspect
+from lite6jax.domains.pose.joint_path import JointPath, joint_path
+from lite6jax.domains.pose.meanings import Meaning
+from lite6jax.domains.pose.readings import FEWEST
+from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
+from lite6jax.errors import InputError
+from lite6jax.recordings import sizes
+from lite6jax.recordings.columns import QUATERNION, known_column, units_of
+from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.orientations import with_quaternions
+from lite6jax.recordings.streams import Joined, JointStream, join
+from lite6jax.recordings.table import LATEST_START_S
+
+Array = NDArray[np.floating]
+Rows = NDArray[np.integer]
+
+_OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "payload", "ambient")
+_OF_POSES = ("position", "rotation", "ambient")
+"""Kinds of blocks that are taken from either file."""
+_TIME = "time_s"
+_STEPS_S = (1e-4, 60.0)
+"""From one row to the next, in units of time that are tried."""
+_MOST_CAPTURES = 2000
+"""One by one, of which the order is tried."""
+_READINGS = 6
+"""Of units that are only assumed; the most that are tried."""
+
+
+class File(NamedTuple):
+    """A table with names of its own, and what it holds.
+
+    Attributes:
+        source: what messages begin with.
+        stem: of its name, before columns whose names both files have.
+        columns: `(row,)` numbers by name.
+        found: what they mean.
+    """
+
+    source: str
+    stem: str
+    columns: Mapping[str, Array]
+    found: Inspection
+
+
+class JoinedFiles(NamedTuple):
+    """Joints of one file at the poses of another.
+
+    Attributes:
+        columns: of the table of both.
+        rows: of it; `poses` and `states` those of the files.
+        clocks: where they were joined by time; `start` is the robot's first time less the sensor's, s, which is to be
+            added to the offset.
+        pairing: where they were joined by order.
+        joined: how joints were interpolated.
+        unit: of the joints in `joined`.
+        left_out: columns of numbers in either file that are not in the table.
+    """
+
+    columns: dict[str, Array]
+    rows: int
+    poses: int
+    states: int
+    clocks: Clocks | None = None
+    start: float = 0.0
+    pairing: Pairing | None = None
+    joined: Joined | None = None
+    unit: str = "rad"
+    left_out: tuple[str, ...] = ()
+
+
+class WithJoints(NamedTuple):
+    """A file whose poses of the flange were replaced by the joints of a nominal arm.
+
+    Attributes:
+        file: with joints.
+        path: how they were found.
+        form: of the orientation, as it was read.
+    """
+
+    file: File
+    path: JointPath
+    form: str
+
+
+class WithPose(NamedTuple):
+    """A table in which points were replaced by the pose of the body that they are on.
+
+    Attributes:
+        columns: of the table.
+        points: the columns that were replaced.
+        pose: of the body, in `unit`.
+        unit: of the points.
+    """
+
+    columns: dict[str, Array]
+    points: tuple[tuple[str, str, str], ...]
+    pose: RigidPose
+    unit: str
+
+
+def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
+    """A table with a pose in place of three or more points of a rigid body; None where it has no such points."""
+    points = rigid_points(reflector_columns(list(columns)), columns)
+    if not points:
+        return None
+    found = rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
+    if found is None:
+        return None
+    names = {name for point in points for name in point}
+    units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
+    unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
+    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
+    pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
+    rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
+    return WithPose(rest | pose, tuple(points), found, unit)
+
+
+def with_joints(file: File, arm: Arm) -> WithJoints:
+    """A robot's file with joints in place of the poses that its controller computed, of the flange in the arm's base.
+
+    Raises:
+        InputError: it has no positions and orientations, or no branch of the arm reaches them.
+    """
+    turned = _meaning(file, "rotation")
+    if turned is None or _meaning(file, "position") is None:
+        raise InputError(
+            f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
+            "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
+        )
+    for names in _orientations(turned):
+        told = {own: known_column(name) for own, name in names.items()}
+        values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
+        turns = with_quaternions(values, file.source)
+        quaternion = np.stack([turns[name] for name in QUATERNION], 1)
+        path = joint_path(arm, _position(file), quaternion)
+        if path is not None:
+            break
+    else:
+        raise InputError(
+            f"{file.source}: has no joint positions, and the {arm.name} reaches its poses at no joints, taken as those "
+            "of the flange in the arm's base; record the joints, or poses of the flange (without a tool)"
+        )
+    columns = {
+        f"q{joint + 1}_{'m' if slides else 'rad'}": column
+        for joint, (slides, column) in enumerate(zip(arm.slides, path.position.T, strict=True))
+    }
+    rest = {name: file.columns[name] for name in _columns(file, "time")}
+    given = {name: meaning for name, meaning in file.found.given.items() if name in rest}
+    whole = rest | columns
+    found = inspect(list(whole.items()), arm, given, file.source)
+    return WithJoints(File(file.source, file.stem, whole, found), path, names[turned.block.columns[0]])
+
+
+def _orientations(turned: Meaning) -> list[dict[str, str]]:
+    """The names that the columns of a rotation have in a recording, as it was read; all that they may have in doubt."""
+    first = dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))
+    if turned.form is None or turned.form.sure == "certain":
+        return [first]
+    return [first, *(names for form in turned.forms if (names := turned.renamed(form=form)) != first)]
+
+
+def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
+    """The joints of one file at the times of the poses of another, or captures of both in their order.
+
+    Raises:
+        InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
+            the message names the files.
+    """
+    position = _position(poses)
+    pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    state_rows = np.flatnonzero(np.isfinite(_joint_columns(joints, arm)).all(axis=1))
+    times = _meaning(joints, "time"), _meaning(poses, "time")
+    taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
+    left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
+    if None not in times and (joined := _joined_by_time(joints, poses, arm)) is not None:
+        return joined._replace(left_out=left_out)
+    for angle in _angles(joints):
+        q = _joint_columns(joints, arm, angle)[state_rows]
+        pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
+        if pairing is not None:
+            states = state_rows[pairing.joint : pairing.joint + pairing.rows]
+            placed = pose_rows[pairing.position : pairing.position + pairing.rows]
+            moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
+            table = _table(joints, poses, moved, placed)
+            return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing, left_out=left_out)
+    lacking = [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]
+    remedy = (
+        f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
+        if lacking
+        else "the joint states are too far apart in time to show how the arm moved"
+    )
+    raise InputError(
+        f"{joints.source} and {poses.source}: their {len(state_rows)} joint states and {len(pose_rows)} poses do not "
+        f"agree in their order; {remedy}"
+    )
+
+
+def _joined_by_time(joints: File, poses: File, arm: Arm) -> JoinedFiles | None:
+    """Joined by the motion; None of captures, which show none. Units in doubt are tried one after the other."""
+    q = _joint_columns(joints, arm)
+    time = joints.columns[_columns(joints, "time")[0]]
+    states = _in_order(time, np.isfinite(q).all(axis=1))
+    if len(states) < FEWEST or not JointStream.of(time[states] - time[states[0]], q[states]).resolved:
+        return None
+    readings = product(
+        _units(joints, _meaning(joints, "time")), _units(poses, _meaning(poses, "time")), _angles(joints)
+    )
+    problem: InputError | None = None
+    for units in islice(readings, _READINGS):
+        try:
+            return _joined_in_units(joints, poses, arm, units)
+        except InputError as error:
+            problem = problem or error
+    raise InputError(f"{joints.source} and {poses.source}: {problem}") from problem
+
+
+def _joined_in_units(joints: File, poses: File, arm: Arm, units: tuple[str, str, str]) -> JoinedFiles:
+    of_joints, of_poses, angle = units
+    clock, at = (
+        file.columns[_columns(file, "time")[0]] / units_of("time")[unit]
+        for file, unit in ((joints, of_joints), (poses, of_poses))
+    )
+    q, position = _joint_columns(joints, arm, angle), _position(poses)
+    states = _in_order(clock, np.isfinite(q).all(axis=1))
+    placed = _in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    if len(placed) < FEWEST:
+        raise InputError(f"{len(placed)} poses at different times are too few to find the offset of the clocks")
+    first, start = clock[states[0]], at[placed[0]]
+    stream = JointStream.of(clock[states] - first, q[states])
+    likely = float(start - first) if min(first, start) > LATEST_START_S else None
+    clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
+    wanted = clocks.robot_time(at[placed] - start)
+    kept = _kept(joints, _OF_JOINTS)
+    names = [name for name in _columns(joints, "q") if name in kept]
+    joined = join(clock[states] - first, {name: column[states] for name, column in kept.items()}, names, wanted)
+    rows = placed[joined.kept]
+    table = {_TIME: wanted[joined.kept] + first} | _table(joints, poses, joined.columns, rows)
+    unit = next((meaning.unit.choice for meaning in joints.found.meanings if meaning.block.kind == "q"), "rad")
+    return JoinedFiles(
+        table, len(rows), len(placed), len(states), clocks, float(first - start), joined=joined, unit=unit
+    )
+
+
+def _table(joints: File, poses: File, moved: Mapping[str, Array], rows: Rows) -> dict[str, Array]:
+    """The columns of both, those of the poses at some rows; names that both have begin with the file's."""
+    placed = {name: column[rows] for name, column in _kept(poses, _OF_POSES).items()}
+    common = moved.keys() & placed.keys()
+    return {
+        (f"{file.stem}_{name}" if name in common | {_TIME} else name): column
+        for file, part in ((joints, moved), (poses, placed))
+        for name, column in part.items()
+    }
+
+
+def _kept(file: File, kinds: Sequence[str]) -> dict[str, Array]:
+    return {name: file.columns[name] for kind in kinds for name in _columns(file, kind)}
+
+
+def _columns(file: File, kind: str) -> list[str]:
+    blocks = [meaning.block for meaning in file.found.meanings if meaning.block.kind == kind]
+    return list(dict.fromkeys(name for block in blocks for name in (block.matrix or block.columns)))
+
+
+def _meaning(file: File, kind: str) -> Meaning | None:
+    return next((meaning for meaning in file.found.meanings if meaning.block.kind == kind), None)
+
+
+def _position(file: File) -> Array:
+    """`(row, 3)` m."""
+    meaning = _meaning(file, "position")
+    assert meaning is not None
+    values = np.stack([file.columns[name] for name in meaning.block.columns], 1)
+    return values / units_of("x")[meaning.unit.choice]
+
+
+def _joint_columns(file: File, arm: Arm, angle: str = "") -> Array:
+    """`(row, joint)` in SI units; revolute joints in `angle` where it is given."""
+    found: dict[int, Array] = {}
+    for meaning in file.found.meanings:
+        block = meaning.block
+        if block.kind == "q":
+            numbers = block.joints or range(1, len(block.columns) + 1)
+            unit = angle if angle and not block.slides else meaning.unit.choice
+            for number, name in zip(numbers, block.columns, strict=True):
+                found[number] = file.columns[name] / units_of("q", block.slides)[unit]
+    if sorted(found) != list(range(1, arm.dof + 1)):
+        raise InputError(
+            f"{file.source}: has {len(found)} joints and {arm.name} has {arm.dof}; choose the arm, or name the columns "
+            "with --column NAME=q1_deg and so on"
+        )
+    return np.stack([found[number] for number in sorted(found)], 1)
+
+
+def _units(file: File, time: Meaning | None) -> list[str]:
+    """The units of the times, the likely one first; others only where nothing says it for certain."""
+    assert time is not None
+    if time.unit.sure == "certain":
+        return [time.unit.choice]
+    steps = np.diff(file.columns[time.block.columns[0]])
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    others = [unit for unit, divisor in units_of("time").items() if _STEPS_S[0] <= step / divisor <= _STEPS_S[1]]
+    return list(dict.fromkeys([time.unit.choice, *others]))
+
+
+def _angles(file: File) -> list[str]:
+    """The same of revolute joints."""
+    revolute = [meaning for meaning in file.found.meanings if meaning.block.kind == "q" and not meaning.block.slides]
+    if not revolute or revolute[0].unit.sure == "certain":
+        return [meaning.unit.choice for meaning in revolute] or [""]
+    return list(dict.fromkeys([revolute[0].unit.choice, *units_of("q")]))
+
+
+def _in_order(time: Array, there: ArrayLike) -> Rows:
+    rows = np.flatnonzero(np.asarray(there) & np.isfinite(time))
+    return rows[np.unique(time[rows], return_index=True)[1]]

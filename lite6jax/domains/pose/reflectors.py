@@ -1,0 +1,160 @@
+"""Three or more points on one rigid body, measured in each row, become its pose.
+
+The body's shape is the mean of all rows after each is carried onto it (J. C. Gower, Psychometrika 40, 1975); the pose
+of a row carries the shape onto its points (W. Kabsch, Acta Cryst. A32, 1976). Axes are those of the sensor at the first
+row in which all points are seen.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+
+FEWEST_POINTS = 3
+_AXIS = re.compile(r"(?P<body>.*?)[\s_.:/\[-]*(?P<axis>[xyz])[\s_.\[(/-]*(?P<unit>mm|m|met(?:er|re)s?)?[\])\s]*", re.I)
+_TURNED = re.compile(r"rot|ori|quat|euler|rpy|vel|acc|force|torque|twist|angular|(?:^|[^a-z])[rqwa]$", re.I)
+"""In names of triples that are no points."""
+_RIGID = 0.02
+"""Of the way of the points: their distances from each other, which a rigid body keeps, vary by less."""
+_FLAT = 0.05
+"""Of the width of the body: the least that it is beside its longest axis."""
+_ROUNDS = 10
+_OUTLYING = 10.0
+"""Times the usual misfit of a row, beyond which it shows another shape: exchanged points or a bumped reflector."""
+
+
+class RigidPose(NamedTuple):
+    """Poses of a rigid body.
+
+    Attributes:
+        rows: `(row,)` bool, where a pose was found.
+        position: `(row, 3)`, the centre of all its points, in their unit; NaN elsewhere.
+        quaternion: `(row, 4)`, unit, scalar first.
+        misfit: RMS distance of the points from the shape, in their unit.
+        size: RMS distance of the points of the shape from its centre.
+        points: how many.
+        outlying: rows whose points show another shape.
+    """
+
+    rows: Flags
+    position: Array
+    quaternion: Array
+    misfit: float
+    size: float
+    points: int
+    outlying: int
+
+    @property
+    def position_noise(self) -> float:
+        """Of an axis, in the unit of the points: of their noise, six of three numbers each went into the pose."""
+        return self.misfit / np.sqrt(3 * self.points - 6)
+
+    @property
+    def orientation_noise(self) -> float:
+        """rad about an axis, roughly, as bodies are not as wide in all directions."""
+        return self.misfit / (self.size * np.sqrt(2 * self.points - 4))
+
+
+def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
+    """The columns x y z of points of which there may be enough on a rigid body; empty where there are not."""
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        if (match := _AXIS.fullmatch(name.strip())) and match["body"] and not _TURNED.search(match["body"]):
+            found.setdefault((match["body"], (match["unit"] or "").lower()), {}).setdefault(match["axis"].lower(), name)
+    points = [(axes["x"], axes["y"], axes["z"]) for axes in found.values() if len(axes) == 3]
+    return points if len(points) >= FEWEST_POINTS else []
+
+
+def rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
+    """Those of some points that keep their distances from each other while they move: the largest such group."""
+    placed = {point: _seen(np.stack([columns[name] for name in point], 1)) for point in points}
+    way = max((_way(place) for place in placed.values()), default=0.0)
+    groups: list[list[tuple[str, str, str]]] = []
+    for point, place in placed.items():
+        for group in groups:
+            if all(_keeps(place, placed[other], way) for other in group):
+                group.append(point)
+                break
+        else:
+            groups.append([point])
+    best = max(groups, key=len, default=[])
+    return best if len(best) >= FEWEST_POINTS else []
+
+
+def rigid_pose(points: Array) -> RigidPose | None:
+    """The poses of a rigid body by its points; None where the points lie on a line, or no row has all of them.
+
+    Args:
+        points: `(row, point, 3)`; NaN, or zero throughout, where a point is not seen. Three points give a pose.
+    """
+    from scipy.spatial.transform import Rotation
+
+    points = np.stack([_seen(points[:, k]) for k in range(points.shape[1])], 1)
+    there = np.isfinite(points.sum(axis=2))
+    whole = np.flatnonzero(there.all(axis=1))
+    rows = there.sum(1) >= FEWEST_POINTS
+    if not whole.size:
+        return None
+    shape = points[whole[0]] - points[whole[0]].mean(0)
+    spread = np.linalg.svd(shape, compute_uv=False)
+    if spread[1] < _FLAT * spread[0]:
+        return None
+    axes = shape
+    filled, weight = np.nan_to_num(points[rows]), there[rows].astype(float)
+    for _ in range(_ROUNDS):
+        R, t = _carried(shape, filled, weight)
+        back = np.einsum("rji,rpj->rpi", R, filled - t[:, None])
+        shape = np.einsum("rp,rpi->pi", weight, back) / np.maximum(weight.sum(0), 1)[:, None]
+        turn, move = _carried(shape, axes[None], np.ones((1, len(axes))))  # the shape stays where it was first seen
+        shape = shape @ turn[0].T + move[0]
+        shape -= shape.mean(0)
+    R, t = _carried(shape, filled, weight)
+    missed = np.linalg.norm(filled - np.einsum("rij,pj->rpi", R, shape) - t[:, None], axis=2)
+    of_row = np.sqrt((weight * missed**2).sum(1) / weight.sum(1))
+    usual = max(float(np.median(of_row)), 1e-12)
+    fits = of_row <= _OUTLYING * usual
+    kept = np.flatnonzero(rows)[fits]
+    found = np.zeros(len(points), bool)
+    found[kept] = True
+    position, quaternion = np.full((len(points), 3), np.nan), np.full((len(points), 4), np.nan)
+    position[kept] = t[fits]
+    quaternion[kept] = Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
+    misfit = float(np.sqrt(np.sum((weight * missed**2)[fits]) / max(np.sum(weight[fits]), 1)))
+    size = float(np.sqrt(np.mean(np.sum(shape**2, 1))))
+    return RigidPose(found, position, quaternion, misfit, size, points.shape[1], int(np.sum(~fits)))
+
+
+def _carried(shape: Array, points: Array, weight: Array) -> tuple[Array, Array]:
+    """The rotations `(row, 3, 3)` and translations `(row, 3)` that carry a shape onto the points of each row."""
+    share = weight / weight.sum(1, keepdims=True)
+    a, b = share @ shape, np.einsum("rp,rpi->ri", share, points)
+    M = np.einsum("rp,rpi,rpj->rij", share, points - b[:, None], shape - a[:, None])
+    U, _, Vt = np.linalg.svd(M)
+    U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
+    R = U @ Vt
+    return R, b - np.einsum("rij,rj->ri", R, a)
+
+
+def _seen(place: Array) -> Array:
+    """`(row, 3)` with NaN where all three are zero, as trackers write what they do not see."""
+    return np.where((place == 0).all(1, keepdims=True), np.nan, place)
+
+
+def _way(place: Array) -> float:
+    there = place[np.isfinite(place).all(axis=1)]
+    return float(np.median(np.linalg.norm(there - np.median(there, axis=0), axis=1))) if len(there) else 0.0
+
+
+def _keeps(one: Array, other: Array, way: float) -> bool:
+    distance = np.linalg.norm(one - other, axis=1)
+    distance = distance[np.isfinite(distance)]
+    if len(distance) < FEWEST_POINTS:
+        return False
+    usual = float(np.median(distance))
+    varies = 1.4826 * float(np.median(np.abs(distance - usual)))
+    return varies < _RIGID * way and usual > 5 * varies and usual > 0

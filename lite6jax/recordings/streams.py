@@ -1,0 +1,311 @@
+"""Streams of one recording, each at times of its own, joined at the times of the poses: joints are interpolated there.
+
+A log has a stream for each topic; a table that was merged from topics has one in every few rows; a robot and a sensor
+that were recorded apart have one in each file, once their clocks are known (`domains.pose.clocks`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.sequence import differentiate
+
+Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+Method = Literal["linearly", "by cubics", "nearest"]
+
+LONGEST_GAP = 2.0
+"""Between joint states around a pose, in median steps; beyond, the joints at the pose are not known, …"""
+LONGEST_STANDSTILL = 10.0
+"""… or beyond this many, where the joints are the same before and after, …"""
+_STILL = 1e-4
+"""… within this part of the range in which they move."""
+_UNRESOLVED = 0.3
+"""Of the change from one joint state to the next: an error of interpolation above it shows captures, not a motion."""
+_BESIDE = 0.1
+"""Of the median step: the longest time from a pose to the capture of joints that belongs to it."""
+_MOST_BESIDE = 0.8
+"""Share of the poses that stand so near to a capture, where the joints are captures."""
+_ALTERNATING, _MOST_ALTERNATING = 0.4, 0.95
+"""The same where each capture has one pose, always before it or always after it."""
+_SHARED_ROWS = 0.5
+"""Of the rows with poses: where fewer have joints as well, poses and joints are streams of their own."""
+
+
+class Joined(NamedTuple):
+    """Joint states at the times of poses.
+
+    Attributes:
+        kept: `(pose,)` bool, where the joints are known.
+        columns: by their names, `(kept,)` each.
+        method: how they are found between joint states; `nearest` where each pose has a capture of its own.
+        outside: poses before the first or after the last joint state.
+        wide: poses between joint states that are too far apart.
+        gap: s, the longest between the joint states around a pose; with `nearest` the longest to the capture.
+        error: RMS by which joint states that are left out are found again from those around them, at twice their
+            distance, in the unit of the joints; NaN where there are too few.
+        resolved: whether the joint states follow the motion; else what is interpolated means nothing.
+    """
+
+    kept: Flags
+    columns: dict[str, Array]
+    method: Method
+    outside: int
+    wide: int
+    gap: float
+    error: float
+    resolved: bool = True
+
+
+class Merged(NamedTuple):
+    """A table whose streams stand in different rows, at the rows of its poses.
+
+    Attributes:
+        columns: by their names, `(kept,)` each.
+        rows: `(kept,)`, the rows of the table, counted from 0.
+        poses, states: rows with poses, and with joints.
+        joined: how.
+    """
+
+    columns: dict[str, Array]
+    rows: NDArray[np.integer]
+    poses: int
+    states: int
+    joined: Joined
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointStream:
+    """Joint positions at times of their own.
+
+    Attributes:
+        time: `(state,)` s, increasing.
+        position: `(state, joint)`.
+        near: `(state - 1,)` bool, which neighbours are near enough for joints between them to be known.
+        step: s, the median.
+        method: by what joints are found between joint states.
+        error: as in `Joined`.
+        slopes: `(state, joint)` per second; None of straight lines.
+    """
+
+    time: Array
+    position: Array
+    near: Flags
+    step: float
+    method: Method
+    error: float
+    slopes: Array | None
+
+    @classmethod
+    def of(cls, time: Array, position: Array) -> "JointStream":
+        """The stream of at least two joint states.
+
+        Joints are interpolated by straight lines, or by cubics whose slopes are those of a parabola through three joint
+        states: by what finds joint states that are left out more exactly.
+        """
+        gap = np.diff(time)
+        step = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
+        with np.errstate(invalid="ignore", over="ignore"):
+            unmoved = np.abs(np.diff(position, axis=0)).max(1) <= _STILL * np.ptp(position, axis=0).max()
+            near = gap <= np.where(unmoved, LONGEST_STANDSTILL, LONGEST_GAP) * step
+            method, error = _method(time, position, near)
+            slopes = _slopes(time, position, near) if method == "by cubics" else None
+        return cls(time, position, near, step, method, error, slopes)
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the joint states follow a motion; false of captures, between which the joints move far."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
+        return not self.error > _UNRESOLVED * change
+
+    def known(self, at: Array) -> Flags:
+        """`(pose,)`, where there are joint states near enough."""
+        before = self._before(at)
+        exact = (at == self.time[before]) | (at == self.time[before + 1])
+        return (at >= self.time[0]) & (at <= self.time[-1]) & (exact | self.near[before])
+
+    def gap(self, at: Array) -> float:
+        """s, the longest between the joint states around times."""
+        before = self._before(at)
+        across = (at != self.time[before]) & (at != self.time[before + 1])
+        return float(np.max(np.diff(self.time)[before[across]], initial=0.0))
+
+    def at(self, at: Array) -> Array:
+        """`(pose, joint)`; where no joint states are near, what a straight line or a cubic gives all the same."""
+        return _between(self.time, self.position, at, self.slopes)
+
+    def _before(self, at: Array) -> NDArray[np.integer]:
+        return np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
+
+
+def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: Array) -> Joined:
+    """Columns of joint states at the times of poses: joints as `JointStream` has them, all others on straight lines.
+
+    Args:
+        time: `(state,)` s, increasing; at least two.
+        columns: `(state,)` each.
+        joints: the columns that are joint positions.
+        at: `(pose,)` s, of the same clock.
+    """
+    stream = JointStream.of(time, np.stack([columns[name] for name in joints], 1))
+    if not stream.resolved and (own := _captures(time, at, stream.step)) is not None:
+        kept, nearest = own
+        found = {name: column[nearest[kept]] for name, column in columns.items()}
+        longest = float(np.max(np.abs(at - time[nearest])[kept], initial=0.0))
+        return Joined(kept, found, "nearest", 0, int(np.sum(~kept)), longest, np.nan)
+    kept = stream.known(at)
+    outside = int(np.sum((at < time[0]) | (at > time[-1])))
+    found = {name: _between(time, column[:, None], at[kept])[:, 0] for name, column in columns.items()}
+    found |= dict(zip(joints, stream.at(at[kept]).T, strict=True))
+    wide = int(np.sum(~kept)) - outside
+    gap = stream.gap(at[kept])
+    return Joined(kept, found, stream.method, outside, wide, gap, stream.error, stream.resolved)
+
+
+def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.integer]] | None:
+    """Which poses have a capture of joints of their own, and which; None where most have none.
+
+    It stands beside the pose; or each pose has another one, all of them before the pose or all after it.
+    """
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    nearest = after - (at - time[after - 1] <= time[after] - at)
+    late = at - time[nearest]
+    beside = np.abs(late) <= _BESIDE * step
+    if np.mean(beside) > _MOST_BESIDE:
+        return beside, nearest
+    alone = np.bincount(nearest, minlength=len(time))[nearest] == 1
+    for side in (late >= 0, late <= 0):
+        own = side & alone & (np.abs(late) <= _ALTERNATING * step)
+        if np.mean(own) > _MOST_ALTERNATING:
+            return own, nearest
+    return None
+
+
+def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
+    """A table at the rows of its poses, where these rows have no joints; None where no streams are to be joined.
+
+    Args:
+        columns: `(row,)` each, NaN where a row does not give one.
+        joints: the columns of joint positions; `places` those of the position of the tool, and `time` that of times.
+
+    Raises:
+        InputError: no pose has joints, or joint states are too far apart to follow the motion.
+    """
+    if not joints or not places or not {time, *joints, *places} <= columns.keys():
+        return None
+    clock = columns[time]
+    moved, measured = (
+        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
+    )
+    poses = np.flatnonzero(measured)
+    if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
+        return None
+    states = _in_order(clock, moved)
+    if len(states) < 2:
+        return None
+    start = clock[states[0]]
+    joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
+    rows = poses[joined.kept]
+    if not joined.resolved or not rows.size:
+        raise InputError(
+            f"{len(poses)} poses and {len(states)} joint states stand in different rows, and "
+            + (
+                "no pose lies between joint states"
+                if joined.resolved
+                else "the joints move too far from one to the next"
+            )
+            + "; record both in one row, or joint states more often"
+        )
+    found = dict(joined.columns)
+    for name in columns.keys() - found.keys():
+        column = columns[name]
+        own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
+        elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
+        found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
+    return Merged({name: found[name] for name in columns}, rows, len(poses), len(states), joined)
+
+
+def said_of(joined: Joined, unit: str = "rad") -> list[str]:
+    """What was done to join streams, in sentences."""
+    if joined.method == "nearest":
+        said = [
+            f"each pose has the joints that were captured with it, at most {joined.gap:.2g} s apart: between captures "
+            "the joints move too far to be interpolated"
+        ]
+        dropped = ((joined.wide, "without a capture of joints beside them"),)
+    else:
+        error = (
+            "" if np.isnan(joined.error) else f"; every other one left out is found again to {joined.error:.2g} {unit}"
+        )
+        said = [
+            f"the joints are interpolated {joined.method} to the times of the poses (between joint states at most "
+            f"{joined.gap:.2g} s apart{error})"
+        ]
+        dropped = (
+            (joined.outside, "before the first or after the last joint state"),
+            (joined.wide, f"between joint states over {LONGEST_GAP:g} median steps apart"),
+        )
+    if not joined.resolved:
+        said.append(
+            "joint states are too far apart to follow the motion: what is interpolated between them is not known"
+        )
+    return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
+
+
+def said_of_merged(found: Merged) -> list[str]:
+    """The same of a table, which begins with what was found."""
+    first, *dropped = said_of(found.joined)
+    return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
+
+
+def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:
+    """Rows in order of time, of those at one time the first."""
+    rows = np.flatnonzero(there)
+    return rows[np.unique(clock[rows], return_index=True)[1]]
+
+
+def _between(time: Array, values: Array, at: Array, slopes: Array | None = None) -> Array:
+    """`(pose, column)` on straight lines, or with slopes on cubics, between `(state, column)`."""
+    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    step = time[low + 1] - time[low]
+    share = ((at - time[low]) / step)[:, None]
+    low, high = low + (share[:, 0] == 1), low + (share[:, 0] > 0)  # at a state its neighbours do not matter
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite stays so, and its rows are dropped
+        line = values[low] * (1 - share) + values[high] * share
+        if slopes is None:
+            return line
+        rise = values[high] - values[low]
+        ends = step[:, None] * slopes[low] - rise, step[:, None] * slopes[high] - rise
+        inside = share * (1 - share) * ((1 - share) * ends[0] - share * ends[1])
+        return np.where((share > 0) & (share < 1), line + inside, line)
+
+
+def _slopes(time: Array, q: Array, joined: Flags) -> Array:
+    """`(state, joint)` per second; zero where the joints of a state are not finite, and so is what lies around it."""
+    segment = np.concatenate([[0], np.cumsum(~joined)])
+    return np.nan_to_num(differentiate(q, time, segment))
+
+
+def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:
+    """What finds every other joint state more exactly from those around it, and its RMS error."""
+    left_out = np.arange(1, len(time) - 1, 2)
+    finite = np.isfinite(q.sum(axis=1))
+    usable = joined[:-1] & joined[1:] & finite[:-2] & finite[1:-1] & finite[2:]
+    left_out = left_out[usable[left_out - 1]]
+    if not left_out.size:
+        return "linearly", np.nan
+    part = slice(None, None, 2)
+    pairs = len(time[part]) - 1
+    whole = joined[0::2][:pairs] & joined[1::2][:pairs]
+    errors = {}
+    for method, slopes in (("linearly", None), ("by cubics", _slopes(time[part], q[part], whole))):
+        missed: Array = _between(time[part], q[part], time[left_out], slopes) - q[left_out]
+        errors[method] = float(np.sqrt(np.mean(missed**2)))
+    best: Method = "by cubics" if errors["by cubics"] < errors["linearly"] else "linearly"
+    return best, errors[best]

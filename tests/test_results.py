@@ -1,0 +1,202 @@
+"""What every public result can do: its summary is what is printed, and it is drawn, tabulated and saved."""
+
+import json
+import re
+import sys
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.figure import Figure
+from report import diagnosed, torque_diagnosed
+
+import lite6jax
+from lite6jax import InputError, results
+from lite6jax.arms.factory import read_factory
+from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.fitting.compare import compare
+from lite6jax.identifiability.discrimination import plan_discrimination
+from lite6jax.report import plots, result_files, summaries  # noqa: F401 (they register)
+from lite6jax.results import Figures, PublicResult
+
+LITE6 = lite6jax.read_arm("lite6")
+GENERIC = {name: getattr(results, name) for name in ("describe", "draw", "tabulate", "write")}
+LONGEST = 2500
+"""Characters of a printed result: less than a screen."""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """One of each kind of result, by its class."""
+    folder, rng = tmp_path_factory.mktemp("results"), np.random.default_rng(0)
+    make = diagnosed.recording_maker(folder)
+    recording, effects = make(diagnosed.COMPLIANCE)
+    poses = diagnosed.diagnosed(recording, effects, outliers=(3,))
+    torques = torque_diagnosed.diagnosed(torque_diagnosed.recorded(), torque_diagnosed.EFFECTS[:2])
+    motion = torques.problem.data.recording
+    experiment = lite6jax.plan_experiment("lite6", frame=False)
+    q = rng.uniform(*LITE6.joint_limits.T, (80, 6))
+    kinematics = np.stack([LITE6.kinematics + 1e-3 * rng.standard_normal((6, 6)) for _ in range(3)])
+    files = [lite6jax.write_factory(each, folder / f"arm{k}.yaml") for k, each in enumerate(kinematics)]
+    kinematics[2, 0, 0] = np.nan
+    rivals = [(effect, [1e-4]) for effect in (poses.findings[0].effect, type(poses.findings[0].effect)(3))]
+    made = [
+        *(recording, poses, torques, CombinedDiagnosis(poses, torques)),
+        *(lite6jax.fit(recording), lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6")),
+        compare([read_factory(path, LITE6) for path in files[:2]]),
+        *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12, refined=False)),
+        plan_discrimination(experiment, rivals, q, 12, refined=False),
+        *(lite6jax.sensitivity("lite6", samples=200), lite6jax.global_sensitivity("lite6", arms=16, poses=4)),
+        *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted_torques(torques.model, motion)),
+        lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),
+        lite6jax.register_model(poses.model, recording)[1],
+    ]
+    return {type(one): one for one in made}
+
+
+KINDS = sorted((kind for kind in PublicResult.__subclasses__()), key=lambda kind: kind.__name__)
+each = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+
+
+@each
+def test_each_kind_is_described_drawn_tabulated_and_saved(kind):
+    for name, function in GENERIC.items():
+        missing = function.dispatch(kind) is function.dispatch(object)
+        assert not missing, f"{kind.__name__} has no {name}"
+
+
+@each
+def test_printing_a_result_shows_its_summary_and_nothing_else(found, kind):
+    text = found[kind].summary()
+    assert str(found[kind]) == repr(found[kind]) == text
+    assert 20 < len(text) < LONGEST
+    assert re.match(r"[^\n]*\.$", text)
+    assert not re.search(r"\bnan\b|array\(|  ", text)
+
+
+@each
+def test_a_result_inherits_what_it_can_do_and_overrides_nothing(kind):
+    assert is_dataclass(kind)
+    own = {"summary", "plot", "to_frame", "save", "__repr__", "_repr_html_", "_description"}
+    assert not own & set(vars(kind)), "write @dataclass(…, repr=False)"
+    assert not own & {field.name for field in fields(kind)}
+
+
+@each
+def test_each_result_has_figures_with_titles_and_named_axes(found, kind):
+    figures = found[kind].plot("mine")
+    assert isinstance(figures, Figures)
+    assert figures
+    for figure in figures.values():
+        assert isinstance(figure, Figure)
+        assert figure.get_suptitle().startswith("mine")
+        shown = [axes for axes in figure.axes if axes.get_visible()]
+        assert any(axes.get_xlabel() or axes.get_xticklabels() for axes in shown)
+
+
+@each
+def test_each_result_is_a_table_with_units_in_its_columns(found, kind):
+    frame = found[kind].to_frame()
+    assert isinstance(frame, pd.DataFrame)
+    assert len(frame) > 0
+    assert frame.columns.is_unique
+    lengths = [name for name in frame.columns if re.match(r"(x|y|z|position.*|distance)_", name)]
+    assert all(re.search(r"_(m|mm|m_per_s)$", name) for name in lengths)
+
+
+@each
+def test_each_result_is_saved_as_a_table_that_reads_back(found, kind, tmp_path):
+    frame = found[kind].to_frame()
+    path = found[kind].save(tmp_path / "table.parquet")
+    assert path == tmp_path / "table.parquet"
+    read = pq.read_table(path).to_pandas()
+    assert list(read.columns) == list(frame.columns)
+    for name in frame.columns:
+        if frame[name].dtype.kind in "fiub":
+            np.testing.assert_array_equal(read[name].to_numpy(float), frame[name].to_numpy(float))
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"table\.parquet: exists already"):
+        found[kind].save(path)
+    assert path.read_bytes() == before
+    found[kind].save(path, overwrite=True)
+
+
+@each
+def test_another_suffix_is_refused_with_the_forms_that_there_are(found, kind, tmp_path):
+    with pytest.raises(InputError, match=r"found\.docx: .*\.csv.*\.parquet"):
+        found[kind].save(tmp_path / "found.docx")
+    assert not list(tmp_path.iterdir())
+
+
+def of(found, name):
+    return next(one for kind, one in found.items() if kind.__name__ == name)
+
+
+@pytest.mark.parametrize("name", ["Diagnosis", "CombinedDiagnosis"])
+def test_a_saved_diagnosis_is_what_other_commands_read(found, name, tmp_path):
+    diagnosis = of(found, name)
+    model = lite6jax.read_model(diagnosis.save(tmp_path / "d.json"))
+    assert [effect.label for effect in model.physics.effects] == ["joint_compliance:joint2"]
+    document = json.loads((tmp_path / "d.json").read_text())
+    assert document["findings"][0]["statement"].startswith("Joint compliance at joint2")
+
+
+def test_a_saved_diagnosis_of_torques_is_what_other_commands_read(found, tmp_path):
+    diagnosis = of(found, "TorqueDiagnosis")
+    motors = lite6jax.read_torque_model(diagnosis.save(tmp_path / "d.json"))
+    assert [effect.label for effect in motors.terms.terms] == [f.effect.label for f in diagnosis.findings]
+
+
+@pytest.mark.parametrize("name", ["Diagnosis", "TorqueDiagnosis", "CombinedDiagnosis"])
+def test_a_diagnosis_is_saved_as_a_page_with_its_figures(found, name, tmp_path):
+    page = of(found, name).save(tmp_path / "d.html").read_text()
+    assert page.startswith("<!doctype html>") or page.lower().startswith("<!doctype html>")
+    assert page.count("data:image/") + page.count("<svg") >= 4
+
+
+def test_the_table_of_a_diagnosis_has_a_row_for_each_parameter(found):
+    diagnosis = of(found, "Diagnosis")
+    frame = diagnosis.to_frame()
+    (row,) = frame.to_dict("records")
+    estimate = diagnosis.findings[0].parameters["compliance_rad_per_Nm"]
+    assert (row["effect"], row["site"], row["driver"]) == ("joint_compliance", "joint2", "gravity torque of joint 2")
+    assert (row["parameter"], row["value"], row["std"]) == ("compliance_rad_per_Nm", estimate.value, estimate.std)
+    assert set(of(found, "CombinedDiagnosis").to_frame()["of"]) == {"poses", "torques"}
+
+
+def test_a_diagnosis_without_findings_is_an_empty_table_with_its_columns(found):
+    from dataclasses import replace
+
+    diagnosis = of(found, "Diagnosis")
+    assert list(replace(diagnosis, findings=()).to_frame().columns) == list(diagnosis.to_frame().columns)
+
+
+def test_a_saved_fit_is_the_effective_table_and_a_saved_recording_keeps_its_settings(found, tmp_path):
+    assert lite6jax.read_factory(of(found, "Solution").save(tmp_path / "model.json"))
+    recording = of(found, "Recording")
+    read = lite6jax.read_recording(recording.save(tmp_path / "run.csv"))
+    assert read.settings.position_noise_m == recording.settings.position_noise_m
+    np.testing.assert_array_equal(read.position, recording.position)
+
+
+def test_without_pandas_the_remedy_is_named(found, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"needs pandas; install it with: pip install pandas"):
+        of(found, "Solution").to_frame()
+
+
+def test_a_result_that_nothing_shows_says_where_to_add_it():
+    class Other(PublicResult):
+        pass
+
+    with pytest.raises(TypeError, match=r"Other has no function `describe` in lite6jax\.report\.summaries"):
+        Other().summary()
+
+
+def test_the_package_says_which_modules_register():
+    assert set(results.registering) == set(GENERIC)
+    for module in results.registering.values():
+        assert Path(lite6jax.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py").is_file()
