@@ -52,8 +52,10 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
         found = fit(problem, rest, rough, values, found.nuisance, found.training)
-    lacking, there = ({term.site for term in terms if term.usual} for terms in (found.terms.terms, problem.ladder))
-    if len(found.terms.terms) <= options.most_terms and 2 * len(lacking) <= len(there):
+    named, there = found.terms.terms, {term.site for term in problem.ladder if term.usual}
+    gains = [found.quadratic_gain(k) / time for k, time in enumerate(_of_terms(problem, named, times))]
+    lacking = {t.site for t, gain in zip(named, gains, strict=True) if t.usual and gain > options.together}
+    if len(named) <= options.most_terms and 2 * len(lacking) <= len(there):
         return None
     return _tested(problem, State(baseline, found, _untested(found)), times, options)
 
