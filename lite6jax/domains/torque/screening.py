@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
-from lite6jax.domains.torque.declarations import as_declared
 from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.hypotheses import as_declared
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
