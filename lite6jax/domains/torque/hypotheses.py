@@ -29,7 +29,7 @@ Hypothesis = tuple["Change", ...]
 
 GRAVITY = ("wrong_gravity", "no_gravity")
 POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
-TORQUES = ("swapped_torques", "reversed_torque", "wrong_torque_constant")
+TORQUES = ("swapped_torques", "reversed_torque", "wrong_torque_constant", "torque_unit")
 CODES = (*GRAVITY, *POSITIONS, *TORQUES)
 """The faults, in the order in which their changes are made."""
 
@@ -44,6 +44,8 @@ _EXPLAINED = 0.15
 _FACTORS = (0.45, 1.8)
 """Of the measured torque over the true one, beyond which it is no error of calibration but another constant: those of
 motors of one series vary by some per cent, and gear ratios by factors."""
+_UNIT = (1 / 3, 3.0)
+"""The same of all joints together: within, the arm has rather other masses; beyond, torques are in another unit."""
 _STEP = np.deg2rad(15.0)
 """rad between zeros that are tried; the best are refined."""
 _LEAST_ZERO = 0.05
@@ -116,7 +118,7 @@ class Change:
                 T[[i, j]] = T[[j, i]]
             case "reversed_torque":
                 T[i, i] = -1.0
-            case "wrong_torque_constant":
+            case "wrong_torque_constant" | "torque_unit":
                 T[i, i] = 1 / self.value
             case "coupled_joint":
                 T = np.linalg.inv(self.of_positions(dof)[0]).T  # power stays the same
@@ -314,7 +316,7 @@ class _Rows:
     def price(self, hypothesis: Hypothesis) -> float:
         """Log-likelihood that its changes cost: which joints, and half the logarithm of the samples for each number."""
         pair, number = _of_pair(self.dof), self._of_number
-        each = {"joint_zero": number, "wrong_torque_constant": number}
+        each = {"joint_zero": number, "wrong_torque_constant": number, "torque_unit": number}
         each |= {"swapped_positions": pair, "swapped_torques": pair, "coupled_joint": np.log(4 * self.dof)}
         reversed_both = {c.joints for c in hypothesis if c.code == "reversed_positions"}
         reversed_both &= {c.joints for c in hypothesis if c.code == "reversed_torque"}
@@ -384,6 +386,7 @@ class _Rows:
         measured, rigid = _maps(hypothesis, self.dof)[2] @ self.measured, self.rigid(moved, gravity)
         n, dof, half = self.measured.shape[1], self.dof, 0.5 * self.counted
         square, factor, loaded = np.empty((2, dof, dof)), np.ones((2, dof)), np.empty((2, dof))
+        seen = np.zeros(dof, bool)
         for j, columns in enumerate(self._beside(moved)):
             weight = max(float(np.linalg.norm(rigid[j])), 1e-300)
             alone = np.linalg.qr(columns.T)
@@ -393,6 +396,9 @@ class _Rows:
                     square[k, c, j] = _nonnegative(alone, sign * measured[c] - rigid[j])[1] / n
                 numbers, rss = _nonnegative(with_load, sign * measured[j])
                 factor[k, j], loaded[k, j] = numbers[-1] / weight, rss / n
+            seen[j] = (
+                half * np.log(_nonnegative(alone, measured[j])[1] / (n * max(loaded[:, j].min(), 1e-300))) > _TRUSTED
+            )
         square = np.maximum(square, self.floor[None, :, None] ** 2)
         loaded = np.maximum(loaded, self.floor**2)
         every, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
@@ -403,27 +409,43 @@ class _Rows:
         reversed_ = np.argmin(cost[:, order, every], 0) == 1
         total, left = cost.min(0)[order, every], np.sqrt(square[reversed_.astype(int), order, every])
         constants = np.ones(dof)
-        other = self._constants(half * np.log(loaded) + of_sign[:, None], factor, cost[:, every, every])
-        if other is not None and other[1].sum() < total.sum():
-            order, (constants, total, reversed_) = every, other
-            k = reversed_.astype(int)
-            left = np.sqrt(np.where(constants != 1, loaded[k, every], square[k, every, every]))
+        code, with_any = "wrong_torque_constant", half * np.log(loaded) + of_sign[:, None] + self._of_number
+        for of_all in (False, True):
+            other = self._constants(with_any, factor, cost[:, every, every], seen if of_all else None)
+            if other is not None and other[1].sum() < total.sum():
+                code = "torque_unit" if of_all else "wrong_torque_constant"
+                order, (constants, total, reversed_) = every, other
+                k = reversed_.astype(int)
+                left = np.sqrt(np.where(constants != 1, loaded[k, every], square[k, every, every]))
         changes = [*hypothesis, *_exchanges(order)]
         changes += [Change("reversed_torque", (int(j),)) for j in np.flatnonzero(reversed_)]
         found = [(int(j), float(constants[j])) for j in np.flatnonzero(constants != 1)]
-        changes += [Change("wrong_torque_constant", (j,), float(f"{k:.3g}")) for j, k in found]
+        changes += [Change(code, (j,), float(f"{k:.3g}")) for j, k in found]
         return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), left)
 
-    def _constants(self, loaded: Array, factor: Array, as_it_is: Array) -> tuple[Array, Array, Array] | None:
-        """Constants of the torques of single joints, what each joint costs, and which are reversed, `(joint,)` each.
+    def _constants(
+        self, loaded: Array, factor: Array, as_it_is: Array, seen: NDArray[np.bool_] | None
+    ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+        """Constants of the torques of joints, what each joint costs, and which are reversed, `(joint,)` each.
 
         Args:
             loaded: `(sign, joint)`, costs with any constant.
             factor: likewise, the measured torque over the true one.
             as_it_is: `(sign, joint)`, costs with the constant as declared.
+            seen: `(joint,)`, whose constants the torques show, for constants of all joints; None for single joints'.
         """
-        beyond = ((factor > 0) & (factor < _FACTORS[0])) | (factor > _FACTORS[1])
-        cost = np.minimum(as_it_is, np.where(beyond, loaded + self._of_number, np.inf))
+        low, high = _FACTORS
+        if seen is not None:
+            k, every = np.argmin(loaded, 0), np.arange(self.dof)
+            found = factor[k, every]
+            low, high = _UNIT
+            shown = found[seen]
+            if 2 * seen.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
+                return None
+            usual = float(np.exp(np.mean(np.log(shown))))
+            return np.where(seen, found, usual), loaded[k, every], k == 1
+        beyond = ((factor > 0) & (factor < low)) | (factor > high)
+        cost = np.minimum(as_it_is, np.where(beyond, loaded, np.inf))
         reversed_, every = np.argmin(cost, 0) == 1, np.arange(self.dof)
         k = reversed_.astype(int)
         other = cost[k, every] < as_it_is[k, every]
@@ -616,7 +638,7 @@ def _compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
 
 def _faulty(hypothesis: Hypothesis) -> int:
     """How many faults a hypothesis has; a set of signs or constants, and joints with both signs reversed, are one."""
-    sets = ("reversed_positions", "reversed_torque", "wrong_torque_constant")
+    sets = ("reversed_positions", "reversed_torque", "wrong_torque_constant", "torque_unit")
     several = {code: frozenset(c.joints for c in hypothesis if c.code == code) for code in sets}
     both = bool(several["reversed_torque"]) and several["reversed_positions"] == several["reversed_torque"]
     return sum(map(bool, several.values())) - both + sum(c.code not in sets for c in hypothesis)
@@ -660,13 +682,11 @@ def _faults(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
     for code in ("reversed_torque", "reversed_positions"):
         if joints := sorted(1 + c.joints[0] for c in of_code[code] if c.joints not in mirrored):
             found.append(DataFault(code, (), {"joints": joints}))
-    if changes := of_code["wrong_torque_constant"]:
-        constants = data.recording.settings.torque_constant_Nm_per_A
-        known = data.recording.joint_torque is None and constants is not None
-        numbers = {
-            "joints": [1 + c.joints[0] for c in changes],
-            "factors": [c.value for c in changes],
-            "constants_Nm_per_A": [constants[c.joints[0]] / c.value for c in changes] if known and constants else None,
-        }
-        found.append(DataFault("wrong_torque_constant", (), numbers))
+    constants = data.recording.settings.torque_constant_Nm_per_A
+    known = constants is not None and data.recording.joint_torque is None
+    for code in ("wrong_torque_constant", "torque_unit"):
+        if changes := of_code[code]:
+            numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
+            true = [constants[c.joints[0]] / c.value for c in changes] if known and constants is not None else None
+            found.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
     return found
