@@ -56,7 +56,7 @@ _STRENGTH = 0.15
 """Relative deviation of gravity's strength up to which another direction of it is believed."""
 _UPRIGHT = 0.1
 """rad from an axis of the base within which gravity points along it: arms stand, hang, or are mounted on a wall."""
-_CLEARLY = 2.0
+_CLEARLY = 1.5
 """Times by which a hypothesis leaves less of the torque of a joint, RMS."""
 _TRUSTED = 5.7
 """Log-likelihood by which a hypothesis exceeds another: log 300, one file in some hundred is wrong."""
@@ -68,6 +68,10 @@ _WIDTHS = (0.03, 0.1, 0.3, 1.0)
 """Relative standard deviations of declared inertial numbers, of which each hypothesis has the likeliest."""
 _FLOOR = 2e-3
 """Of a joint's torque: what no model of a motor is more exact than."""
+_NOISELESS = 1e-3
+"""Of a joint's torque: the noise of one that was computed, at most."""
+_FRICTIONLESS = 5e-3
+"""Of a joint's torque, RMS: friction, and what a rigid arm leaves, of one that was computed, at most."""
 _PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
 """Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
 _TILT = 0.15
@@ -178,6 +182,30 @@ def as_declared(data: TorqueRows) -> Declared:
     return Declared(data, tuple(found), tuple(ruled_out))
 
 
+def computed_torque(data: TorqueRows) -> bool:
+    """Whether no joint has noise or friction: what a controller computes by a model of its arm, and no motor exerts.
+
+    The links may be others than declared. A sensor's noise, or a current's, is several times `_NOISELESS`, and friction
+    of a gear some per cent of its torque.
+    """
+    rows, regressors = data.measured, data.regressor
+    size = np.maximum(np.std(rows, axis=1), 1e-300)
+    steps = np.diff(data.torque, 3, axis=1) / np.sqrt(20.0)  # of white noise, its standard deviation
+    if (1.4826 * np.median(np.abs(steps), 1) > _NOISELESS * size).any() or rows.shape[1] < 2 * regressors.shape[1]:
+        return False
+    dq = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
+    ddq = np.asarray(data.motion.joint_acceleration)[:, data.filter.kept]
+    for row, X, v, a, slides, usual in zip(rows, regressors, dq, ddq, data.arm.slides, size, strict=True):
+        columns = np.vstack([direction(v, slides), v, X, np.ones_like(v), a])
+        scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+        numbers = np.linalg.lstsq((columns / scale[:, None]).T, row, rcond=1e-9)[0]
+        friction = numbers[:2] / np.sqrt(len(row))
+        left = float(np.sqrt(np.mean((row - numbers @ (columns / scale[:, None])) ** 2)))
+        if np.abs(friction).max() > _FRICTIONLESS * usual or left > _FRICTIONLESS * usual:
+            return False
+    return True
+
+
 def undo(hypothesis: Hypothesis, data: TorqueRows) -> TorqueRows:
     """The rows without the faults of a hypothesis."""
     dof, recording = data.arm.dof, data.recording
@@ -214,8 +242,8 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
         for j in {i - 1, i + 1} & set(turning):
             yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
     for i in turning:
-        steps = round(2 * np.pi / _STEP)
-        yield from ((Change("joint_zero", (i,), _turned(k * _STEP)),) for k in range(1, steps))
+        steps = (*(k * _STEP for k in range(1, round(2 * np.pi / _STEP))), _STEP / 3, -_STEP / 3)
+        yield from ((Change("joint_zero", (i,), _turned(step)),) for step in steps)
 
 
 class _Comparison(NamedTuple):
@@ -244,10 +272,24 @@ def _compare(rows: "_Rows") -> _Comparison:
     likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - _TRUSTED, least)]
     fewest = min(map(_faulty, likely))
     simple = [h for h in likely if _faulty(h) == fewest]
+    simple = [h for h in simple if not any(_kinds(other) < _kinds(h) for other in likely)]  # what it adds is not seen
     distinct = [h for k, h in enumerate(simple) if not any(_alike(h, other) for other in simple[:k])]
     if len(distinct) > 1:
         return _Comparison(alternatives=tuple(distinct))
-    return _Comparison(found=distinct[0])
+    (found,) = distinct
+    common = _with_one_constant(found)
+    if rows.evidence(common) - rows.price(common) > evidence[found]:
+        return _Comparison(found=common)
+    return _Comparison(found=found)
+
+
+def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
+    """With the median of its constants for all of these joints: one error in one place is one number."""
+    constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+    if len(constants) < 2:
+        return hypothesis
+    one = float(f"{np.median(constants):.3g}")
+    return tuple(replace(c, value=one) if c.code == "wrong_torque_constant" else c for c in hypothesis)
 
 
 def _search(rows: "_Rows") -> list[Scored]:
@@ -256,13 +298,14 @@ def _search(rows: "_Rows") -> list[Scored]:
     scored = {(): rows.scored(())}
     beam: list[Hypothesis] = [()]
     for _ in range(2):
-        tried = {_joined(h, more) for h in beam for more in simple if _compatible(h, more)} - set(scored)
-        new = {h: rows.scored(h) for h in tried}
-        for h in sorted(new, key=lambda h: new[h].cost)[: 2 * _BEAM]:
+        tried = dict.fromkeys(_joined(h, more) for h in beam for more in simple if _compatible(h, more))
+        new = {h: rows.scored(h) for h in tried if h not in scored}
+        zeros: dict[Hypothesis, Hypothesis] = {}  # of those that differ in zeros alone the best
+        for h in sorted(new, key=lambda h: new[h].cost):
+            zeros.setdefault(tuple(replace(c, value=0.0) if c.code == "joint_zero" else c for c in h), h)
+        for h in [h for key, h in zeros.items() if key != h][: 2 * _BEAM]:
             refined = rows.refined(h)
-            if refined != h:
-                new.pop(h)
-                new[refined] = rows.scored(refined)
+            new[refined] = rows.scored(refined)
         for h in beam:
             turned = rows.gravity_found(h)
             if turned is not None:
@@ -321,7 +364,9 @@ class _Rows:
         reversed_both = {c.joints for c in hypothesis if c.code == "reversed_positions"}
         reversed_both &= {c.joints for c in hypothesis if c.code == "reversed_torque"}
         total = sum(each.get(change.code, _OF_SIGN) for change in hypothesis)
-        return float(total - _OF_SIGN * len(reversed_both))
+        constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+        repeated = 0.5 * np.log(self.counted) * (len(constants) - len(set(constants)))
+        return float(total - _OF_SIGN * len(reversed_both) - repeated)
 
     @property
     def _of_number(self) -> float:
@@ -568,7 +613,7 @@ class _Rows:
         spring = q - q.mean(1, keepdims=True)
         spring /= np.maximum(np.std(spring, axis=1, keepdims=True), 1e-9)
         rigid = self.rigid(moved, gravity) / size[:, None]
-        added = np.stack([0.3 * spring, 0.2 * rigid, 0.02 * slope / size[:, None]], 1)
+        added = np.stack([0.3 * spring, 0.1 * rigid, 0.02 * slope / size[:, None]], 1)
         columns = np.concatenate([own, added], 1) * size[:, None, None]
         return columns, np.array([False, True, True, True, True, False, False, False])
 
@@ -644,11 +689,15 @@ def _faulty(hypothesis: Hypothesis) -> int:
     return sum(map(bool, several.values())) - both + sum(c.code not in sets for c in hypothesis)
 
 
+def _kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...], tuple[float, ...]]]:
+    """Its changes without how far a zero is off, or how large a constant is."""
+    return {(c.code, c.joints, c.gravity) for c in hypothesis}
+
+
 def _alike(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ in how far a zero is off, or in a constant, alone."""
-    kinds = [{(c.code, c.joints, c.gravity) for c in hypothesis} for hypothesis in (a, b)]
+    """Whether two hypotheses differ in how far a zero is off by little, or in a constant, alone."""
     zeros = [{c.joints: c.value for c in hypothesis if c.code == "joint_zero"} for hypothesis in (a, b)]
-    return kinds[0] == kinds[1] and all(abs(_turned(v - zeros[1][j])) < _STEP for j, v in zeros[0].items())
+    return _kinds(a) == _kinds(b) and all(abs(_turned(v - zeros[1][j])) < _STEP for j, v in zeros[0].items())
 
 
 def _faults(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
@@ -665,8 +714,11 @@ def _faults(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
         found.append(DataFault("no_gravity", (), {"declared_m_per_s2": declared.tolist()}))
     if mirrored:
         found.append(DataFault("reversed_joint", (), {"joints": sorted(1 + j for (j,) in mirrored)}))
+    exchanged = {c.joints for c in of_code["swapped_positions"]} & {c.joints for c in of_code["swapped_torques"]}
+    of_code["swapped_torques"] = [c for c in of_code["swapped_torques"] if c.joints not in exchanged]
     for change in of_code["swapped_positions"]:
-        found.append(DataFault("swapped_positions", (), {"joints": [1 + j for j in change.joints]}))
+        code = "swapped_columns" if change.joints in exchanged else "swapped_positions"
+        found.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
     for change in of_code["coupled_joint"]:
         i, j = change.joints
         found.append(DataFault("coupled_positions", (), {"joint": 1 + i, "added_joint": 1 + j, "factor": change.value}))
