@@ -164,6 +164,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
     "link_com": Remedy(
         "the centre of mass of {place} is not the declared one", "Look at what is mounted there, and declare it."
     ),
+    "payload": Remedy("another body hangs on the flange than declared", _DECLARE_LOAD),
     "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
     "base_tilt": Remedy(
         "the base does not stand upright as declared",
