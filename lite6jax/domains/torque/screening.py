@@ -142,8 +142,8 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
         elif one < 1:
             constants = ", ".join(f"{1 / factor:.2g}" for factor in factors)
             remedy = (
-                "are these currents in A, or per cent of a rating? name the columns current1_A ... and declare "
-                f"torque_constant_Nm_per_A (about {constants} would fit; take the published ones)"
+                "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
+                f"the sidecar) with torque_constant_Nm_per_A: about {constants} would fit, take the published ones"
             )
         else:
             remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"

@@ -137,6 +137,8 @@ def _payload_values(effect: Effect, given: Mapping[str, float]) -> Array:
     return np.array([mass, *(mass * given.get(f"{axis}_m", 0.0) for axis in "xyz")])
 
 
+_MASSLESS = 0.01
+"""kg below which a payload has moments alone: without a mass its distance is anything, and its square nothing."""
 _PAYLOAD_NAMES = ("mass_kg", "x_m", "y_m", "z_m")
 
 
@@ -145,8 +147,7 @@ _PAYLOAD_NAMES = ("mass_kg", "x_m", "y_m", "z_m")
 class PayloadBody(TorqueEffect):
     """Another body at the flange: a mass, and its centre, in m from the declared payload's, in the last link's axes.
 
-    Its coordinates are the mass and its first moments about the declared centre, in which torques are linear: the
-    square of the distance is left out.
+    Its coordinates are the mass and its first moments about the declared centre, which have a meaning without a mass.
     """
 
     name: ClassVar[str] = "payload"
@@ -160,18 +161,20 @@ class PayloadBody(TorqueEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        mass = Coordinate("mass_kg", "kg", 0.1, lower=-bounds.MASS, upper=bounds.MASS)
+        mass = Coordinate("mass_kg", "kg", 0.1, lower=-bounds.MASS, upper=bounds.MASS, linear=False)
         most = bounds.MASS * bounds.PAYLOAD_LENGTH
-        return (mass, *(Coordinate(f"moment_{axis}_kg_m", "kg m", 1e-2, lower=-most, upper=most) for axis in "xyz"))
+        moments = [f"moment_{axis}_kg_m" for axis in "xyz"]
+        return (mass, *(Coordinate(name, "kg m", 1e-2, lower=-most, upper=most, linear=False) for name in moments))
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("acceleration", 1),)
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        mass, moment, center = float(values[0]), np.asarray(values[1:], float), dynamics.payload_center
         change = np.zeros_like(dynamics.links)
-        change[-1] = point_mass(float(values[0]), dynamics.payload_center)
-        change[-1] += first_moment(np.asarray(values[1:], float), dynamics.payload_center)
+        change[-1] = point_mass(mass, center) + first_moment(moment, center)
+        change[-1, 4:] += point_mass(mass / (mass**2 + _MASSLESS**2), moment)[4:]  # of its distance from that centre
         return dynamics.of_inertia(change)
 
 

@@ -218,7 +218,7 @@ def test_one_factor_in_three_joints_is_one_factor():
     [
         (
             [1 / 12.2, 1 / 12.2, 1 / 11, 1 / 9.1, 1 / 9.1, 1 / 9.3],
-            "currents in A.*torque_constant_Nm_per_A .about 12, 12",
+            "currents in A.*torque_constant_Nm_per_A: about 12, 12",
         ),
         ([100.0] * 6, "are these N cm\\? divide them by 100"),
         ([1e-3] * 6, "are these kN m\\?"),
