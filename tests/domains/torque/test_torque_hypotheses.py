@@ -169,6 +169,14 @@ def exchanged(i, j):
     return lambda column: column[:, order]
 
 
+COUPLING = np.eye(6)
+COUPLING[2, 1] = 1.0  # joint 3 as its motor turns, beside joint 2; motors exert what leaves the power as it is
+
+
+def coupled(column):
+    return column @ COUPLING.T
+
+
 def added(joint, degrees):
     return lambda column: column + np.deg2rad(degrees) * (np.arange(6) + 1 == joint)
 
@@ -184,6 +192,11 @@ def added(joint, degrees):
             {"q": exchanged(4, 5), "dq": exchanged(4, 5), "tau": exchanged(4, 5)},
             "swapped_columns",
             {"joints": [4, 5]},
+        ),
+        (
+            {"q": coupled, "dq": coupled, "tau": lambda tau: tau @ np.linalg.inv(COUPLING)},
+            "coupled_positions",
+            {"joint": 3, "added_joint": 2, "factor": -1.0},
         ),
         ({"q": added(2, 90)}, "joint_zero", {"joint": 2, "added_rad": -np.pi / 2}),
         ({"q": added(3, 15)}, "joint_zero", {"joint": 3, "added_rad": np.deg2rad(-15)}),
