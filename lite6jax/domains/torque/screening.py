@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
-from lite6jax.domains.torque.declarations import as_declared
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.hypotheses import as_declared, computed_torque
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
@@ -22,6 +22,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.joint_changes import at_positions, without_turns
 
 Array = NDArray[np.floating]
 
@@ -29,6 +30,12 @@ _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
 _FEWEST_POSTURES = 12
 """At rest, of which gravity is compared: offset, mass and centre of mass of a joint's load are four numbers."""
+_BEYOND = 0.01
+"""rad by which a joint may be beyond its limits: controllers stop a little late."""
+_UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lbf in": 8.8507, "kgf m": 1 / 9.80665}
+"""Of torques, and how many are one N m."""
+_SAME_UNIT = 0.15
+"""Relative deviation of all factors from a unit's, up to which it is that."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -68,26 +75,40 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             an arm without inertial numbers that is declared to have them.
     """
     still = recording.motion == "static"
-    recording, uneven = (_postures(recording), None) if still else evenly_timed(recording.sorted_by_time())
-    torque = recording.torques().T
+    recording = _postures(recording) if still else recording.sorted_by_time()
+    recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
-    runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     require_joints(recording, arm)
+    found = list[DataFault]()
+    if not still:
+        q = without_turns(recording, arm.possible_positions, _BEYOND)
+        turned = np.abs(q - recording.joint_position) > 1.0
+        if turned.any():
+            joints = (1 + np.flatnonzero(turned.any(0))).tolist()
+            found.append(DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints}))
+            recording = at_positions(recording, q)
+        recording, uneven = evenly_timed(recording)
+        found += [] if uneven is None else [uneven]
+    torque = recording.torques().T
+    runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     _require_motion(recording, arm)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
     spiked = spikes(torque, as_revolute(recording.velocities().T, "rad/s", arm.slides), runs)
-    found = [] if uneven is None else [uneven]
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
         found.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
-    if recording.settings.torque_source == "unknown" and estimated_torque(recording):
-        found.append(DataFault("estimated_torque", (), {}))
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
+    if recording.settings.torque_source == "unknown" and not still:
+        if estimated_torque(recording):
+            found.append(DataFault("estimated_torque", (), {}))
+        elif computed_torque(data):
+            found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     ruled_out: list[DataFault] = []
     if recording.settings.inertial != "unknown" and not still:
         declared = as_declared(data)
+        _require_unit(recording, declared.found)
         data = declared.data
         found += declared.found
         ruled_out += declared.ruled_out
@@ -105,6 +126,34 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
             f"{recording.source}: the arm {arm.name} has no {lacks}; add them to its description, or declare inertial: "
             "unknown in the sidecar, and they are fitted"
         )
+
+
+def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
+    for fault in faults:
+        if fault.code != "torque_unit":
+            continue
+        factors = np.array(fault.numbers["factors"])
+        listed = ", ".join(f"{factor:.2g}" for factor in factors)
+        said = (
+            f"{recording.source}: the torques of joints 1 to {len(factors)} are {listed} times what the weight and the "
+            "motion of the arm require: they are in another unit"
+        )
+        constants = fault.numbers["constants_Nm_per_A"]
+        one = float(np.median(factors))
+        unit = next((name for name, size in _UNITS.items() if np.abs(factors / size - 1).max() < _SAME_UNIT), None)
+        if constants is not None:
+            remedy = f"check torque_constant_Nm_per_A: about {', '.join(f'{c:.2g}' for c in constants)} would fit"
+        elif unit is not None:
+            remedy = f"are these {unit}? divide them by {_UNITS[unit]:.4g}"
+        elif one < 1:
+            constants = ", ".join(f"{1 / factor:.2g}" for factor in factors)
+            remedy = (
+                "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
+                f"the sidecar) with torque_constant_Nm_per_A: about {constants} would fit, take the published ones"
+            )
+        else:
+            remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"
+        raise InputError(f"{said}; {remedy}")
 
 
 def _postures(recording: Recording) -> Recording:

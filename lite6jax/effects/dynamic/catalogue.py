@@ -8,7 +8,7 @@ import numpy as np
 
 from lite6jax.arms.joint_units import joint_size
 from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.friction import (
     CoulombFriction,
     CoupledFriction,
@@ -34,7 +34,7 @@ from lite6jax.effects.motion import Motion
 _ALL: tuple[type[TorqueEffect], ...] = (
     *(ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature, CoupledFriction),
     *(TorqueOffset, TorqueScale, RotorInertia, JointSpring, TorqueRipple, LinkMass, LinkCom, PayloadTorque, BaseTilt),
-    *(TorqueTimeOffset, TorqueLag, UnnamedTorque),
+    *(PayloadBody, TorqueTimeOffset, TorqueLag, UnnamedTorque),
 )
 BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
 """The classes of the catalogue by name."""
@@ -59,7 +59,7 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEff
         *(kind(joint, of_slide=joint - 1 in sliding) for kind in (*simple, *motors) for joint in joints),
         *(_coupled(joint, source, sliding) for joint in joints for source in _alike(joint, sliding)),
         *(kind(link) for kind in (LinkMass, LinkCom) for link in joints),
-        *(PayloadTorque(), BaseTilt(), TorqueTimeOffset()),
+        *(PayloadTorque(), PayloadBody(), BaseTilt(), TorqueTimeOffset()),
     )
 
 
