@@ -11,6 +11,7 @@ Numbers = Mapping[str, Any]
 
 NAMES = {
     "uneven_times": "Uneven times",
+    "velocity_bias": "Velocity with a bias",
     "torque_spikes": "Single torques far from their neighbours",
     "swapped_torques": "Swapped torque columns",
     "reversed_torque": "Torque of reversed sign",
@@ -56,6 +57,14 @@ def _uneven(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"{steps}. The recording was resampled to {n['rate_Hz']:.3g} a second by interpolation. Every other torque is "
         f"within {doubt} Nm (RMS, by joint) of what its neighbours give, noise included.{gaps}"
+    )
+
+
+def _bias(rows: Sequence[int], n: Numbers) -> str:
+    biases = ", ".join(f"{1e3 * bias:.2g}" for bias in n["bias_rad_per_s"])
+    return (
+        f"The velocity of {_joints(n['joints'])} has a bias of {biases} mrad/s (mm/s of a slide): it reads that where "
+        "the position stands still, and exceeds the way gone by as much. It was subtracted."
     )
 
 
@@ -212,6 +221,7 @@ def _held(rows: Sequence[int], n: Numbers) -> str:
 
 FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "uneven_times": _uneven,
+    "velocity_bias": _bias,
     "torque_spikes": _spikes,
     "swapped_torques": _swapped,
     "reversed_torque": _reversed,

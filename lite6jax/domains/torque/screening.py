@@ -14,6 +14,7 @@ from lite6jax.domains.torque.hypotheses import as_declared, computed_torque
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
+from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -23,6 +24,7 @@ from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.joint_changes import at_positions, without_turns
+from lite6jax.recordings.torque_source import STILL_RAD
 
 Array = NDArray[np.floating]
 
@@ -36,6 +38,8 @@ _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lb
 """Of torques, and how many are one N m."""
 _SAME_UNIT = 0.15
 """Relative deviation of all factors from a unit's, up to which it is that."""
+_FEWEST_AT_REST = 10
+"""Rows at rest from which a bias of the velocity is known."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -87,6 +91,13 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             joints = (1 + np.flatnonzero(turned.any(0))).tolist()
             found.append(DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints}))
             recording = at_positions(recording, q)
+        biased = _velocity_bias(recording, arm)
+        if biased.any():
+            assert recording.joint_velocity is not None
+            at = np.flatnonzero(biased)
+            numbers = {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()}
+            found.append(DataFault("velocity_bias", (), numbers))
+            recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
         recording, uneven = evenly_timed(recording)
         found += [] if uneven is None else [uneven]
     torque = recording.torques().T
@@ -164,6 +175,36 @@ def _postures(recording: Recording) -> Recording:
             "check of gravity, or a motion"
         )
     return recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
+
+
+def _velocity_bias(recording: Recording, arm: Arm) -> Array:
+    """`(joint,)` rad/s, m/s of prismatic joints, that recorded velocities show beyond those of the positions.
+
+    A register may be off by a constant. At rest that is a direction of motion that is not there. The bias is what
+    velocities show where positions stand still, and it has to be what they show on average too.
+    """
+    recorded, time = recording.joint_velocity, recording.time
+    none = np.zeros(recording.dof)
+    if recorded is None or recording.velocity_differentiated or time is None:
+        return none
+    runs = [np.flatnonzero(recording.run == run) for run in np.unique(recording.run)]
+    runs = [rows for rows in runs if len(rows) > 1]
+    if not runs:
+        return none
+    gone = sum(recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs)
+    shown = sum(np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs)
+    average = (shown - gone) / sum(float(time[rows[-1]] - time[rows[0]]) for rows in runs)
+    moved = np.abs(np.diff(recording.joint_position, axis=0, append=recording.joint_position[-1:]))
+    still = as_revolute(moved.T, "rad", arm.slides).T <= STILL_RAD
+    for joint in range(recording.dof):
+        rest = recorded[still[:, joint], joint]
+        if len(rest) < _FEWEST_AT_REST:
+            continue
+        bias = float(np.median(rest))
+        large = abs(as_revolute([bias], "rad/s", arm.slides[[joint]])[0]) > DIRECTION_SPEED / 2
+        if large and np.mean(np.abs(rest - bias) < abs(bias) / 2) > 0.8 and abs(average[joint] - bias) < abs(bias) / 2:
+            none[joint] = bias
+    return none
 
 
 def _require_motion(recording: Recording, arm: Arm) -> None:

@@ -1,6 +1,7 @@
 """Torque logs as people have them: real friction, rests, uneven times, static postures, one motor, any rate."""
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,6 +119,22 @@ def test_friction_at_rest_says_little_of_friction_in_motion(arm):
     said = numbers(found)
     assert set(said) == {CoulombFriction(1), ViscousFriction(1)}
     assert said[CoulombFriction(1)]["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
+
+
+def test_a_bias_of_the_velocity_is_subtracted_and_said(arm):
+    time = np.arange(3000) / 100
+    going = np.clip(np.mod(time, 10.0), 0, 3) - np.clip(np.mod(time, 10.0) - 5, 0, 3)
+    q = 1.5 * np.sin(np.pi * going / 6) ** 2
+    dq = np.gradient(q, time)
+    biased = made(time, (q, dq, np.gradient(dq, time)), both, velocity_noise=1e-4)
+    assert biased.joint_velocity is not None
+    biased = replace(biased, joint_position=q[:, None], joint_velocity=biased.joint_velocity - 0.005)
+    screened = screen_torques(biased, arm)
+    (fault,) = [one for one in screened.found if one.code == "velocity_bias"]
+    assert fault.numbers["joints"] == [1]
+    assert fault.numbers["bias_rad_per_s"][0] == pytest.approx(-0.005, abs=2e-4)
+    still = screen_torques(made(time, swung(time), both), arm)
+    assert "velocity_bias" not in {one.code for one in still.found}
 
 
 @pytest.mark.parametrize("reason", ["samples", "stamps"])
