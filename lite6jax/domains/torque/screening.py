@@ -191,8 +191,8 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     runs = [rows for rows in runs if len(rows) > 1]
     if not runs:
         return none
-    gone = sum(recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs)
-    shown = sum(np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs)
+    gone = np.sum([recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs], axis=0)
+    shown = np.sum([np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs], axis=0)
     average = (shown - gone) / sum(float(time[rows[-1]] - time[rows[0]]) for rows in runs)
     moved = np.abs(np.diff(recording.joint_position, axis=0, append=recording.joint_position[-1:]))
     still = as_revolute(moved.T, "rad", arm.slides).T <= STILL_RAD
