@@ -53,6 +53,7 @@ class Arm:
             chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
         source: the origin of the numbers.
         sliding: the prismatic joints, counted from 0, in order.
+        endless: the joints that turn without end, counted from 0; their `joint_limits` are a range to plan within.
         joint_names: (joint,) as a URDF or an MJCF calls them; empty where they have no names of their own.
 
     Raises:
@@ -78,6 +79,7 @@ class Arm:
     spring_rest: Array | None = None
     sliding: tuple[int, ...] = ()
     joint_names: tuple[str, ...] = ()
+    endless: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable():
@@ -93,6 +95,8 @@ class Arm:
                 f"arm {self.name!r}: sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}"
             )
         object.__setattr__(self, "sliding", tuple(self.sliding))
+        if not set(self.endless) <= set(range(joints)) - set(self.sliding):
+            raise InputError(f"arm {self.name!r}: endless is {self.endless}; give revolute joints, counted from 0")
         if len(self.joint_names) not in (0, joints):
             raise InputError(
                 f"arm {self.name!r}: has {len(self.joint_names)} joint_names for {joints} joints; name each"
@@ -135,6 +139,13 @@ class Arm:
             raise InputError(f"arm {self.name!r}: {field} has a number that is not finite; correct it")
         value.flags.writeable = False
         object.__setattr__(self, field, value)
+
+    @property
+    def possible_positions(self) -> Array:
+        """`(joint, 2)`, lowest and highest position that a reading may have: infinite of a joint without end."""
+        limits = np.array(self.joint_limits)
+        limits[list(self.endless)] = (-np.inf, np.inf)
+        return limits
 
     def _check(self) -> None:
         for i, (lower, upper) in enumerate(self.joint_limits):

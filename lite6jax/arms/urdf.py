@@ -103,6 +103,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             source=f"URDF {Path(path).name}, {tree.base} to {tree.tip}",
             sliding=tuple(i for i, joint in enumerate(moving) if joint.kind == "prismatic"),
             joint_names=tuple(joint.name for joint in moving),
+            endless=tuple(i for i, joint in enumerate(moving) if joint.kind == "continuous"),
             **fields,
         )
     except InputError as error:
@@ -152,7 +153,7 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
             six = np.zeros(6) if arm.inertia is None else inertia.six_entries(arm.inertia[i])
             ET.SubElement(element, "inertia", {k: repr(float(v)) for k, v in zip(inertia.SIX, six, strict=True)})
         lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
-        kind = "prismatic" if arm.slides[i] else "revolute"
+        kind = "prismatic" if arm.slides[i] else "continuous" if i in arm.endless else "revolute"
         joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))

@@ -76,7 +76,7 @@ def diagnose_combined(
 ) -> CombinedDiagnosis:
     """Diagnoses the poses and the torques of a recording that has both.
 
-    Torques that cannot be diagnosed (of static poses, or of an arm without inertia) are left out with the reason.
+    Torques that cannot be diagnosed (of an arm at rest, or without inertia) are left out with the reason.
 
     Args:
         recording: with poses and with torques or currents; or the path of its file.

@@ -6,6 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
@@ -20,14 +21,18 @@ from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
 from lite6jax.effects.dynamic.drives import FIELDS
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import JointSpring, RotorInertia
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
+from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
 
+_SPEEDS = 200
+"""From the fastest one way to the fastest the other, an even number: at rest friction has no direction."""
 _SAME = 1e-9
 """m and rad by which a measured point is the flange."""
 
@@ -155,12 +160,16 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         springs = np.stack([arm.spring_stiffness, -arm.spring_stiffness * arm.spring_rest])
     for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
         values = model.values[part]
-        if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia):
-            field, at = FIELDS[type(effect)], effect.joint - 1
+        held, phrase = _held(effect, values, model)
+        for kind, value in held.items():
+            assert isinstance(effect, OfJoint)
+            field, at = FIELDS[kind], effect.joint - 1
             before = getattr(arm, field)
             known = joints.setdefault(field, np.zeros(arm.dof) if before is None else np.array(before))
             # an estimate may scatter below nothing, which no simulator takes
-            known[at] = max(known[at] + float(values[0]), 0.0)
+            known[at] = max(known[at] + value, 0.0)
+        if held:
+            left_out += [phrase] if phrase else []
         elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
         elif isinstance(effect, LinkMass | LinkCom):
@@ -177,6 +186,46 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         arm, kept = _with_bodies(arm, links, model.gravity)
         left_out += kept
     return arm, tuple(left_out)
+
+
+def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dict[type, float], str]:
+    """What an `Arm` holds of an effect at a joint, by the kind of effect, and what it does not, a phrase.
+
+    Other friction over the velocity is viscous and Coulomb friction as far as these fit it at the speeds recorded.
+    """
+    if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia):
+        transition = getattr(effect, "transition_rad_per_s", 0.0)
+        unit = "m/s" if effect.of_slide else "rad/s"
+        said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
+        return {type(effect): float(values[0])}, said
+    if isinstance(effect, UnnamedTorque) and effect.of in [
+        (effect.own_driver(kind),) for kind in ("velocity", "speed")
+    ]:
+        fastest = max(abs(effect.lower), abs(effect.upper))
+    elif isinstance(effect, StribeckFriction) and model.uncertainty is not None:
+        fastest = float(np.abs(model.uncertainty.recorded.ranges[1, effect.joint - 1]).max())
+    else:
+        return {}, ""
+    speed = np.linspace(-fastest, fastest, _SPEEDS)
+    velocity = np.where(np.arange(model.dof)[:, None] == effect.joint - 1, speed, 0.0)
+    motion = motion_of(np.zeros((_SPEEDS, model.dof)), sliding=model.sliding)._replace(joint_velocity=velocity)  # type: ignore[arg-type]
+    nothing = np.zeros((model.dof, _SPEEDS))
+    torque = effect.at_joint(
+        values, Dynamics(motion, nothing, model.links, model.payload_center, _none, _none, model.gravity)
+    )
+    columns = np.stack([speed, np.sign(speed)], 1)
+    numbers, _ = nnls(columns, torque - torque.mean())
+    left = float(np.std(torque - columns @ numbers))
+    what = f"{effect.name.replace('_', ' ')} at {effect.site}"
+    unit = "N" if effect.of_slide else "Nm"
+    return (
+        {ViscousFriction: float(numbers[0]), CoulombFriction: float(numbers[1])},
+        f"{left:.2g} {unit} RMS of what is {what}, which its viscous and Coulomb friction leave",
+    )
+
+
+def _none(numbers: np.ndarray) -> np.ndarray:
+    raise NotImplementedError("friction over the velocity needs neither inertia nor gravity")
 
 
 def _with_bodies(arm: Arm, links: np.ndarray, gravity: np.ndarray) -> tuple[Arm, list[str]]:

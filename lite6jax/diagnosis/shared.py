@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.effect import Effect, Estimate
@@ -35,7 +35,7 @@ _PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
     ("clock_offset", TimeOffset(), TorqueTimeOffset(), 1.0),
 )
 """The effects of both domains that are one quantity, and the sign of the second over the first."""
-_WEIGHTS = (LinkMass, LinkCom, PayloadTorque, BaseTilt)
+_WEIGHTS = (LinkMass, LinkCom, PayloadTorque, PayloadBody, BaseTilt)
 """Effects by which other loads act on the joints than those of the declared arm."""
 
 

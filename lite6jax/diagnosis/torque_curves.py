@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.joint_units import as_revolute
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque import filtering
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.friction import (
     CoulombFriction,
@@ -63,6 +64,29 @@ class JointFriction(NamedTuple):
     partial: Array
     at: Array
     friction: Array
+
+
+class Spectra(NamedTuple):
+    """Power spectral densities of what was recorded, without spikes and before any filter.
+
+    Attributes:
+        frequency: `(frequency,)` Hz.
+        velocity: `(joint, frequency)` (rad/s)²/Hz, (m/s)²/Hz of prismatic joints.
+        torque: `(joint, frequency)` Nm²/Hz, N²/Hz of prismatic joints.
+    """
+
+    frequency: Array
+    velocity: Array
+    torque: Array
+
+
+def spectra(found: TorqueDiagnosis) -> Spectra | None:
+    """Of each joint; None of static postures."""
+    data = found.problem.data
+    if data.recording.motion == "static":
+        return None
+    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.filter)
+    return Spectra(frequency, velocity, filtering.spectra(data.torque, data.filter)[1])
 
 
 def torques_over_time(found: TorqueDiagnosis) -> TorquesOverTime:

@@ -37,6 +37,9 @@ from lite6jax.search.state import fitted_again
 
 Array = NDArray[np.floating]
 
+_FOLDS = 10
+"""Of static postures at least."""
+
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_torques(
@@ -51,7 +54,8 @@ def diagnose_torques(
 
     Args:
         recording: a trajectory with times and torques, or currents with their torque constants, in SI units; or the
-            path of its file.
+            path of its file. Of static postures gravity alone is compared: offsets, scales, masses, centres of mass,
+            payload, tilt.
         arm: the declared arm, a bundled name or a file; from the sidecar where not given. Its chain is that of the
             factory calibration, where the sidecar declares one.
         effects: a user's own candidates, tested like the catalogue's.
@@ -62,7 +66,7 @@ def diagnose_torques(
     which they are fitted again: they are in `withdrawn` of the result.
 
     Raises:
-        InputError: no arm is declared; no torques, no times, steps that vary, an arm at rest, or another unit.
+        InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit.
     """
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
@@ -84,7 +88,10 @@ def diagnose_torques(
             assert isinstance(problem, TorqueProblem)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-        folds = contiguous_blocks(problem.samples, fold_count(problem.samples, options))
+        # postures are few and independent: a model of half of them says little of the rest
+        few = recording.motion == "static"
+        count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
+        folds = contiguous_blocks(problem.samples, count)
         whole = replace(whole, valid=problem.valid)
         before, after = _searched_without(whole, folds, options, selection.saturated)
         findings = findings_of(selection)

@@ -51,7 +51,9 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
         "heldout_blocks": block_count(found.folds),
         "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
         "quick": found.options.quick,
-        "filter": {
+        "filter": None
+        if data.recording.motion == "static"
+        else {
             "rate_Hz": chosen.rate,
             "cutoff_Hz": chosen.cutoff,
             "motion_cutoff_Hz": data.motion_cutoff,

@@ -60,7 +60,9 @@ PARTS: Mapping[str, Check] = {
     "searched_again": SEARCHED_AGAIN,
     "quick": flag,
     "inputs": INPUTS,
-    "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),
+    "filter": optional(
+        record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)})
+    ),
     "noise": record({"declared_torque_Nm": optional(_BY_JOINT), "estimated_torque_Nm": _BY_JOINT}),
     "torque_source": text,
     "date": optional(text),

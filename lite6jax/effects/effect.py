@@ -170,6 +170,8 @@ class Effect(ABC):
     """What it acts on: `kinematic` effects move the tool, `dynamic` ones add to the motors' torques."""
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
+    usual: ClassVar[bool] = False
+    """Whether nearly every arm has it: that it is there together with others is no coincidence."""
     nonparametric: ClassVar[bool] = False
     """Whether it is a flexible curve rather than a named effect."""
     shrinking: ClassVar[bool] = False

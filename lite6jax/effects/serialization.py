@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.joint_units import joint_unit
 from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.effects.dynamic.friction import SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.schema import number, plain, record
@@ -26,6 +27,8 @@ _TYPES = {
 }
 
 
+_TRANSITION = "transition_rad_per_s"
+"""The field of Coulomb friction that says nothing where it is sharp."""
 _OF_SLIDE = "of_slide"
 """The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
 
@@ -161,6 +164,8 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
     where = {field.name: getattr(effect, field.name) for field in _written(effect)}
     if not where.get(_OF_SLIDE, True):
         del where[_OF_SLIDE]
+    if where.get(_TRANSITION) == SHARP:
+        del where[_TRANSITION]
     given = {effect.own(name): value for name, value in where.items() if value not in (None, ())}
     return {
         "effect": effect.name,

@@ -56,6 +56,7 @@ class Term(Protocol):
         coordinates: these numbers.
         specificity: rank of its name among terms that the data do not distinguish; the least is reported.
         periodic: whether it is found by the spectrum of a periodic family.
+        usual: whether nearly every problem has it, so that it is no coincidence beside others.
         nonparametric: whether it is a flexible curve rather than a named term.
         shrunk: whether it is a curve with the prior of harmonic shrinkage, which absorbs what resembles autocorrelated
             noise.
@@ -68,6 +69,7 @@ class Term(Protocol):
     """
 
     specificity: ClassVar[int]
+    usual: ClassVar[bool]
     nonparametric: ClassVar[bool]
 
     @property

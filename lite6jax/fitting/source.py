@@ -92,7 +92,7 @@ def read_source(
         arm=arm,
         assume_degrees=assume_degrees,
         assume_millimetres=assume_millimetres,
-        joint_limits=arm.joint_limits,
+        joint_limits=arm.possible_positions,
         reach=arm.reach,
     )
 

@@ -57,7 +57,7 @@ def checked_arrays(
         real["sliding"] = known.sliding
     elif given != known.sliding:
         raise InputError(f"{source}: {other_joints(given, known.sliding, known.name)}")
-    found = far_joint(q, known.joint_limits)
+    found = far_joint(q, known.possible_positions)
     if found is not None:
         sample, joint = found
         column = spelling.get(f"q{joint + 1}_rad", "")

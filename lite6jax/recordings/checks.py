@@ -85,6 +85,10 @@ _MOVING_SHARE = 0.1
 """Of the fastest motion of a joint, above which rows count: near rest, differences are noise."""
 
 
+_FRICTION = 1.0
+"""N m, or N, that friction may exert at any joint."""
+
+
 def check_torque_scale(recording: Recording, arm: Arm) -> None:
     """Refuses torques so large that they must be N mm or mN m. Medians decide, so outliers pass.
 
@@ -99,7 +103,8 @@ def check_torque_scale(recording: Recording, arm: Arm) -> None:
     if arm.mass is None:
         return
     weight = 9.81 * (float(np.sum(arm.mass)) + float(recording.payload.max()))
-    most = weight * np.where(arm.slides, 1.0, arm.reach)
+    # of light links, and of a motor alone, friction is more than the weight
+    most = np.maximum(weight * np.where(arm.slides, 1.0, arm.reach), _FRICTION)
     joint = int(np.argmax(torque / most))
     if torque[joint] > HEAVIEST * most[joint]:
         slides, computed = bool(arm.slides[joint]), recording.joint_torque is None
@@ -120,7 +125,7 @@ def check_velocity_scale(recording: Recording) -> None:
         InputError: where a joint moves, its velocity is ten times what its position changes per second, or a tenth.
     """
     recorded, time = recording.joint_velocity, recording.time
-    if recorded is None or recording.velocity_differentiated or time is None:
+    if recorded is None or recording.velocity_differentiated or time is None or recording.motion == "static":
         return
     slope = differentiate(recording.joint_position, time, run_segments(recording.run))
     moving = np.abs(slope) > _MOVING_SHARE * np.abs(slope).max(0)

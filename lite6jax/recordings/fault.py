@@ -48,6 +48,22 @@ class DataFault:
         no_joints               clock_offset_s
         outliers                none
 
+    and of torques:
+
+        torque_spikes           joints, count
+        estimated_torque        reason: "no_friction" where there is none; nothing where torques are constant at rest
+        swapped_torques         joints, columns that hold their torques
+        swapped_positions       joints; swapped_columns likewise, of positions and torques
+        reversed_torque         joints; reversed_positions and reversed_joint (both) likewise
+        coupled_positions       joint, added_joint, factor (±1)
+        joint_zero              joint, added_rad
+        wrong_gravity           declared_m_per_s2, found_m_per_s2, tilt_rad
+        no_gravity              declared_m_per_s2
+        wrong_torque_constant   joints, factors (measured over true), constants_Nm_per_A (None where not of currents)
+        undecided_torques       alternatives: lists of faults that explain the torques alike; nothing was corrected
+        held_by_friction        joints, std_Nm, prismatic_joints
+        contact                 joints, from_s, to_s, largest_Nm or largest_N
+
     Numbers of a fault that was ruled out:
 
         time_order              samples, timed

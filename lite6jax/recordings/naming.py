@@ -224,6 +224,8 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
     labelled = {name for block in found for name in block.columns}
     words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
     found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
+    if not any(block.kind == "q" for block in found):
+        found += _unnumbered(words)
     place = {name: k for k, name in enumerate(names)}
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
 
@@ -451,6 +453,15 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
                 if all(is_standard(word.name) for word in members):
                     form, sure = next((form for form in ANGLES if form == parts), form), "certain"
                 yield from _block("rotation", members, said, form=form, sure=sure, source=source)
+
+
+def _unnumbered(words: Sequence[_Word]) -> list[Block]:
+    """`position velocity torque` of the only joint there is; none without a position."""
+    spoken = {*_JOINT, *_PLACE, *_MEASURED, *_WANTED}.union(*_QUANTITIES.values())
+    alone = [word for word in words if word.number is None and word.component is None and {*word.words} <= spoken]
+    kinds = [(word, _quantity(word.words, [word.unit])) for word in alone if word.words]
+    found = [block for word, kind in kinds if kind for block in _block(kind, [word], word.words, weak=1)]
+    return found if any(block.kind == "q" for block in found) else []
 
 
 def _numbers(words: Sequence[_Word]) -> Iterator[Block]:

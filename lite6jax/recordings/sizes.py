@@ -3,7 +3,7 @@
 What an arm's forward kinematics says, where the arm is known, weighs more (`domains.pose.readings`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -140,6 +140,19 @@ def current_unit(current: Array) -> Decision:
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`."""
     return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+
+
+def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision | None:
+    """As `angle_unit`, where some joints, from 0, turn without end: the others decide; None where all would say rad.
+
+    Where there are no others, radians are assumed, as robots' descriptions have them.
+    """
+    others = np.delete(position, list(endless), axis=1)
+    if _largest(position) <= WIDE_RAD:
+        return None
+    if others.size:
+        return angle_unit(others)
+    return Decision("rad", "assumed", "endless", {"largest": _largest(position)})
 
 
 def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:

@@ -37,7 +37,7 @@ def require_radians(
 
     Args:
         joint_position: `(..., joint)` rad; numbers that are not finite are ignored.
-        joint_limits: `(joint, 2)` lower and upper in rad; ±2π where not given or infinite.
+        joint_limits: `(joint, 2)` lower and upper in rad; ±2π where not given, infinite of joints without end.
         name: of the argument, for the message.
 
     Raises:
@@ -57,8 +57,8 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
     """The index of the first joint position that shows degrees where radians belong; None where they are radians.
 
     Degrees are suspected where a tenth of the rows of any one arm or more exceed twice the arm's widest limit, and the
-    limit by more than a turn. A few such rows are outliers and pass, and so do joints that are swapped, mirrored or a
-    turn off: the diagnosis locates those.
+    limit by more than a turn; a joint without end says nothing. A few such rows are outliers and pass, and so do joints
+    that are swapped, mirrored or a turn off: the diagnosis locates those.
 
     Args:
         joint_position: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad.
@@ -69,6 +69,8 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
         return None
     widest = np.abs(limits_of(q.shape[-1], joint_limits)).max()
     far = np.abs(q) > max(FAR_LIMITS * widest, widest + 2 * np.pi)
+    if joint_limits is not None:
+        far &= np.isfinite(np.asarray(joint_limits, float)).all(-1)
     if not (np.atleast_1d(far.any(-1)).mean(-1) >= FAR_ROWS_SHARE).any():
         return None
     joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))

@@ -235,6 +235,7 @@ def _reason(decision: Decision) -> str:
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
+        "endless": "they reach {largest:.4g}, and the joint turns without end",
         "percent": "the largest is {largest:.3g}, so they may be normalised: -100 to 100 of each joint's range",
         "ticks": "whole numbers up to {largest:.4g}, so they may be ticks of servos, 4096 a turn",
         "within_turns": "none is beyond {largest:.3g}",

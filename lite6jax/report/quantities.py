@@ -38,6 +38,8 @@ _NAMED = {
     "time_constant_s": (1.0, "s"),
     "velocity_rad_per_s": (1.0, "rad/s"),
     "velocity_m_per_s": (1e3, "mm/s"),
+    "transition_rad_per_s": (1.0, "rad/s"),
+    "transition_m_per_s": (1e3, "mm/s"),
     "rest_rad": (180 / np.pi, "deg"),
 }
 """Whose names alone do not say how they are read."""

@@ -173,6 +173,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
     "link_com": Remedy(
         "the centre of mass of {place} is not the declared one", "Look at what is mounted there, and declare it."
     ),
+    "payload": Remedy("another body hangs on the flange than declared", _DECLARE_LOAD),
     "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
     "base_tilt": Remedy(
         "the base does not stand upright as declared",
@@ -219,7 +220,12 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
         verb = "describe" if len(names) > 1 else "describes"
         share = f"{100 * described['share']:.0f} %"
         return f"{place_of(entry['site'])} has a {_exerted(entry)} that {' and '.join(names)} {verb} to {share}"
-    source = entry.get("parameters", {}).get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
+    parameters = entry.get("parameters", {})
+    if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
+        mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))
+        at = ", ".join(f"{1e3 * value:.0f}" for value in center)
+        return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
+    source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry, torques).cause.format(
         place=place_of(entry["site"]),
         source=f"joint {source:.0f}" if source else "another joint",

@@ -15,7 +15,7 @@ from lite6jax.report.cells import joint_units, torque_units
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.panels import GREY, dots, legend_below, panels_in_rows
 
-NAMES = ("error_by_joint", "over_time", "friction", "findings")
+NAMES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
 """The figures that `drawings` may give."""
 
 _WIDTH = 0.38
@@ -25,7 +25,7 @@ _LOWEST = 1e-4
 
 
 def drawings(found: TorqueDiagnosis, title: str, order: Sequence[int] | None = None) -> Iterator[tuple[str, Figure]]:
-    """The figures by name, of `NAMES`; there is no figure of findings where there are none.
+    """The figures by name, of `NAMES`; there is none of findings, or of spectra of postures, where there are none.
 
     Args:
         found: the diagnosis.
@@ -35,6 +35,8 @@ def drawings(found: TorqueDiagnosis, title: str, order: Sequence[int] | None = N
     yield "error_by_joint", error_by_joint(found, title)
     yield "over_time", over_time(found, title)
     yield "friction", friction(found, title)
+    if (shown := torque_curves.spectra(found)) is not None:
+        yield "spectra", spectra(found, shown, title)
     if found.findings:
         yield "findings", torque_finding_figure(found, title, order=order)
 
@@ -109,6 +111,33 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")
         legend_below(figure, panels[0], 2)
         figure.suptitle(f"{title}: friction", fontsize=15)
+    return figure
+
+
+def spectra(found: TorqueDiagnosis, shown: torque_curves.Spectra, title: str) -> Figure:
+    """Spectra of the recorded velocities and torques of each joint, and where the low passes cut them."""
+    data = found.problem.data
+    parts = (
+        (
+            "velocity",
+            "(rad/s)²/Hz" if not data.arm.sliding else "(rad/s or m/s)²/Hz",
+            shown.velocity,
+            data.motion_cutoff,
+        ),
+        ("torque", "Nm²/Hz" if not data.arm.sliding else "Nm²/Hz or N²/Hz", shown.torque, data.filter.cutoff),
+    )
+    with rc_context(STYLE):
+        figure, panels = panels_in_rows(len(parts), wide=True)
+        for panel, (name, unit, power, cutoff) in zip(panels, parts, strict=True):
+            for joint, row in enumerate(power, 1):
+                panel.plot(shown.frequency, np.maximum(row, 1e-300), linewidth=1.2, label=f"joint {joint}")
+            panel.axvline(cutoff, color="black", linestyle="--", linewidth=1.6, label="cutoff of the low pass")
+            largest = float(power.max(initial=1e-12))
+            panel.set(xscale="log", yscale="log", xlabel="frequency (Hz)", ylabel=f"power of the {name} ({unit})")
+            panel.set_ylim(max(float(power.min(initial=largest)), 1e-9 * largest) / 2, 3 * largest)
+            panel.set_title(f"{name}: {cutoff:.3g} Hz", fontsize=13)
+        legend_below(figure, panels[0], 4)
+        figure.suptitle(f"{title}: spectra, and what the low passes leave", fontsize=15)
     return figure
 
 

@@ -20,6 +20,8 @@ _CAPTIONS = {
     "part of the recording; all have passed the same low-pass filter.",
     "friction": "What the model without friction leaves of each joint's torque over the velocity of the joint, and the "
     "friction that was found, at the median load and temperature with the other joints at rest.",
+    "spectra": "Power spectral densities of velocities and torques as recorded. A low pass removes what is right of a "
+    "dashed line: the velocity is noise there, and differentiating would enlarge it.",
 }
 _STATISTICS = (("rms", "RMS"), ("p95", "95th percentile"), ("max", "maximum"))
 
@@ -45,8 +47,9 @@ def page_values(
     """What the templates of the page are filled with; arguments as of `torque_page`."""
     order, unit = worth.order(document), torque_statements.common_unit(document)
     findings = [_finding(found, entry, order) for entry in torque_statements.findings_of(document)]
+    captions = {name: caption for name, caption in _CAPTIONS.items() if name in figures}
     return {
-        **shared_values(document, torque_statements, source, findings, figures, _CAPTIONS, files),
+        **shared_values(document, torque_statements, source, findings, figures, captions, files),
         "against": torque_statements.compared(document),
         "setting": torque_statements.setting_statement(document),
         "errors": _errors(document),

@@ -228,6 +228,11 @@ def _of_what(finding: Entry) -> str:
 def filter_statement(document: Document) -> str:
     """How both sides of the equation were filtered."""
     used = document["filter"]
+    if used is None:
+        return (
+            "Each row is a posture at rest, in which gravity alone is compared: friction, rotors and delays, which "
+            "show in a motion, were not tested."
+        )
     kept = "every sample" if used["every"] == 1 else f"one sample in {used['every']}"
     return (
         f"Measured and modelled torques pass the same zero-phase low-pass filter of {used['cutoff_Hz']:.3g} Hz (of "

@@ -71,7 +71,7 @@ def with_next(problem: Problem, state: State, options: EngineOptions, shaped: bo
     alternatives = tuple(
         Alternative(other.term, float(likely - fit.log_likelihood(scale)))
         for other, _, fit in sorted(refits, key=lambda refit: -judged(refit))
-        if other is not one
+        if other is not one and other.term not in one.term.includes
     )
     tested = SelectedTerm(one.term, _familywise(problem, one, score, options), score, alternatives)
     further = State(state.baseline, fitted, (*state.tested, tested))
@@ -85,7 +85,7 @@ def likeliest(problem: Problem, state: State, options: EngineOptions, shaped: bo
     """
     test = score_test(problem, state.fit, options)
     # a term that is there explains more beside a linearisation that is not at its estimate, as that of a delay
-    there = state.fit.terms.terms
+    there = {one for term in state.fit.terms.terms for one in (term, *term.includes)}
     named = [term for term in problem.candidates if not (term.periodic or term in there)]
     candidates = [Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
     candidates += [Ranked(line.term, line.explained, line.searched) for line in lines(test)]
@@ -127,7 +127,8 @@ def _familywise(problem: Problem, one: Ranked, test: Explained | Score, options:
 def with_term(problem: Problem, state: State, term: Term, score: Score, options: EngineOptions) -> State:
     """The state with a named term, whose tried number is refined."""
     tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
-    return _refined(problem, extended(problem, state, tested, score.values, options), options)
+    further = extended(problem, state, tested, score.values, options)
+    return _refined(problem, _without_included(problem, further, options), options)
 
 
 def _without_included(problem: Problem, state: State, options: EngineOptions) -> State:

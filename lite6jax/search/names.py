@@ -12,7 +12,7 @@ import numpy as np
 
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Mask, Problem, acts_on
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward, with_term
@@ -79,12 +79,17 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
     preset = problem.preset[0].terms
     while True:
         best: State | None = None
-        for site, there in _together([tested for tested in state.tested if tested.term not in preset]):
+        for site, there in _together(problem, state, [tested for tested in state.tested if tested.term not in preset]):
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
             test = score_test(problem, rest.fit, options, within=state.fit)
             named = [tested for tested in there if not tested.term.nonparametric]
             functions = with_each(problem, rest, likely_functions(problem, test, options, site), options)
+            largest = options.together * (_causes(problem, there) - 1)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
+                if len(there) == 2 and not preferred(
+                    problem, choice, best or state, 0.0 if best else -largest, options
+                ):
+                    continue  # none of two may stay: without them it is as it is
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)
                 gone = [t for t in there if t.term not in choice.fit.terms.terms]
@@ -96,16 +101,34 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
         state = best
 
 
-def _together(terms: Sequence[SelectedTerm]) -> Iterator[tuple[str | None, Sequence[SelectedTerm]]]:
-    """Terms that one may replace, two at least: those of each site, and, of several sites, all names and all terms."""
+def _together(
+    problem: Problem, state: State, terms: Sequence[SelectedTerm]
+) -> Iterator[tuple[str | None, Sequence[SelectedTerm]]]:
+    """Terms that one may replace, two at least: those of each site, and, of several sites, all names and all terms.
+
+    Of several sites are only terms that act on common rows: what acts on one joint's torque replaces nothing at others.
+    """
     for site in sorted({tested.term.site for tested in terms}):
         there = [tested for tested in terms if tested.term.site == site]
         if len(there) > 1:
             yield site, there
     names = [tested for tested in terms if not tested.term.nonparametric]
     for group in (names, terms) if len(names) < len(terms) else (terms,):
-        if len({tested.term.site for tested in group}) > 1:
-            yield None, group
+        for part in _on_common_rows(problem, state, group):
+            if len({tested.term.site for tested in part}) > 1:
+                yield None, part
+
+
+def _on_common_rows(problem: Problem, state: State, terms: Sequence[SelectedTerm]) -> list[list[SelectedTerm]]:
+    """Terms in sets, no two of which act on the same rows of the residuals."""
+    model, parts = (state.fit.terms, state.fit.values), list[tuple[Mask, list[SelectedTerm]]]()
+    for tested in terms:
+        rows, members = acts_on(problem, tested.term, model), [tested]
+        for other in [part for part in parts if np.any(part[0] & rows)]:
+            parts = [part for part in parts if part is not other]
+            rows, members = rows | other[0], [*other[1], *members]
+        parts.append((rows, members))
+    return [[tested for tested in terms if any(tested is one for one in members)] for _, members in parts]
 
 
 def _with_slow_waves(
@@ -125,9 +148,13 @@ def _with_slow_waves(
 
 
 def _causes(problem: Problem, terms: Sequence[SelectedTerm]) -> int:
-    """How many effects these are: the slow waves of a site have one cause, such as a circle that is off centre."""
+    """How many causes these have: the slow waves of a site have one, such as a circle that is off centre.
+
+    So have the usual effects of a site: friction is Coulomb's and viscous, and that both are there is no coincidence.
+    """
     slow = [tested.term.site for tested in terms if tested.term in slow_waves(problem, tested.term.site)]
-    return len(terms) - len(slow) + len(set(slow))
+    usual = [tested.term.site for tested in terms if tested.term.usual]
+    return len(terms) - sum(len(sites) - len(set(sites)) for sites in (slow, usual))
 
 
 def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:

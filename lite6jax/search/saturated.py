@@ -33,6 +33,8 @@ _STEPS = 6
 def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
     """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
 
+    It does where they are few, and are not the friction of most joints.
+
     Args:
         problem: the data.
         training: `(sample,)` bool, the samples to use.
@@ -42,7 +44,7 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
         return None
     baseline = fit(problem, Terms(), options, training=training)
     explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
-    terms = Terms(tuple(term for term, one in explained if not one.confounded))
+    terms = _distinct(problem, [term for term, one in explained if not one.confounded], baseline.training, options)
     rough = replace(options, steps=_STEPS, relinearisations=0)
     found = fit(problem, terms, rough, training=baseline.training)
     times = autocorrelation_times(problem, found, options)
@@ -50,7 +52,10 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
         found = fit(problem, rest, rough, values, found.nuisance, found.training)
-    if len(found.terms.terms) <= options.most_terms:
+    named, there = found.terms.terms, {term.site for term in problem.ladder if term.usual}
+    gains = [found.quadratic_gain(k) / time for k, time in enumerate(_of_terms(problem, named, times))]
+    lacking = {t.site for t, gain in zip(named, gains, strict=True) if t.usual and gain > options.together}
+    if len(named) <= options.most_terms and 2 * len(lacking) <= len(there):
         return None
     return _tested(problem, State(baseline, found, _untested(found)), times, options)
 
@@ -81,6 +86,23 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     return _tested(problem, replace(state, fit=inflated), np.ones_like(times), options)
 
 
+def _distinct(problem: Problem, terms: Sequence[Term], training: Mask, options: EngineOptions) -> Terms:
+    """The terms that no others say as well: a joint that moves one way alone has an offset or Coulomb friction.
+
+    Of two that are the same there, the usual one stays.
+    """
+    known = np.zeros((0, problem.rows * int(training.sum())))
+    kept = set[int]()
+    for k in sorted(range(len(terms)), key=lambda k: not terms[k].usual):
+        columns = problem.columns([terms[k]])[..., training].reshape(terms[k].size, -1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+        own = columns - (columns @ known.T) @ known
+        if np.linalg.svd(own, compute_uv=False).min() ** 2 > options.confounded:
+            known = np.concatenate([known, np.linalg.qr(own.T)[0].T])
+            kept.add(k)
+    return Terms(tuple(term for k, term in enumerate(terms) if k in kept))
+
+
 def _untested(found: Fit) -> tuple[SelectedTerm, ...]:
     return tuple(
         SelectedTerm(term, 1.0, Score(0.0, term.size, 1.0, False, found.values[part]))
@@ -106,9 +128,12 @@ def _tested(problem: Problem, state: State, times: Array, options: EngineOptions
 
 
 def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOptions) -> set[int]:
-    """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one."""
+    """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one.
+
+    What nearly every arm has stays longer than what else would explain the same.
+    """
     std = np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
-    worst: dict[str, tuple[float, int]] = {}
+    worst: dict[str, tuple[tuple[bool, float], int]] = {}
     of_terms = _of_terms(problem, found.terms.terms, times)
     for k, (term, part, time) in enumerate(zip(found.terms.terms, found.terms.slices, of_terms, strict=True)):
         p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * multiplicity(problem, term, options)
@@ -116,7 +141,8 @@ def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOpti
             max(lower - value, value - upper) / s
             for (lower, upper), value, s in zip(problem.limits(term), found.values[part], std[part], strict=True)
         )
-        badness = 1e6 + beyond if beyond > options.impossible else p_value
-        if badness >= options.level and badness > worst.get(term.site, (0.0, 0))[0]:
+        impossible = beyond > options.impossible
+        badness = (impossible or not term.usual, 1e6 + beyond if impossible else p_value)
+        if badness[1] >= options.level and badness > worst.get(term.site, ((False, 0.0), 0))[0]:
             worst[term.site] = (badness, k)
     return {k for _, k in worst.values()}

@@ -79,7 +79,8 @@ def search(
     many = from_saturated(problem, training, options) if saturated else None
     if many is not None:
         selection = Selection(problem, reference, refined(problem, many, options), saturated=True)
-        return _reviewed(selection, options) if thorough else selection
+        if selection.state.tested:
+            return _reviewed(selection, options) if thorough else selection
     every = max(int(training.sum()) // options.first_samples, 1)
     if every == 1:
         selection = _selected(problem, reference, training, options, thorough)

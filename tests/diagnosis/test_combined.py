@@ -253,16 +253,16 @@ def test_both_are_diagnosed_with_their_effects_and_references(recording, found, 
 
 def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
     monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", lambda *_, **__: found.poses)
-    alone = diagnose_combined(replace(recording, motion="static"), LITE6)
+    alone = diagnose_combined(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
     assert alone.torques is None
-    assert "holds static poses" in alone.refused
+    assert "has no masses" in alone.refused
     document = combined.with_statements(alone.to_dict())
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
     with pytest.raises(InputError, match="is no diagnosis of torques"):
         read_torque_model(path)
     assert "are not diagnosed: " in alone.summary()
-    assert any("holds static poses" in str(part) for part in combined.combined_report(document, "run.csv"))
+    assert any("has no masses" in str(part) for part in combined.combined_report(document, "run.csv"))
 
 
 def test_what_is_not_both_is_refused(recording, tmp_path, capsys):

@@ -13,6 +13,8 @@ from lite6jax.arms.forms import export_file
 from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.effects.dynamic.friction import CoulombFriction
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -25,6 +27,24 @@ def model_with(*texts):
     links = np.asarray(link_parameters(arm))
     terms, values = Terms(tuple(e for e, _ in pairs)), join(v for _, v in pairs)
     return arm, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0)
+
+
+def test_friction_without_a_name_is_exported_as_far_as_simulators_hold_it():
+    _, model = model_with()
+    curve = UnnamedTorque(2, "speed of joint 2", 0.0, 1.5, pieces=2, signed=True)
+    # the straight line 0.4 + 0.2 |v| as such a curve
+    speeds = np.linspace(0.0, 1.5, 50)
+    values = np.linalg.lstsq(curve.functions_of(speeds[None]).T, 0.4 + 0.2 * speeds, rcond=None)[0]
+    wide = CoulombFriction(3, 0.2)
+    model = replace(model, terms=Terms((curve, wide)), values=np.concatenate([values, [0.5]]))
+    found, left_out = diagnosed_arm(model)
+    assert found.coulomb_friction[1] == pytest.approx(0.4, abs=0.02)
+    assert found.viscous_friction[1] == pytest.approx(0.2, abs=0.02)
+    assert found.coulomb_friction[2] == pytest.approx(0.5)
+    assert [phrase.split(" at ")[-1] for phrase in left_out] == [
+        "joint2, which its viscous and Coulomb friction leave",
+        "joint3, 0.2 rad/s",
+    ]
 
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xml", ".yaml"])

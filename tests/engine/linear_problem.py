@@ -35,6 +35,7 @@ class Column:
     site: str = "x"
     periodic: bool = False
     rare: bool = False
+    usual: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     chosen: float | None = None
@@ -58,6 +59,7 @@ class Wave:
     specificity: int = 2
     periodic: bool = True
     rare: bool = False
+    usual: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
@@ -97,6 +99,7 @@ class Decay:
     specificity: int = 4
     periodic: bool = False
     rare: bool = False
+    usual: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
@@ -138,6 +141,7 @@ class Hat:
     specificity: int = 9
     periodic: bool = False
     rare: bool = False
+    usual: bool = False
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()
@@ -169,6 +173,7 @@ class Curve:
     specificity: int = 9
     periodic: bool = False
     rare: bool = False
+    usual: bool = False
     nonparametric: bool = True
     shrunk: bool = False
     chosen: float | None = None

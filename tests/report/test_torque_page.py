@@ -86,7 +86,7 @@ def test_the_page_is_one_file(html):
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
     assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed", "base"}
     pictures = [attributes for tag, attributes in page.tags if tag == "img"]
-    assert len(pictures) == 3 + 2
+    assert len(pictures) == 4 + 2
     for attributes in pictures:
         assert attributes["alt"].endswith(".")
         assert imread(BytesIO(base64.b64decode(attributes["src"].partition("base64,")[2]))).ndim == 3
@@ -104,7 +104,7 @@ def test_names_are_text(found, drawn):
 def test_nothing_missing():
     clean = diagnosed(recorded(friction=False))
     drawn = dict(torque_figures.drawings(clean, "run.csv"))
-    assert list(drawn) == ["error_by_joint", "over_time", "friction"]
+    assert list(drawn) == ["error_by_joint", "over_time", "friction", "spectra"]
     text = text_of(torque_page(clean, documented(clean), "run.csv", drawn))
     assert text.count("Consistent: the inverse dynamics") == 1
     assert "None: no effect of the catalogue" in text

@@ -61,6 +61,12 @@ def test_the_source_of_a_coupling_is_named():
     assert cause_of(entry) == "the motion of joint 2 turns joint 3 as well"
 
 
+def test_a_payload_is_said_by_its_mass_and_its_centre():
+    numbers = {"mass_kg": 0.6197, "x_m": 0.0309, "y_m": 0.0, "z_m": 0.07}
+    entry = {"effect": "payload", "site": "payload", "parameters": {k: {"value": v} for k, v in numbers.items()}}
+    assert cause_of(entry, torques=True) == "0.62 kg more than declared hang on the flange, at (31, 0, 70) mm"
+
+
 def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
     """Of a known geometry nothing is taken up: by the deflected chain itself, without the engine."""
     problem, kept = found.problem, ~found.outliers

@@ -203,6 +203,9 @@ def inspect(
         agreed = agreed._replace(form=None, turn=None)
     blocks += found.blocks
     values = {key(block): _stacked(numbers, block.columns) for block in blocks}
+    turned = values.get(("q", False))
+    if agreed.angle is None and arm is not None and arm.endless and turned is not None and turned.shape[1] == arm.dof:
+        agreed = agreed._replace(angle=sizes.angle_unit_with_endless(turned, arm.endless))
     meanings = meanings_of({key(block): block for block in blocks}, values, agreed)
     used = {name for block in blocks for name in block.columns} | given.keys()
     return Inspection(

@@ -6,24 +6,28 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 """
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import median_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt, welch
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
 
 _ORDER = 4
 """Of the Butterworth filter; run forwards and backwards."""
+_RESOLVED = 5.12
+"""s of a segment of a spectrum: what it resolves is then the same at every sampling rate."""
 _ABOVE_FLOOR = 10.0
 """Power spectral density over its floor from which a quantity is taken as signal."""
 _BANDWIDTH = 0.99
@@ -45,6 +49,10 @@ _UNEVEN = 0.2
 """Deviation of time steps from their median, over it, from which sampling is not uniform."""
 _GAP = 1.8
 """Time steps over their median from which samples are missing, so that a new run begins."""
+_BRIDGED = 0.125
+"""Of the shortest period of the motion, over which samples are interpolated at most."""
+_SMOOTHER = 0.5
+"""Of the squares that are left, from which the one of two time scales is clearly the right one."""
 _SPIKE = 8.0
 """Standard deviations from the median of neighbouring samples from which a torque is a spike."""
 _TURNING = 0.01
@@ -101,6 +109,25 @@ def sample_rate(recording: Recording) -> float:
     Raises:
         InputError: no times, times that were rounded, or steps that vary.
     """
+    steps = _steps(recording)
+    step = float(np.median(steps))
+    if _vary(steps):
+        low, high = np.percentile(steps, (5, 95))
+        raise InputError(
+            f"{recording.source}: its time steps vary, most of them from {low:.3g} to {high:.3g} s; record at a "
+            "constant rate, or resample it"
+        )
+    return 1 / step
+
+
+def _vary(steps: Array) -> bool:
+    step = np.median(steps)
+    usual = steps[steps < _GAP * step]
+    return bool(np.mean(np.abs(usual - step) > _UNEVEN * step) > 0.05 or len(usual) < 0.8 * len(steps))
+
+
+def _steps(recording: Recording) -> Array:
+    """s, those of a recording that are not zero; raises as `sample_rate`."""
     if recording.time is None:
         raise InputError(f"{recording.source}: has torques without times; add time_s, one row per sample of a motion")
     steps = np.diff(recording.time)[np.diff(recording.run) == 0]
@@ -113,15 +140,114 @@ def sample_rate(recording: Recording) -> float:
     steps = steps[steps > 0]
     if steps.size < _FEWEST:
         raise InputError(f"{recording.source}: {recording.samples} rows are too few; record a motion of some seconds")
-    step = float(np.median(steps))
-    usual = steps[steps < _GAP * step]
-    if np.mean(np.abs(usual - step) > _UNEVEN * step) > 0.05 or len(usual) < 0.8 * len(steps):
-        low, high = np.percentile(steps, (5, 95))
+    return steps
+
+
+def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
+    """A recording at even times, and what was wrong with its own; itself where they are even.
+
+    Where positions are smooth over the number of the row and not over the time stamped, the stamps jitter, and are made
+    even. Otherwise the samples do, and are interpolated, up to a gap of an eighth of the motion's shortest period.
+
+    Args:
+        recording: in the order of time, with velocities.
+
+    Raises:
+        InputError: no times, times that were rounded, or more gaps than motion.
+    """
+    steps = _steps(recording)
+    if not _vary(steps):
+        return recording, None
+    assert recording.time is not None
+    time, runs, step = recording.time, run_segments(recording.run), float(np.median(steps))
+    low, high = np.percentile(steps, (5, 95))
+    said = {"from_s": float(low), "to_s": float(high), "rate_Hz": 1 / step}
+    if _stamps_jitter(recording.joint_position, time, runs, step):
+        even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
+        return replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said)
+    longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
+    grid = np.arange(float(time[longest.start]), float(time[longest.stop - 1]), step)
+    alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
+    band = max(_bandwidth(np.interp(grid, time[longest], row), alone, 1 / step) for row in velocities)
+    gaps = np.diff(time, prepend=time[0]) > max(_GAP * step, _BRIDGED / band)
+    pieces = run_segments(runs * (1 + len(gaps)) + np.cumsum(gaps))
+    parts = [rows for rows in _each(pieces) if rows.stop - rows.start >= _FEWEST]
+    if sum(rows.stop - rows.start for rows in parts) < 0.5 * recording.samples:
         raise InputError(
-            f"{recording.source}: its time steps vary, most of them from {low:.3g} to {high:.3g} s; record at a "
-            "constant rate, or resample it"
+            f"{recording.source}: its time steps vary, most of them from {low:.3g} to {high:.3g} s, with gaps too long "
+            "to interpolate this motion; record at a constant rate, or move slower"
         )
-    return 1 / step
+    at = [np.arange(float(time[r.start]), float(time[r.stop - 1]), step) for r in parts]
+    doubt = np.concatenate([_from_neighbours(recording.torques()[r], time[r]) for r in parts])
+    numbers = said | {"gaps": int(gaps.sum()), "rms_Nm": np.sqrt(np.mean(doubt**2, 0)).tolist()}
+    fault = DataFault("uneven_times", (), {"reason": "samples"} | numbers)
+    return _interpolated(recording, parts, at), fault
+
+
+def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float) -> bool:
+    """Whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
+    rough = np.zeros(2)
+    for rows in _each(runs):
+        t, y = time[rows], q[rows]
+        if len(t) < _CUBIC or np.diff(t).max() > _GAP * step:
+            continue
+        for k, x in enumerate((t, _line(t))):
+            # the cubic through two neighbours on either side, at the sample between them
+            near = np.stack([x[j : len(x) - 4 + j] for j in (0, 1, 3, 4)])
+            middle = x[2:-2]
+            weights = [
+                np.prod([(middle - near[m]) / (near[j] - near[m]) for m in range(4) if m != j], axis=0)
+                for j in range(4)
+            ]
+            there = sum(w[:, None] * y[s : len(y) - 4 + s] for w, s in zip(weights, (0, 1, 3, 4), strict=True))
+            rough[k] += np.sum((y[2:-2] - there) ** 2)
+    return bool(rough[1] < _SMOOTHER * rough[0])
+
+
+def _line(time: Array) -> Array:
+    """Times with even steps nearest to those of a run."""
+    k = np.arange(len(time), dtype=float)
+    return np.polyval(np.polyfit(k, time, 1), k) if len(time) > 1 else time
+
+
+def _from_neighbours(torque: Array, time: Array) -> Array:
+    """Torques `(sample, joint)` of every other sample less what its neighbours give."""
+    inner = slice(1, (len(time) - 1) // 2 * 2, 2)
+    return torque[inner] - PchipInterpolator(time[::2], torque[::2])(time[inner])
+
+
+def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Array]) -> Recording:
+    """The recording at other times, those of each part; poses are left out."""
+    time = recording.time
+    assert time is not None
+
+    def joined(rows: Array | None, kind: Callable[..., Callable[[Array], Array]]) -> Array | None:
+        if rows is None:
+            return None
+        return np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
+
+    def nearest(part: slice, t: Array) -> NDArray[np.integer]:
+        return part.start + np.rint(np.interp(t, time[part], np.arange(part.stop - part.start))).astype(int)
+
+    which = np.concatenate([nearest(part, t) for part, t in zip(parts, at, strict=True)])
+    ambient = recording.ambient_temperature
+    return replace(
+        recording,
+        joint_position=joined(recording.joint_position, CubicSpline),
+        direction_of_motion=recording.direction_of_motion[which],
+        position=None,
+        quaternion=None,
+        time=np.concatenate(at),
+        joint_velocity=joined(recording.joint_velocity, CubicSpline),
+        joint_acceleration=joined(recording.joint_acceleration, CubicSpline),
+        joint_torque=joined(recording.joint_torque, PchipInterpolator),
+        motor_current=joined(recording.motor_current, PchipInterpolator),
+        joint_temperature=joined(recording.joint_temperature, PchipInterpolator),
+        ambient_temperature=None if ambient is None else ambient[which],
+        payload=recording.payload[which],
+        run=np.repeat(np.arange(len(parts)), [len(t) for t in at]),
+        row=recording.row[which],
+    )
 
 
 def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
@@ -140,7 +266,7 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
     """
     rate, runs = chosen.rate, chosen.runs
     q, v = recording.joint_position.T, np.asarray(recording.velocities()).T
-    cutoff = 1.5 * max(_signal_band(row, runs, rate) for row in v)
+    cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
     cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
     given = recording.joint_acceleration
@@ -182,6 +308,12 @@ def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass
     every = max(int(rate / (2 * wanted)), few, 1)
     cutoff = rate / (2 * every)
     return LowPass(rate, cutoff, every, runs, _kept(runs, every, 0 if every == 1 else int(np.ceil(rate / cutoff))))
+
+
+def each_posture(samples: int) -> LowPass:
+    """Of postures at rest, one a row: nothing is filtered, and each is a run of its own."""
+    rows = np.arange(samples)
+    return LowPass(rate=1.0, cutoff=0.5, every=1, runs=rows, kept=rows)
 
 
 def without_ends(chosen: LowPass, motion_cutoff: float) -> LowPass:
@@ -266,18 +398,29 @@ def _sections(cutoff: float, rate: float) -> Array:
     return np.asarray(butter(_ORDER, cutoff, fs=rate, output="sos"))
 
 
+def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
+    """Frequencies in Hz, without zero, and power spectral densities `(row, frequency)` of rows `(row, sample)`."""
+    found = [_spectrum(row, chosen.runs, chosen.rate) for row in rows]
+    return found[0][0][1:], np.stack([power[1:] for _, power in found])
+
+
 def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:
     """Frequencies and power spectral density of the longest run."""
     longest = max(_each(runs), key=lambda r: r.stop - r.start)
     part = row[longest]
-    return welch(part - part.mean(), rate, nperseg=min(len(part), 512))
+    return welch(part - part.mean(), rate, nperseg=min(len(part), round(_RESOLVED * rate)))
 
 
-def _signal_band(row: Array, runs: NDArray[np.integer], rate: float) -> float:
-    """Hz up to which a row exceeds the floor of its spectrum."""
+def _signal_band(row: Array, runs: NDArray[np.integer], rate: float, cutoff: float) -> float:
+    """Hz up to which a row exceeds the floor of its spectrum.
+
+    The floor is that of the octave above the `cutoff` in Hz of torques. Controllers low-pass the velocities that they
+    differentiate, so that at the highest frequencies there is less noise than at those that matter.
+    """
     f, power = _spectrum(row, runs, rate)
-    floor = float(np.median(power[len(power) // 2 :]))
-    above = np.flatnonzero(power > _ABOVE_FLOOR * max(floor, 1e-300))
+    first = min(int(np.searchsorted(f, cutoff)), len(f) // 2)
+    floor = float(np.median(power[first : max(2 * first, first + 1)]))
+    above = np.flatnonzero(power[:first] > _ABOVE_FLOOR * max(floor, 1e-300))
     return float(f[above[-1]]) if above.size else float(f[1])
 
 

@@ -146,8 +146,6 @@ def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[R
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
-    if recording.motion != "trajectory":
-        raise InputError(f"{recording.source}: is declared as static poses; torques are predicted for a trajectory")
     bodies, chosen, _ = bodies_of(recording, model.arm)
     for effect in model.terms.terms:
         for driver in getattr(effect, "drivers", ()):

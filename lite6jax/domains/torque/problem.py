@@ -14,7 +14,8 @@ from lite6jax.domains.torque.families import joints_of
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
-from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.drives import declared
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
@@ -29,8 +30,12 @@ Array = NDArray[np.floating]
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
 
-FITTED = (LinkMass, LinkCom)
+FITTED = (LinkMass, LinkCom, PayloadBody)
 """Effects that are confounded with inertial numbers that are fitted."""
+_HEAVY = (LinkMass, LinkCom, PayloadTorque)
+"""Effects that weigh something at rest too."""
+_MOVING = ("velocity", "speed", "direction of motion", "acceleration", "travel since reversal")
+"""Drivers that postures at rest do not have."""
 _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
 
@@ -173,7 +178,7 @@ class TorqueProblem:
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
-        """Stribeck friction at a few of its speeds."""
+        """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds."""
         return tuple(effect for effect in torque_shaped(self.data.motion) if effect.label not in self.refused)
 
     @lazy
@@ -274,11 +279,19 @@ class TorqueProblem:
         return self.links + np.tensordot(nuisance, self.directions, 1)
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
-        """Those of the effect; no payload, link, friction, rotor or spring is less than nothing."""
-        if isinstance(term, PayloadTorque):
-            return [(-float(np.min(np.asarray(self.data.motion.payload))), term.coordinates[0].upper)]
+        """Those of the effect; no payload, link, friction, rotor or spring is less than nothing.
+
+        Bodies are bounded by the arm: no link weighs more than the arm, and its centre of mass is within the link.
+        """
+        arm = self.data.arm
+        if isinstance(term, PayloadTorque | PayloadBody):
+            lightest, most = -float(np.min(np.asarray(self.data.motion.payload))), bounds.payload(arm)
+            moment = most * bounds.PAYLOAD_LENGTH
+            return [(lightest, most), *[(-moment, moment)] * (term.size - 1)]
         if isinstance(term, LinkMass):
-            return [(-float(self.links[term.link - 1, 0]), term.coordinates[0].upper)]
+            return [(-float(self.links[term.link - 1, 0]), bounds.heaviest(arm, term.link))]
+        if isinstance(term, LinkCom):
+            return [(float(low), float(high)) for low, high in bounds.displacement(arm, term.link)]
         less, *others = [(number.lower, number.upper) for number in term.coordinates]
         return [(less[0] - declared(self.data.arm, term), less[1]), *others]
 
@@ -382,6 +395,11 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
     if len(directions):  # what is fitted is no effect, however far it is from what was declared
         candidates = tuple(effect for effect in candidates if not isinstance(effect, FITTED))
     missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))
+    if data.recording.motion == "static":
+        candidates = tuple(effect for effect in candidates if not isinstance(effect, Delaying))
+        in_motion = [effect for effect in candidates if not isinstance(effect, _HEAVY)]
+        needed = {effect: driver for effect in in_motion for driver in effect.drivers if driver.generalised in _MOVING}
+        missing += tuple(Untestable(*one) for one in needed.items() if one[0] not in {item.effect for item in missing})
     lacking = {item.effect for item in missing}
     declared = settings.torque_noise_Nm is not None
     noise = np.asarray(settings.torque_noise_Nm or _ASSUMED * np.std(data.torque, axis=1) + 1e-6, float)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
@@ -30,7 +31,8 @@ class Held(NamedTuple):
     """What friction holds at rest.
 
     Attributes:
-        slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate; zero in motion.
+        slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate, times the square
+            root of the samples of a rest, which are not independent; zero in motion, but beside a rest.
         found: the data fault, if a joint is held.
     """
 
@@ -46,10 +48,16 @@ def at_rest(data: TorqueRows) -> Flags:
     runs = data.filter.runs
     still = np.zeros_like(slow)
     for row, out in zip(slow, still, strict=True):
-        changes = (np.diff(row.astype(int)) != 0) | (np.diff(runs) != 0)
-        for start, stop in itertools.pairwise([0, *(1 + np.flatnonzero(changes)), len(row)]):
-            out[start:stop] = row[start] and stop - start >= least
+        for start, stop in _pieces(row, runs):
+            out[start:stop] = stop - start >= least
     return still
+
+
+def _pieces(inside: Flags, runs: NDArray[np.integer]) -> list[tuple[int, int]]:
+    """First and last sample, the latter not included, of each piece of a run that is inside."""
+    changes = (np.diff(inside.astype(int)) != 0) | (np.diff(runs) != 0)
+    edges = [0, *(1 + np.flatnonzero(changes)).tolist(), len(inside)]
+    return [(a, b) for a, b in itertools.pairwise(edges) if inside[a]]
 
 
 def held_by_friction(data: TorqueRows) -> Held:
@@ -59,27 +67,36 @@ def held_by_friction(data: TorqueRows) -> Held:
     motion. What it leaves at rest is compared with what it leaves in motion, and with the Coulomb friction found there.
     """
     still = at_rest(data)
+    near = _around(still, data)
     slack = np.zeros(still.shape)
     kept = data.filter.kept
     joints, bands = [], []
     for j in range(len(still)):
         rest = still[j, kept]
-        band = _left_at_rest(data, j, rest) if rest.sum() >= _FEWEST else 0.0
+        band = _left_at_rest(data, j, rest, ~near[j, kept]) if rest.sum() >= _FEWEST else 0.0
         if band:
-            slack[j, still[j]] = band
+            for start, stop in _pieces(near[j], data.filter.runs):
+                # one rest is one torque, however many samples show it
+                slack[j, start:stop] = band * np.sqrt(max((stop - start) / data.filter.every, 1.0))
             joints.append(j + 1)
             bands.append(band)
     if not joints:
         return Held(slack, ())
     recording = data.recording
-    rows = row_numbers(recording.row[(slack > 0).any(0)])
+    rows = row_numbers(recording.row[still[np.array(joints) - 1].any(0)])
     numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
     if data.arm.sliding:
         numbers["prismatic_joints"] = [joint for joint in joints if data.arm.slides[joint - 1]]
     return Held(slack, (DataFault("held_by_friction", rows, numbers),))
 
 
-def _left_at_rest(data: TorqueRows, j: int, rest: Flags) -> float:
+def _around(still: Flags, data: TorqueRows) -> Flags:
+    """`(joint, sample)`, rest and the samples beside it, where the low pass of the motion says when a joint starts."""
+    reach = 2 * int(np.ceil(data.filter.rate / data.motion_cutoff)) + 1
+    return maximum_filter1d(still.astype(np.uint8), reach, axis=1).astype(bool)
+
+
+def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float:
     """Nm RMS that a model of a joint in motion leaves at rest; 0 where that is noise, or more than friction holds."""
     velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
     acceleration = np.asarray(data.motion.joint_acceleration)[j, data.filter.kept]
@@ -95,7 +112,6 @@ def _left_at_rest(data: TorqueRows, j: int, rest: Flags) -> float:
     )
     size = np.linalg.norm(X, axis=1)
     X = X[size > 0] / size[size > 0, None]
-    moving = ~rest
     if moving.sum() < _ROWS_PER_NUMBER * len(X):
         return 0.0
     y = data.measured[j]

@@ -12,6 +12,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import link_parameters, regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
+    Smoothed,
+    each_posture,
     interpolant,
     low_pass,
     runs_of,
@@ -212,13 +214,20 @@ def require_joints(recording: Recording, arm: Arm) -> None:
 def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, float]:
     """The rigid-body dynamics along a recording's motion, the filter for its torques, and the motion's cutoff in Hz.
 
+    Static postures are no motion: they have neither velocities nor accelerations, and are not filtered.
+
     Raises:
         InputError: no times, steps that vary, an arm at rest, or one whose prismatic joints are others.
     """
     require_joints(recording, arm)
-    rate = sample_rate(recording)
-    chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
-    smooth = smoothed(recording, chosen)
+    if recording.motion == "static":
+        chosen, q = each_posture(recording.samples), recording.joint_position.T
+        smooth = Smoothed(q, np.zeros_like(q), np.zeros_like(q), chosen.cutoff)
+    else:
+        rate = sample_rate(recording)
+        chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
+        smooth = smoothed(recording, chosen)
+        chosen = without_ends(chosen, smooth.cutoff)
     motion = motion_of_recording(recording)
     moved = jax.tree.map(np.asarray, motion)._replace(
         joint_position=smooth.position,
@@ -231,7 +240,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
     gravity = np.array(settings.gravity_m_per_s2)
     bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics), declared_torque(arm, moved))
-    return bodies, without_ends(chosen, smooth.cutoff), smooth.cutoff
+    return bodies, chosen, smooth.cutoff
 
 
 def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
-from lite6jax.domains.torque.declarations import as_declared
-from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.hypotheses import as_declared, computed_torque
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
+from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -22,11 +23,23 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.joint_changes import at_positions, without_turns
+from lite6jax.recordings.torque_source import STILL_RAD
 
 Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
+_FEWEST_POSTURES = 12
+"""At rest, of which gravity is compared: offset, mass and centre of mass of a joint's load are four numbers."""
+_BEYOND = 0.01
+"""rad by which a joint may be beyond its limits: controllers stop a little late."""
+_UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lbf in": 8.8507, "kgf m": 1 / 9.80665}
+"""Of torques, and how many are one N m."""
+_SAME_UNIT = 0.15
+"""Relative deviation of all factors from a unit's, up to which it is that."""
+_FEWEST_AT_REST = 10
+"""Rows at rest from which a bias of the velocity is known."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -65,27 +78,48 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         InputError: as `Recording.torques` and `torque_rows`; an arm at rest; velocities or torques in another unit; or
             an arm without inertial numbers that is declared to have them.
     """
-    recording = recording.sorted_by_time()
-    torque = recording.torques().T
+    still = recording.motion == "static"
+    recording = _postures(recording) if still else recording.sorted_by_time()
+    recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
-    rate = sample_rate(recording)
-    runs = runs_of(recording, rate)
     require_joints(recording, arm)
+    found = list[DataFault]()
+    if not still:
+        q = without_turns(recording, arm.possible_positions, _BEYOND)
+        turned = np.abs(q - recording.joint_position) > 1.0
+        if turned.any():
+            joints = (1 + np.flatnonzero(turned.any(0))).tolist()
+            found.append(DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints}))
+            recording = at_positions(recording, q)
+        biased = _velocity_bias(recording, arm)
+        if biased.any():
+            assert recording.joint_velocity is not None
+            at = np.flatnonzero(biased)
+            numbers = {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()}
+            found.append(DataFault("velocity_bias", (), numbers))
+            recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
+        recording, uneven = evenly_timed(recording)
+        found += [] if uneven is None else [uneven]
+    torque = recording.torques().T
+    runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     _require_motion(recording, arm)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
     spiked = spikes(torque, as_revolute(recording.velocities().T, "rad/s", arm.slides), runs)
-    found = []
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
         found.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
-    if recording.settings.torque_source == "unknown" and estimated_torque(recording):
-        found.append(DataFault("estimated_torque", (), {}))
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
+    if recording.settings.torque_source == "unknown" and not still:
+        if estimated_torque(recording):
+            found.append(DataFault("estimated_torque", (), {}))
+        elif computed_torque(data):
+            found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     ruled_out: list[DataFault] = []
-    if recording.settings.inertial != "unknown":
+    if recording.settings.inertial != "unknown" and not still:
         declared = as_declared(data)
+        _require_unit(recording, declared.found)
         data = declared.data
         found += declared.found
         ruled_out += declared.ruled_out
@@ -105,12 +139,75 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
         )
 
 
-def _require_motion(recording: Recording, arm: Arm) -> None:
-    if recording.motion != "trajectory":
-        raise InputError(
-            f"{recording.source}: holds static poses; torques are diagnosed in a motion: record one, or declare "
-            "motion: trajectory"
+def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
+    for fault in faults:
+        if fault.code != "torque_unit":
+            continue
+        factors = np.array(fault.numbers["factors"])
+        listed = ", ".join(f"{factor:.2g}" for factor in factors)
+        said = (
+            f"{recording.source}: the torques of joints 1 to {len(factors)} are {listed} times what the weight and the "
+            "motion of the arm require: they are in another unit"
         )
+        constants = fault.numbers["constants_Nm_per_A"]
+        one = float(np.median(factors))
+        unit = next((name for name, size in _UNITS.items() if np.abs(factors / size - 1).max() < _SAME_UNIT), None)
+        if constants is not None:
+            remedy = f"check torque_constant_Nm_per_A: about {', '.join(f'{c:.2g}' for c in constants)} would fit"
+        elif unit is not None:
+            remedy = f"are these {unit}? divide them by {_UNITS[unit]:.4g}"
+        elif one < 1:
+            constants = ", ".join(f"{1 / factor:.2g}" for factor in factors)
+            remedy = (
+                "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
+                f"the sidecar) with torque_constant_Nm_per_A: about {constants} would fit, take the published ones"
+            )
+        else:
+            remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"
+        raise InputError(f"{said}; {remedy}")
+
+
+def _postures(recording: Recording) -> Recording:
+    """Static postures in the order of the file, with a number in the place of times that they do not have."""
+    if recording.samples < _FEWEST_POSTURES:
+        raise InputError(
+            f"{recording.source}: holds {recording.samples} static postures; record {_FEWEST_POSTURES} or more for a "
+            "check of gravity, or a motion"
+        )
+    return recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
+
+
+def _velocity_bias(recording: Recording, arm: Arm) -> Array:
+    """`(joint,)` rad/s, m/s of prismatic joints, that recorded velocities show beyond those of the positions.
+
+    A register may be off by a constant. At rest that is a direction of motion that is not there. The bias is what
+    velocities show where positions stand still, and it has to be what they show on average too.
+    """
+    recorded, time = recording.joint_velocity, recording.time
+    none = np.zeros(recording.dof)
+    if recorded is None or recording.velocity_differentiated or time is None:
+        return none
+    runs = [np.flatnonzero(recording.run == run) for run in np.unique(recording.run)]
+    runs = [rows for rows in runs if len(rows) > 1]
+    if not runs:
+        return none
+    gone = np.sum([recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs], axis=0)
+    shown = np.sum([np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs], axis=0)
+    average = (shown - gone) / sum(float(time[rows[-1]] - time[rows[0]]) for rows in runs)
+    moved = np.abs(np.diff(recording.joint_position, axis=0, append=recording.joint_position[-1:]))
+    still = as_revolute(moved.T, "rad", arm.slides).T <= STILL_RAD
+    for joint in range(recording.dof):
+        rest = recorded[still[:, joint], joint]
+        if len(rest) < _FEWEST_AT_REST:
+            continue
+        bias = float(np.median(rest))
+        large = abs(as_revolute([bias], "rad/s", arm.slides[[joint]])[0]) > DIRECTION_SPEED / 2
+        if large and np.mean(np.abs(rest - bias) < abs(bias) / 2) > 0.8 and abs(average[joint] - bias) < abs(bias) / 2:
+            none[joint] = bias
+    return none
+
+
+def _require_motion(recording: Recording, arm: Arm) -> None:
     if as_revolute(np.ptp(recording.joint_position, axis=0), "rad", arm.slides).max() < _LEAST_MOTION:
         each = {joint_unit("rad", slides): joint_size(_LEAST_MOTION, "rad", slides) for slides in arm.slides.tolist()}
         least = " or ".join(f"{size:g} {unit}" for unit, size in each.items())
@@ -144,12 +241,18 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     spread = 1 / chosen.cutoff + (_WRONG_IN_A_ROW - 1) / chosen.rate  # s, of a few wrong torques behind the low pass
     recorded = problem.data.recording
     assert recorded.time is not None
+    velocity = np.asarray(problem.data.motion.joint_velocity)[:, chosen.kept[problem.chosen]]
     for event in events:
         if time[event.stop - 1] - time[event.start] <= spread:
             inside[event] = False
             continue
         size = np.sqrt(np.mean(scaled[:, event] ** 2, 1))
         joints = (1 + np.flatnonzero(size > _PRESSED)).tolist()
+        turned = velocity[:, event.start] * velocity[:, event.stop - 1] < 0
+        lasting = time[event.stop - 1] - time[event.start]
+        if joints and turned[size > _PRESSED].all() and lasting <= spread + 1 / problem.data.motion_cutoff:
+            inside[event] = False  # friction turns at once, and the low pass of the motion takes a while
+            continue
         step = 0.5 * float(np.median(np.diff(time)))
         rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
         rows &= problem.data.filter.runs == runs[event.start]

@@ -2,12 +2,13 @@
 
 import types
 from collections.abc import Iterable, Mapping
+from itertools import product
 
 import numpy as np
 
 from lite6jax.arms.joint_units import joint_size
 from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.friction import (
     CoulombFriction,
     CoupledFriction,
@@ -33,13 +34,15 @@ from lite6jax.effects.motion import Motion
 _ALL: tuple[type[TorqueEffect], ...] = (
     *(ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature, CoupledFriction),
     *(TorqueOffset, TorqueScale, RotorInertia, JointSpring, TorqueRipple, LinkMass, LinkCom, PayloadTorque, BaseTilt),
-    *(TorqueTimeOffset, TorqueLag, UnnamedTorque),
+    *(PayloadBody, TorqueTimeOffset, TorqueLag, UnnamedTorque),
 )
 BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
 """The classes of the catalogue by name."""
 
 _SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Shares of a joint's largest speed that the speed of Stribeck friction is tried at."""
+"""Shares of a joint's largest speed that the speeds of such friction are tried at."""
+_OF_SPEED = {StribeckFriction: bounds.STRIBECK, CoulombFriction: bounds.TRANSITION}
+"""Frictions with a speed in which they are not linear, and its bounds."""
 
 
 def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEffect, ...]:
@@ -56,7 +59,7 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEff
         *(kind(joint, of_slide=joint - 1 in sliding) for kind in (*simple, *motors) for joint in joints),
         *(_coupled(joint, source, sliding) for joint in joints for source in _alike(joint, sliding)),
         *(kind(link) for kind in (LinkMass, LinkCom) for link in joints),
-        *(PayloadTorque(), BaseTilt(), TorqueTimeOffset()),
+        *(PayloadTorque(), PayloadBody(), BaseTilt(), TorqueTimeOffset()),
     )
 
 
@@ -87,16 +90,16 @@ def torque_ladder(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEffect
 
 
 def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
-    """Stribeck friction at a few of its speeds, as far as a motion shows them."""
+    """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them."""
     assert motion.joint_velocity is not None
     fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
     tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
-    found = []
-    for joint, speed in tried:
+    found: list[TorqueEffect] = []
+    for (kind, limits), (joint, speed) in product(_OF_SPEED.items(), tried):
         slides = joint - 1 in motion.sliding.joints
-        low, high = (joint_size(bound, "rad/s", slides) for bound in bounds.STRIBECK)
+        low, high = (joint_size(bound, "rad/s", slides) for bound in limits)
         if low <= speed <= high:
-            found.append(StribeckFriction(joint, speed, of_slide=slides))
+            found.append(kind(joint, speed, of_slide=slides))
     return tuple(found)
 
 

@@ -5,15 +5,18 @@ speed: B. Armstrong-Hélouvry, Control of Machines with Friction, 1991, ch. 2.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque, OfJoint, direction
-from lite6jax.effects.effect import Choice, Coordinate, Reporting, tried, with_field
+from lite6jax.effects.effect import DIRECT, Choice, Coordinate, Reporting, tried, with_field
 from lite6jax.errors import InputError
+
+SHARP = 0.0
+"""A transition of Coulomb friction that is as sharp as encoders show."""
 
 
 @final
@@ -23,6 +26,7 @@ class ViscousFriction(JointTorque):
 
     name: ClassVar[str] = "viscous_friction"
     specificity: ClassVar[int] = 1
+    usual: ClassVar[bool] = True
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -36,24 +40,63 @@ class ViscousFriction(JointTorque):
         return values[0] * dynamics.velocity(self.joint)
 
 
+def _of_transition(effect: Any) -> Reporting:
+    """The reporting of Coulomb friction: a transition that is as sharp as encoders show is no number of it."""
+    return DIRECT if effect.transition_rad_per_s == SHARP else with_field("transition_rad_per_s")
+
+
 @final
 @dataclass(frozen=True)
 class CoulombFriction(JointTorque):
-    """τ += c·sign(q̇)."""
+    """τ += c·tanh(q̇/v): c·sign(q̇) but near standstill, where friction of gears and belts turns within a speed v.
+
+    It is not linear in v: the search tries some values of v, and v without a fixed value is its second coordinate.
+
+    Attributes:
+        transition_rad_per_s: v, where it is fixed; `SHARP` for a few mrad/s; in m/s of a prismatic joint, in whose
+            files it is `transition_m_per_s`.
+    """
+
+    transition_rad_per_s: float | None = SHARP
 
     name: ClassVar[str] = "coulomb_friction"
     specificity: ClassVar[int] = 1
+    usual: ClassVar[bool] = True
+    choice: ClassVar[Choice | None] = tried("transition_rad_per_s", bounds.TRANSITION[0], unit="rad/s")._replace(
+        searched=lambda effect: bool(effect.transition_rad_per_s)  # type: ignore[attr-defined]
+    )
+    reporting: ClassVar[Reporting] = Reporting(
+        names=lambda effect: _of_transition(effect).names(effect),
+        parameters=lambda effect, values: _of_transition(effect).parameters(effect, values),
+        values=lambda effect, given: _of_transition(effect).values(effect, given),
+    )
+    special_cases = staticmethod(lambda effect: effect.sharp)
+
+    def __post_init__(self) -> None:
+        v = self.transition_rad_per_s
+        if v is not None and not 0 <= v < np.inf:
+            raise InputError(f"{self.label}: {self.own('transition_rad_per_s')} is {v:g}; give a positive number")
+
+    @property
+    def sharp(self) -> "tuple[CoulombFriction, ...]":
+        """The friction with a sharp transition, of which this one is a smooth form; none if it is that itself."""
+        wide = self.transition_rad_per_s != SHARP
+        return (CoulombFriction(self.joint, of_slide=self.of_slide),) if wide else ()
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (self.number("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),)
+        torque = self.number("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE)
+        low, high = bounds.TRANSITION
+        speed = self.number("transition_rad_per_s", "rad/s", 0.1, lower=low, upper=high, linear=False)
+        return (torque,) if self.transition_rad_per_s is not None else (torque, speed)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (self.own_driver("direction of motion"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
-        return values[0] * dynamics.direction(self.joint)
+        v = max(values[1], 1e-9) if self.transition_rad_per_s is None else self.transition_rad_per_s
+        return values[0] * dynamics.direction(self.joint, v)
 
 
 @final

@@ -61,9 +61,9 @@ class Dynamics(NamedTuple):
         """The moments about the joints' axes that links and payload exert, the opposite of the motors' torques."""
         return loads_of(self.torque)
 
-    def direction(self, joint: int) -> Array:
-        """`(sample,)`, from -1 to 1, of a joint counted from 1."""
-        return direction(self.velocity(joint), joint - 1 in self.motion.sliding.joints)
+    def direction(self, joint: int, transition: float = 0.0) -> Array:
+        """`(sample,)`, from -1 to 1, of a joint counted from 1; `transition` as of the function `direction`."""
+        return direction(self.velocity(joint), joint - 1 in self.motion.sliding.joints, transition)
 
     def velocity(self, joint: int) -> Array:
         """`(sample,)` rad/s, or m/s, of a joint counted from 1."""
@@ -78,14 +78,15 @@ def loads_of(torque: Array) -> Loads:
     return Loads(moment, np.zeros((3, torque.shape[1])))  # type: ignore[arg-type]
 
 
-def direction(velocity: Array, slides: bool | NDArray[np.bool_] = False) -> Array:
-    """The direction of motion, -1 to 1, with a transition within a few mrad/s: encoders have no exact zero.
+def direction(velocity: Array, slides: bool | NDArray[np.bool_] = False, transition: float = 0.0) -> Array:
+    """The direction of motion, -1 to 1, tanh(q̇ / v): encoders have no exact zero.
 
     Args:
         velocity: `(sample,)` or `(joint, sample)` rad/s, m/s of prismatic joints.
         slides: whether the joint is prismatic, or `(joint,)`, which joints are.
+        transition: v in the unit of the velocity; `DIRECTION_SPEED` if 0.
     """
-    return np.tanh(as_revolute(velocity, "rad/s", slides) / DIRECTION_SPEED)
+    return np.tanh(velocity / transition if transition else as_revolute(velocity, "rad/s", slides) / DIRECTION_SPEED)
 
 
 def point_mass(mass: float, center: Array) -> Array:

@@ -305,8 +305,7 @@ def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
 
 
 @pytest.mark.long
-def test_a_ripple_too_short_for_a_function_stays_beside_one():
-    """Of seed 1 a function of the speed takes the place of the friction of the slide, and explains much more."""
+def test_a_ripple_too_short_for_a_function_stays_beside_friction():
     q = slid.moved(1)[1][:, 2]
 
     def hidden(dq):
@@ -314,7 +313,7 @@ def test_a_ripple_too_short_for_a_function_stays_beside_one():
 
     found = diagnose_torques(slid.recorded(hidden, seed=1), slid.arm(), options=FEW)
     at_slide = {finding.effect.name: finding for finding in found.findings if finding.effect.site == "joint3"}
-    assert at_slide.keys() == {"unnamed", "torque_ripple"}
+    assert at_slide.keys() == {"viscous_friction", "coulomb_friction", "torque_ripple"}
     period = at_slide["torque_ripple"].parameters["period_m"]
     assert abs(period.value - LEAD) < 3 * period.std < 1e-4
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from domains.torque.moved import hidden, motion_of, recorded, setup_of
+from domains.torque.moved import at_flange, hidden, motion_of, recorded, setup_of
 from scipy.signal import lfilter
 
 from benchmarks.torque_trials.outside import presliding
@@ -284,8 +284,8 @@ def test_what_cannot_be_diagnosed_is_refused():
     )
     with pytest.raises(InputError, match="the arm is at rest"):
         screen_torques(still, arm)
-    with pytest.raises(InputError, match="holds static poses; torques are diagnosed in a motion"):
-        screen_torques(replace(recording, motion="static"), arm)
+    with pytest.raises(InputError, match="holds 11 static postures; record 12 or more"):
+        screen_torques(replace(recording, motion="static").select(np.arange(11)), arm)
     bare = type(arm)(arm.name, arm.kinematics)
     with pytest.raises(InputError, match=r"has no masses; add them .* or declare inertial: unknown"):
         screen_torques(recording, bare)
@@ -306,3 +306,16 @@ def test_a_motion_without_a_driver_of_the_model_is_refused():
     cold = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
     with pytest.raises(InputError, match="has no temperature of joint 2; give the temperature of each joint"):
         predict_torques(found.model, cold)
+
+
+def test_a_payload_elsewhere_than_declared_is_one_finding():
+    """Not a heavier last link whose centre of mass is outside it."""
+    _, arm = setup_of(7)
+    shift = np.array([0.03, 0.0, 0.07])
+    declared = tuple(at_flange(arm) - shift)
+    recording, arm = recorded([hidden("payload_error", "payload", mass_kg=0.62)], seed=7, payload_com_m=declared)
+    (finding,) = diagnose_torques(recording, arm, options=FEW).findings
+    assert finding.effect.label == "payload:payload"
+    truth = (0.62, *(arm.T_joint_flange[:3, :3] @ shift))
+    for name, value in zip(("mass_kg", "x_m", "y_m", "z_m"), truth, strict=True):
+        assert finding.parameters[name].value == pytest.approx(value, abs=5e-3)

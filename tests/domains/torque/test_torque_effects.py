@@ -198,3 +198,18 @@ def test_products_with_a_direction_of_motion_hold_it_once():
 def test_impossible_effects(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_payload_is_a_mass_at_another_centre(scene):
+    dynamics = scene[2]
+    away = np.array([0.03, -0.02, 0.04])
+    body, numbers = parse_effect("payload:mass_kg=0.62,x_m=0.03,y_m=-0.02,z_m=0.04", BUILT_IN)
+    mass, value = parse_effect("payload_error:mass_kg=0.62", BUILT_IN)
+    there = mass.torque(value, dynamics._replace(payload_center=CENTER + away))
+    np.testing.assert_allclose(body.torque(numbers, dynamics), there, rtol=0, atol=1e-4 * np.abs(there).max())
+    assert body.site == "payload"
+    reported = body.reported(numbers, np.diag([1e-4, 1e-6, 1e-6, 1e-6]))
+    assert {name: one.value for name, one in reported.items()} == pytest.approx(
+        {"mass_kg": 0.62, "x_m": 0.03, "y_m": -0.02, "z_m": 0.04}
+    )
+    assert reported["x_m"].std == pytest.approx(np.hypot(1e-3, 0.03 * 1e-2) / 0.62)

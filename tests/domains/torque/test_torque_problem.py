@@ -15,6 +15,7 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
+from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody
 from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying
@@ -181,6 +182,22 @@ def test_what_the_description_declares_of_drives_is_part_of_the_model():
         lowest = 0.0 if declared is None else -declared[1]
         assert case.limits(term.terms[0])[0][0] == lowest
     assert case.limits(ViscousFriction(1))[0][0] == 0.0
+
+
+def test_bodies_are_bounded_by_the_arm_that_they_belong_to():
+    recording, arm = recorded(seed=7)
+    case = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    total = float(arm.mass.sum())
+    for link in range(1, 7):
+        ((lightest, most),) = case.limits(LinkMass(link))
+        assert lightest == -arm.mass[link - 1]
+        assert min(3 * arm.mass[link - 1], total) <= most <= total
+        shifts = np.array(case.limits(LinkCom(link)))
+        assert (shifts[:, 0] < 0).all()
+        assert (shifts[:, 1] > 0).all()
+        length = np.linalg.norm(arm.kinematics[link, :3]) if link < 6 else 0.0
+        assert np.ptp(shifts, axis=1).max() < length + 0.31 * arm.reach + np.abs(arm.center_of_mass[link - 1]).max()
+    assert case.limits(PayloadBody())[0] == (0.0, total)
 
 
 @pytest.mark.parametrize(

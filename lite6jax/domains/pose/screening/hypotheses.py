@@ -24,7 +24,7 @@ from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
-from lite6jax.recordings.sequence import directions, run_segments
+from lite6jax.recordings.joint_changes import with_joints
 
 Array = NDArray[np.floating]
 Hypothesis = tuple["Change", ...]
@@ -114,22 +114,7 @@ class Change:
         else:
             b[i] = self.value
         effort = np.sign(A) if self.code != "coupled_joint" else np.linalg.inv(A).T  # power stays the same
-        changed: dict[str, Any] = {"joint_position": recording.joint_position @ A.T + b}
-        for name, matrix in (
-            ("joint_velocity", A),
-            ("joint_acceleration", A),
-            ("joint_torque", effort),
-            ("motor_current", effort),
-            ("joint_temperature", np.abs(np.sign(A)) if self.code == "swapped_joints" else np.eye(recording.dof)),
-        ):
-            column = getattr(recording, name)
-            if column is not None:
-                changed[name] = column @ matrix.T
-        changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
-        if self.code == "coupled_joint":
-            velocity, segment = changed.get("joint_velocity"), run_segments(recording.run)
-            changed["direction_of_motion"] = directions(changed["joint_position"], velocity, segment, recording.motion)
-        return replace(recording, **changed)
+        return with_joints(recording, A, b, effort)
 
 
 @final

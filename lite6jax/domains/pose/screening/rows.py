@@ -11,7 +11,7 @@ from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.joint_changes import at_positions, without_turns
 
 Array = NDArray[np.floating]
 
@@ -150,7 +150,7 @@ def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
     recording, slack = state.recording, options.limit_slack_rad
     limits = state.rigid_arm.arm.joint_limits
     low, high = limits.T
-    q = _without_turns(recording, limits, slack)
+    q = without_turns(recording, limits, slack)
     if (np.abs(q - recording.joint_position) > 1.0).any():
         return Detection(q)
     beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
@@ -165,45 +165,5 @@ def remove_turns(state: Screened, q: Array, options: ScreeningOptions) -> Screen
     changed = np.abs(q - recording.joint_position) > 1.0
     joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
     fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
-    state = state.corrected(fault, _at_positions(recording, q))
-    return state.transformed(lambda r: _at_positions(r, _without_turns(r, limits, options.limit_slack_rad)))
-
-
-def _at_positions(recording: Recording, q: Array) -> Recording:
-    """The recording with other joint positions, whole turns away; differentiated velocities are taken anew."""
-    fresh = recording.made_anew(joint_position=q, settings=replace(recording.settings, motion=recording.motion))
-    velocity = fresh.joint_velocity if recording.velocity_differentiated else recording.joint_velocity
-    return replace(recording, joint_position=q, joint_velocity=velocity, direction_of_motion=fresh.direction_of_motion)
-
-
-def _without_turns(recording: Recording, limits: Array, slack: float) -> Array:
-    """`(sample, joint)` positions, unwrapped within each run of a trajectory and turned back into the limits."""
-    q = recording.joint_position.copy()
-    low, high = limits.T
-    trajectory = recording.motion == "trajectory" and recording.time is not None
-    segment = run_segments(recording.run)
-    runs = [segment == run for run in np.unique(segment)]
-    for run in runs if trajectory else ():
-        unwrapped = np.unwrap(q[run], axis=0)
-        # only what is continuous without its wraps shows that these are wraps
-        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
-        q[run] = np.where(smooth, unwrapped, q[run])
-    for joint in range(recording.dof):
-        if not np.isfinite(high[joint] - low[joint]):
-            continue
-        middle = (low[joint] + high[joint]) / 2
-        for part in runs if trajectory else [np.ones(recording.samples, bool)]:
-            values = q[part, joint]
-            outside = (values < low[joint] - slack) | (values > high[joint] + slack)
-            if not outside.any():
-                continue
-            # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
-            turns = (
-                np.round((np.median(values) - middle) / (2 * np.pi))
-                if trajectory
-                else np.round((values - middle) / (2 * np.pi)) * outside
-            )
-            back = values - 2 * np.pi * turns
-            if ((back >= low[joint] - slack) & (back <= high[joint] + slack)).all():
-                q[part, joint] = back
-    return q
+    state = state.corrected(fault, at_positions(recording, q))
+    return state.transformed(lambda r: at_positions(r, without_turns(r, limits, options.limit_slack_rad)))

@@ -10,6 +10,7 @@ from benchmarks.torque_trials.physics import torques
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.screening import screen_torques
+from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.data_faults import fault_statement
@@ -132,6 +133,172 @@ def test_what_is_no_wrong_constant(change):
 def test_other_masses_are_no_wrong_constant(effect):
     """Though the torque of a joint may be a multiple of what it should be."""
     assert faults_of(*recorded([effect], seed=7)) == []
+
+
+# ------------------------------------------------------------------ the table of hypotheses
+
+SIZE = 8.0
+"""Times the noise of a joint's sensor: friction of every joint, as real arms have."""
+
+
+def rubbing(seed):
+    """Friction at every joint: what tells signs apart, since it takes power."""
+    setup, _ = setup_of(seed)
+    return [
+        hidden(name, f"joint{j}", **{number: float(SIZE * noise)})
+        for j, noise in enumerate(setup.arm.noise, 1)
+        for name, number in (("viscous_friction", "viscous_Nm_s_per_rad"), ("coulomb_friction", "coulomb_Nm"))
+    ]
+
+
+def changed(seed=11, effects=(), **columns):
+    """A recording of an arm with friction, whose columns `q`, `dq` and `tau` `(sample, joint)` are altered by name."""
+    recording, arm = recorded([*rubbing(seed), *effects], seed=seed, declare=False)
+    names = {"q": "joint_position", "dq": "joint_velocity", "tau": "joint_torque"}
+    new = {names[key]: change(np.array(getattr(recording, names[key]))) for key, change in columns.items()}
+    return replace(recording, **new), arm
+
+
+def reversed_at(*joints):
+    return lambda column: column * np.where(np.isin(np.arange(6) + 1, joints), -1.0, 1.0)
+
+
+def exchanged(i, j):
+    order = np.arange(6)
+    order[[i - 1, j - 1]] = order[[j - 1, i - 1]]
+    return lambda column: column[:, order]
+
+
+COUPLING = np.eye(6)
+COUPLING[2, 1] = 1.0  # joint 3 as its motor turns, beside joint 2; motors exert what leaves the power as it is
+
+
+def coupled(column):
+    return column @ COUPLING.T
+
+
+def added(joint, degrees):
+    return lambda column: column + np.deg2rad(degrees) * (np.arange(6) + 1 == joint)
+
+
+@pytest.mark.parametrize(
+    ("columns", "code", "numbers"),
+    [
+        ({"tau": reversed_at(1, 5)}, "reversed_torque", {"joints": [1, 5]}),
+        ({"q": reversed_at(4), "dq": reversed_at(4), "tau": reversed_at(4)}, "reversed_joint", {"joints": [4]}),
+        ({"q": reversed_at(2), "dq": reversed_at(2)}, "reversed_positions", {"joints": [2]}),
+        ({"q": exchanged(2, 3), "dq": exchanged(2, 3)}, "swapped_positions", {"joints": [2, 3]}),
+        (
+            {"q": exchanged(4, 5), "dq": exchanged(4, 5), "tau": exchanged(4, 5)},
+            "swapped_columns",
+            {"joints": [4, 5]},
+        ),
+        (
+            {"q": coupled, "dq": coupled, "tau": lambda tau: tau @ np.linalg.inv(COUPLING)},
+            "coupled_positions",
+            {"joint": 3, "added_joint": 2, "factor": -1.0},
+        ),
+        ({"q": added(2, 90)}, "joint_zero", {"joint": 2, "added_rad": -np.pi / 2}),
+        ({"q": added(3, 15)}, "joint_zero", {"joint": 3, "added_rad": np.deg2rad(-15)}),
+        ({"q": added(2, -7)}, "joint_zero", {"joint": 2, "added_rad": np.deg2rad(7)}),
+    ],
+)
+def test_what_a_column_has_wrong_is_said_and_undone(columns, code, numbers):
+    straight, _ = changed()
+    screened = screen_torques(*changed(**columns))
+    (fault,) = screened.found
+    assert fault.code == code
+    assert set(fault.numbers) == set(numbers)
+    for name, value in numbers.items():
+        assert fault.numbers[name] == pytest.approx(value, abs=0.02)
+    np.testing.assert_allclose(screened.data.recording.joint_position, straight.joint_position, atol=0.02)
+    np.testing.assert_allclose(screened.data.torque, straight.torques().T)
+    for joint in numbers.get("joints", [numbers.get("joint")]):
+        assert str(joint) in fault_statement(fault)
+
+
+def test_one_factor_in_three_joints_is_one_factor():
+    (fault,) = screen_torques(*changed(tau=lambda tau: tau * [4, 4, 4, 1, 1, 1])).found
+    assert fault.code == "wrong_torque_constant"
+    assert fault.numbers["joints"] == [1, 2, 3]
+    assert fault.numbers["factors"] == pytest.approx([4, 4, 4], rel=0.02)
+    assert len(set(fault.numbers["factors"])) == 1
+    assert f"joint 2 {fault.numbers['factors'][0]:g} times" in fault_statement(fault)
+
+
+@pytest.mark.parametrize(
+    ("factors", "remedy"),
+    [
+        (
+            [1 / 12.2, 1 / 12.2, 1 / 11, 1 / 9.1, 1 / 9.1, 1 / 9.3],
+            "currents in A.*torque_constant_Nm_per_A: about 12, 12",
+        ),
+        ([100.0] * 6, "are these N cm\\? divide them by 100"),
+        ([1e-3] * 6, "are these kN m\\?"),
+    ],
+)
+def test_torques_in_another_unit_are_asked_for(factors, remedy):
+    with pytest.raises(InputError, match=remedy):
+        screen_torques(*changed(tau=lambda tau: tau * factors))
+
+
+def test_torques_without_gravity_are_compared_without_it():
+    screened = screen_torques(*mounted((0, 0, 0)))
+    (fault,) = screened.found
+    assert fault.code == "no_gravity"
+    assert not screened.data.bodies.gravity.any()
+    assert "declare gravity_m_per_s2: [0, 0, 0]" in fault_statement(fault)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        hidden("payload_error", "payload", mass_kg=0.9),
+        hidden("link_com", "link3", x_m=0.05, y_m=0.04, z_m=0.0),
+        hidden("base_tilt", "base", tilt_x_rad=0.3, tilt_y_rad=0.1),
+        hidden("torque_scale", "joint2", scale=0.4),
+        hidden("joint_spring", "joint2", stiffness_Nm_per_rad=8.0, rest_rad=0.3),
+        hidden("time_offset", "clock", offset_s=0.04),
+    ],
+)
+def test_physics_is_no_fault_of_the_data(effect):
+    found = screen_torques(*changed(effects=[effect])).found
+    assert {fault.code for fault in found} <= {"torque_spikes"}  # where friction changes its sign within a sample
+
+
+def test_corrections_that_explain_torques_alike_are_listed():
+    fault = DataFault(
+        "undecided_torques",
+        (),
+        {
+            "alternatives": [
+                [{"fault": "joint_zero", "joint": 2, "added_rad": np.pi / 2}],
+                [{"fault": "reversed_torque", "joints": [2, 3]}, {"fault": "no_gravity"}],
+            ]
+        },
+    )
+    said = fault_statement(fault)
+    assert "2 corrections explain that alike" in said
+    assert "the zero of joint 2 off by -90°; or a reversed torque of joints 2 and 3 and torques without gravity" in said
+    assert "Nothing was corrected" in said
+
+
+def test_turns_of_an_encoder_are_removed_and_said():
+    straight, _ = changed()
+    screened = screen_torques(*changed(q=lambda q: np.mod(q, 2 * np.pi)))
+    fault = screened.found[0]
+    assert [fault.code for fault in screened.found] == ["joint_turns"]
+    assert "off by whole turns" in fault_statement(fault)
+    np.testing.assert_allclose(screened.data.recording.joint_position, straight.joint_position, atol=1e-9)
+
+
+def test_torques_that_a_model_computed_have_neither_noise_nor_friction():
+    computed = recorded(seed=11, noise=0.0, velocity_noise=1e-4, declare=False)
+    (fault,) = screen_torques(*computed).found
+    assert fault.code == "estimated_torque"
+    assert "neither noise nor any friction" in fault_statement(fault)
+    for measured in (recorded(seed=11, declare=False), recorded(rubbing(11), seed=11, noise=0.0, declare=False)):
+        assert screen_torques(*measured).found == ()
 
 
 # ------------------------------------------------------------------ rest

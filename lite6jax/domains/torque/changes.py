@@ -1,0 +1,189 @@
+"""Faults of a torque recording that a hypothesis joins: each with what undoes it, and how it is reported."""
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.torque.rows import TorqueRows, torque_rows
+from lite6jax.recordings.fault import DataFault
+from lite6jax.recordings.joint_changes import with_joints
+
+Array = NDArray[np.floating]
+Hypothesis = tuple["Change", ...]
+
+GRAVITY = ("wrong_gravity", "no_gravity")
+POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
+TORQUES = ("swapped_torques", "reversed_torque", "wrong_torque_constant", "torque_unit")
+CODES = (*GRAVITY, *POSITIONS, *TORQUES)
+"""The faults, in the order in which their changes are made."""
+
+STEP = np.deg2rad(15.0)
+"""rad between zeros that are tried; the best are refined."""
+
+
+@final
+@dataclass(frozen=True)
+class Change:
+    """One fault, and what undoes it.
+
+    Attributes:
+        code: of `CODES`.
+        joints: concerned, from 0; of an exchange two, of a coupling the joint and the one that it is coupled to.
+        value: of a zero what is added to the position, rad; of a coupling the factor of the other joint; of a constant
+            the measured torque over the true one.
+        gravity: `(3,)` m/s², as it acts.
+    """
+
+    code: str
+    joints: tuple[int, ...] = ()
+    value: float = 1.0
+    gravity: tuple[float, ...] = ()
+
+    def of_positions(self, dof: int) -> tuple[Array, Array]:
+        """`(joint, joint)` and `(joint,)` rad: positions are multiplied by the one, and the other is added."""
+        A, b = np.eye(dof), np.zeros(dof)
+        i, j = (*self.joints, *self.joints, 0, 0)[:2]
+        match self.code:
+            case "swapped_positions":
+                A[[i, j]] = A[[j, i]]
+            case "reversed_positions":
+                A[i, i] = -1.0
+            case "coupled_joint":
+                A[i, j] = self.value
+            case "joint_zero":
+                b[i] = self.value
+        return A, b
+
+    def of_torques(self, dof: int) -> Array:
+        """`(joint, joint)`, by which torques are multiplied."""
+        T = np.eye(dof)
+        i, j = (*self.joints, *self.joints, 0, 0)[:2]
+        match self.code:
+            case "swapped_torques":
+                T[[i, j]] = T[[j, i]]
+            case "reversed_torque":
+                T[i, i] = -1.0
+            case "wrong_torque_constant" | "torque_unit":
+                T[i, i] = 1 / self.value
+            case "coupled_joint":
+                T = np.linalg.inv(self.of_positions(dof)[0]).T  # power stays the same
+        return T
+
+
+def undo(hypothesis: Hypothesis, data: TorqueRows) -> TorqueRows:
+    """The rows without the faults of a hypothesis."""
+    dof, recording = data.arm.dof, data.recording
+    A, b, T, gravity = maps(hypothesis, dof)
+    settings = recording.settings
+    if settings.torque_noise_Nm is not None:
+        noise = np.sqrt(T**2 @ np.square(settings.torque_noise_Nm))
+        settings = replace(settings, torque_noise_Nm=tuple(noise.tolist()))
+    if gravity is not None:
+        settings = replace(settings, gravity_m_per_s2=gravity)
+    recording = replace(recording, settings=settings)
+    if gravity is None and not any(change.code in POSITIONS for change in hypothesis):
+        return replace(data, recording=recording, torque=T @ data.torque)
+    return torque_rows(with_joints(recording, A, b), data.arm, T @ data.torque)
+
+
+def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[float, ...] | None]:
+    """What undoes a hypothesis: `A` and `b` of positions, `T` of torques, and gravity, None where that is declared."""
+    A, b, T, gravity = np.eye(dof), np.zeros(dof), np.eye(dof), None
+    for change in hypothesis:
+        gravity = change.gravity if change.code in GRAVITY else gravity
+        own, added = change.of_positions(dof)
+        A, b, T = own @ A, own @ b + added, change.of_torques(dof) @ T
+    return A, b, T, gravity
+
+
+def exchanges(order: NDArray[np.integer]) -> list[Change]:
+    """Exchanges of two columns that put into place j the column `order[j]`."""
+    now, found = list(range(len(order))), []
+    for j, wanted in enumerate(order.tolist()):
+        k = now.index(wanted)
+        if k != j:
+            found.append(Change("swapped_torques", (j, k)))
+            now[j], now[k] = now[k], now[j]
+    return found
+
+
+def turned_back(angle: float) -> float:
+    """rad, the same direction, above −π and at most π."""
+    return float(angle - 2 * np.pi * np.ceil(angle / (2 * np.pi) - 0.5))
+
+
+def joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
+    """Both, in the order in which changes are made; each once."""
+    return tuple(sorted({*hypothesis, *more}, key=lambda c: (CODES.index(c.code), c.joints, c.value)))
+
+
+def compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
+    """Whether no change of one repeats or takes back one of the other."""
+    made = {(c.code, frozenset(c.joints)) for c in hypothesis}
+    of_gravity = any(c.code in GRAVITY for c in hypothesis)
+    return not any((c.code, frozenset(c.joints)) in made or (of_gravity and c.code in GRAVITY) for c in more)
+
+
+def faults_in(hypothesis: Hypothesis) -> int:
+    """How many faults a hypothesis has; a set of signs or constants, and joints with both signs reversed, are one."""
+    sets = ("reversed_positions", "reversed_torque", "wrong_torque_constant", "torque_unit")
+    several = {code: frozenset(c.joints for c in hypothesis if c.code == code) for code in sets}
+    both = bool(several["reversed_torque"]) and several["reversed_positions"] == several["reversed_torque"]
+    return sum(map(bool, several.values())) - both + sum(c.code not in sets for c in hypothesis)
+
+
+def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...], tuple[float, ...]]]:
+    """Its changes without how far a zero is off, or how large a constant is."""
+    return {(c.code, c.joints, c.gravity) for c in hypothesis}
+
+
+def alike(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two hypotheses differ in how far a zero is off by little, or in a constant, alone."""
+    zeros = [{c.joints: c.value for c in hypothesis if c.code == "joint_zero"} for hypothesis in (a, b)]
+    return kinds(a) == kinds(b) and all(abs(turned_back(v - zeros[1][j])) < STEP for j, v in zeros[0].items())
+
+
+def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
+    """The faults of a hypothesis, those of one kind together."""
+    of_code = {code: [c for c in hypothesis if c.code == code] for code in CODES}
+    mirrored = {c.joints for c in of_code["reversed_positions"]} & {c.joints for c in of_code["reversed_torque"]}
+    found = []
+    declared = data.bodies.gravity
+    for change in of_code["wrong_gravity"]:
+        cosine = float(declared @ change.gravity) / (np.linalg.norm(declared) * np.linalg.norm(change.gravity))
+        numbers: dict[str, Any] = {"declared_m_per_s2": declared.tolist(), "found_m_per_s2": list(change.gravity)}
+        found.append(DataFault("wrong_gravity", (), numbers | {"tilt_rad": float(np.arccos(np.clip(cosine, -1, 1)))}))
+    if of_code["no_gravity"]:
+        found.append(DataFault("no_gravity", (), {"declared_m_per_s2": declared.tolist()}))
+    if mirrored:
+        found.append(DataFault("reversed_joint", (), {"joints": sorted(1 + j for (j,) in mirrored)}))
+    exchanged = {c.joints for c in of_code["swapped_positions"]} & {c.joints for c in of_code["swapped_torques"]}
+    of_code["swapped_torques"] = [c for c in of_code["swapped_torques"] if c.joints not in exchanged]
+    for change in of_code["swapped_positions"]:
+        code = "swapped_columns" if change.joints in exchanged else "swapped_positions"
+        found.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
+    for change in of_code["coupled_joint"]:
+        i, j = change.joints
+        found.append(DataFault("coupled_positions", (), {"joint": 1 + i, "added_joint": 1 + j, "factor": change.value}))
+    for change in of_code["joint_zero"]:
+        found.append(DataFault("joint_zero", (), {"joint": 1 + change.joints[0], "added_rad": change.value}))
+    if swaps := of_code["swapped_torques"]:
+        order = np.arange(data.arm.dof)
+        for i, j in (change.joints for change in swaps):
+            order[[i, j]] = order[[j, i]]
+        moved = np.flatnonzero(order != np.arange(len(order)))
+        numbers = {"joints": (1 + moved).tolist(), "columns": (1 + order[moved]).tolist()}
+        found.append(DataFault("swapped_torques", (), numbers))
+    for code in ("reversed_torque", "reversed_positions"):
+        if joints := sorted(1 + c.joints[0] for c in of_code[code] if c.joints not in mirrored):
+            found.append(DataFault(code, (), {"joints": joints}))
+    constants = data.recording.settings.torque_constant_Nm_per_A
+    known = constants is not None and data.recording.joint_torque is None
+    for code in ("wrong_torque_constant", "torque_unit"):
+        if changes := of_code[code]:
+            numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
+            true = [constants[c.joints[0]] / c.value for c in changes] if known and constants is not None else None
+            found.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
+    return found

@@ -1,0 +1,212 @@
+"""What is wrong where torques contradict the arm grossly: signs, columns, zeros, constants, or gravity.
+
+A hypothesis is a tuple of changes, each a fault and what undoes it. All are compared by the squares that the rigid arm
+as declared leaves beside friction that takes power. The best are compared by their evidence beside other masses, a
+payload, springs and scales, and one is taken only where it exceeds that of the recording as it is declared, and of
+every other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain, combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.torque.changes import (
+    GRAVITY,
+    POSITIONS,
+    STEP,
+    Change,
+    Hypothesis,
+    alike,
+    compatible,
+    faults_in,
+    faults_of,
+    joined,
+    kinds,
+    turned_back,
+    undo,
+)
+from lite6jax.domains.torque.likelihood import TRUSTED, Samples, Scored
+from lite6jax.domains.torque.rows import TorqueRows
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.torque_effect import direction
+from lite6jax.recordings.fault import DataFault
+
+Array = NDArray[np.floating]
+
+_EXPLAINED = 0.15
+"""The same as `_SUSPECT`, from which a second change is sought: what most arms have beside leaves as much."""
+_CLEARLY = 1.5
+"""Times by which a hypothesis leaves less of the torque of a joint, RMS."""
+_BEAM = 4
+"""Hypotheses that are joined with further changes."""
+_COMPARED = 8
+"""Hypotheses of which the evidence is computed."""
+_NOISELESS = 1e-3
+"""Of a joint's torque: the noise of one that was computed, at most."""
+_FRICTIONLESS = 5e-3
+"""Of a joint's torque, RMS: friction, and what a rigid arm leaves, of one that was computed, at most."""
+
+
+class Declared(NamedTuple):
+    """The rows as they are diagnosed.
+
+    Attributes:
+        data: corrected.
+        found: what was wrong.
+        ruled_out: what was tested for and is right.
+    """
+
+    data: TorqueRows
+    found: tuple[DataFault, ...]
+    ruled_out: tuple[DataFault, ...]
+
+
+def as_declared(data: TorqueRows) -> Declared:
+    """The rows as the hypothesis has them that is decided; as they are where none is needed, or several do alike."""
+    compared = _compare(Samples(data))
+    found: list[DataFault] = []
+    if compared.found:
+        found = faults_of(compared.found, data)
+        data = undo(compared.found, data)
+    elif compared.alternatives:
+        listed = [[{"fault": f.code, **f.numbers} for f in faults_of(h, data)] for h in compared.alternatives]
+        found = [DataFault("undecided_torques", (), {"alternatives": listed})]
+    codes = {fault.code for fault in found}
+    doubted = {fault["fault"] for f in found for each in f.numbers.get("alternatives", ()) for fault in each}
+    ruled_out = [
+        DataFault(code, (), {})
+        for code, others in (
+            ("swapped_torques", {"swapped_torques", "reversed_torque"}),
+            ("wrong_gravity", set(GRAVITY)),
+            ("wrong_torque_constant", {"wrong_torque_constant"}),
+            ("joint_zero", set(POSITIONS)),
+        )
+        if not (codes | doubted) & others
+    ]
+    return Declared(data, tuple(found), tuple(ruled_out))
+
+
+def computed_torque(data: TorqueRows) -> bool:
+    """Whether no joint has noise or friction: what a controller computes by a model of its arm, and no motor exerts.
+
+    The links may be others than declared. A sensor's noise, or a current's, is several times `_NOISELESS`, and friction
+    of a gear some per cent of its torque.
+    """
+    rows, regressors = data.measured, data.regressor
+    size = np.maximum(np.std(rows, axis=1), 1e-300)
+    steps = np.diff(data.torque, 3, axis=1) / np.sqrt(20.0)  # of white noise, its standard deviation
+    if (1.4826 * np.median(np.abs(steps), 1) > _NOISELESS * size).any() or rows.shape[1] < 2 * regressors.shape[1]:
+        return False
+    dq = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
+    ddq = np.asarray(data.motion.joint_acceleration)[:, data.filter.kept]
+    for row, X, v, a, slides, usual in zip(rows, regressors, dq, ddq, data.arm.slides, size, strict=True):
+        columns = np.vstack([direction(v, slides), v, X, np.ones_like(v), a])
+        scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+        numbers = np.linalg.lstsq((columns / scale[:, None]).T, row, rcond=1e-9)[0]
+        friction = numbers[:2] / np.sqrt(len(row))
+        left = float(np.sqrt(np.mean((row - numbers @ (columns / scale[:, None])) ** 2)))
+        if np.abs(friction).max() > _FRICTIONLESS * usual or left > _FRICTIONLESS * usual:
+            return False
+    return True
+
+
+def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
+    """Every simple hypothesis about positions and gravity; torques are assigned to joints for each of them."""
+    dof, sliding = data.arm.dof, data.arm.sliding
+    turning = [i for i in range(dof) if i not in sliding]
+    declared = data.bodies.gravity
+    strength = float(np.linalg.norm(declared))
+    if strength:
+        yield (Change("no_gravity", gravity=(0.0, 0.0, 0.0)),)
+        for axis in chain(np.eye(3), -np.eye(3)):
+            if np.linalg.norm(strength * axis - declared) > bounds.TILT * strength:
+                yield (Change("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
+    for pair in combinations(range(dof), 2):
+        yield (Change("swapped_positions", pair),)
+    most = dof if dof <= 7 else 2  # of more joints there are too many sets
+    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, most + 1)):
+        yield tuple(Change("reversed_positions", (i,)) for i in joints)
+    for i in turning:
+        for j in {i - 1, i + 1} & set(turning):
+            yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
+    for i in turning:
+        steps = (*(k * STEP for k in range(1, round(2 * np.pi / STEP))), STEP / 3, -STEP / 3)
+        yield from ((Change("joint_zero", (i,), turned_back(step)),) for step in steps)
+
+
+class _Comparison(NamedTuple):
+    """Attributes:
+    found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
+    alternatives: where none is taken, two or more that cannot be told apart.
+    """
+
+    found: Hypothesis = ()
+    alternatives: tuple[Hypothesis, ...] = ()
+
+
+def _compare(rows: Samples) -> _Comparison:
+    declared = rows.declared
+    if not rows.suspicious(declared):
+        return _Comparison()
+    best = _search(rows)
+    best = [one for one in best if one.hypothesis and (one.left < declared.left / _CLEARLY).any()]
+    if not best:
+        return _Comparison()
+    evidence = {one.hypothesis: rows.evidence(one.hypothesis) - rows.price(one.hypothesis) for one in best}
+    ranked = sorted(evidence, key=lambda h: -evidence[h])
+    least = rows.evidence(()) + TRUSTED
+    if evidence[ranked[0]] < least:
+        return _Comparison()
+    likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, least)]
+    fewest = min(map(faults_in, likely))
+    simple = [h for h in likely if faults_in(h) == fewest]
+    simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
+    distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
+    if len(distinct) > 1:
+        return _Comparison(alternatives=tuple(distinct))
+    (found,) = distinct
+    common = _with_one_constant(found)
+    if rows.evidence(common) - rows.price(common) > evidence[found]:
+        return _Comparison(found=common)
+    return _Comparison(found=found)
+
+
+def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
+    """With the median of its constants for all of these joints: one error in one place is one number."""
+    constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+    if len(constants) < 2:
+        return hypothesis
+    one = float(f"{np.median(constants):.3g}")
+    return tuple(replace(c, value=one) if c.code == "wrong_torque_constant" else c for c in hypothesis)
+
+
+def _search(rows: Samples) -> list[Scored]:
+    """Hypotheses worth their evidence: the best by squares, of few changes first, more where these do not suffice."""
+    simple = list(single_changes(rows.data))
+    scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
+    beam: list[Hypothesis] = [()]
+    for _ in range(2):
+        tried = dict.fromkeys(joined(h, more) for h in beam for more in simple if compatible(h, more))
+        new = {h: rows.scored(h) for h in tried if h not in scored}
+        zeros: dict[Hypothesis, Hypothesis] = {}  # of those that differ in zeros alone the best
+        for h in sorted(new, key=lambda h: new[h].cost):
+            zeros.setdefault(tuple(replace(c, value=0.0) if c.code == "joint_zero" else c for c in h), h)
+        for h in [h for key, h in zeros.items() if key != h][: 2 * _BEAM]:
+            refined = rows.refined(h)
+            new[refined] = rows.scored(refined)
+        for h in beam:
+            turned = rows.gravity_found(h)
+            if turned is not None:
+                more = joined(tuple(c for c in h if c.code not in GRAVITY), (turned,))
+                new[more] = rows.scored(more)
+        before = min(one.cost for one in scored.values())
+        scored |= new
+        beam = sorted(scored, key=lambda h: scored[h].cost)[:_BEAM]
+        least = scored[beam[0]]
+        if not rows.suspicious(least, _EXPLAINED) or least.cost > before - TRUSTED:
+            break
+    return sorted(scored.values(), key=lambda one: one.cost)[:_COMPARED]

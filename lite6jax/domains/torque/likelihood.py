@@ -1,0 +1,391 @@
+"""How likely hypotheses about a torque recording are: what each leaves of some samples, and its evidence."""
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
+
+from lite6jax.arms.dynamics import inverse_dynamics, regressor
+from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
+from lite6jax.domains.torque.links import uncertain
+from lite6jax.domains.torque.rows import TorqueRows
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.torque_effect import direction, point_mass
+
+Array = NDArray[np.floating]
+
+_ROWS = 300
+"""Samples on which hypotheses are compared, of one number, so that the dynamics are compiled once an arm."""
+SUSPECT = 0.05
+"""Of a joint's torque, RMS: what the arm as declared leaves beside friction, from which it is suspected."""
+_CORRELATED = 0.3
+"""Correlation of neighbouring samples below which what is left is noise."""
+_FACTORS = (0.45, 1.8)
+"""Of the measured torque over the true one, beyond which it is no error of calibration but another constant: those of
+motors of one series vary by some per cent, and gear ratios by factors."""
+_UNIT = (1 / 3, 3.0)
+"""The same of all joints together: within, the arm has rather other masses; beyond, torques are in another unit."""
+_LEAST_ZERO = 0.05
+"""rad below which a zero is no fault of the data: other centres of mass do the same."""
+_SNAP = 0.04
+"""rad from a quarter of a turn within which a zero is another convention."""
+_STRENGTH = 0.15
+"""Relative deviation of gravity's strength up to which another direction of it is believed."""
+_UPRIGHT = 0.1
+"""rad from an axis of the base within which gravity points along it: arms stand, hang, or are mounted on a wall."""
+TRUSTED = 5.7
+"""Log-likelihood by which a hypothesis exceeds another: log 300, one file in some hundred is wrong."""
+_WIDTHS = (0.03, 0.1, 0.3, 1.0)
+"""Relative standard deviations of declared inertial numbers, of which each hypothesis has the likeliest."""
+_FLOOR = 2e-3
+"""Of a joint's torque: what no model of a motor is more exact than."""
+_PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
+"""Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
+_TILT = 0.15
+"""rad, one sigma of a base's tilt."""
+_OF_SIGN = float(np.log(7))
+"""Log-likelihood that a reversed sign costs: one of seven joints."""
+
+
+class Scored(NamedTuple):
+    """A hypothesis beside the rigid arm as declared.
+
+    Attributes:
+        hypothesis: with its changes of torques.
+        cost: less log-likelihood, with what its changes cost.
+        left: `(joint,)` Nm RMS of what is left, in the unit that was recorded.
+    """
+
+    hypothesis: Hypothesis
+    cost: float
+    left: Array
+
+
+class Samples:
+    """Some samples of a recording, and what hypotheses leave of them."""
+
+    def __init__(self, data: TorqueRows) -> None:
+        self.data = data
+        kept = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
+        at, motion = data.filter.kept[kept], data.motion
+        moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
+        self.moved = np.stack([np.asarray(x)[:, at] for x in moved])
+        self.measured = data.measured[:, kept]
+        self.payload = np.asarray(motion.payload)[at] * np.ones(len(at))
+        self.size = np.std(self.measured, axis=1)
+        self.floor = _FLOOR * self.size + 1e-9
+        if data.recording.settings.torque_noise_Nm is not None:
+            noise = np.asarray(data.recording.settings.torque_noise_Nm) / np.sqrt(data.filter.every)
+            self.floor = np.hypot(self.floor, 0.5 * noise)
+        slope = np.stack([np.gradient(row) for row in data.measured])
+        self.slope = slope[:, kept] * data.filter.rate / data.filter.every
+
+    @property
+    def dof(self) -> int:
+        return len(self.measured)
+
+    @cached_property
+    def counted(self) -> float:
+        """How many samples that remember each other count as independent ones, by what the arm as declared leaves."""
+        times = []
+        for row in self._rest(()):
+            row = row - row.mean()
+            spectrum = np.abs(np.fft.rfft(row, 2 * len(row))) ** 2
+            correlation = np.fft.irfft(spectrum)[: len(row)]
+            correlation = correlation / max(correlation[0], 1e-300)
+            end = int(np.argmax(correlation < 0.05)) or len(row)
+            times.append(1 + 2 * float(np.sum(correlation[1:end])))
+        return self.measured.shape[1] / float(np.median(times))
+
+    def price(self, hypothesis: Hypothesis) -> float:
+        """Log-likelihood that its changes cost: which joints, and half the logarithm of the samples for each number."""
+        pair, number = _of_pair(self.dof), self._of_number
+        each = {"joint_zero": number, "wrong_torque_constant": number, "torque_unit": number}
+        each |= {"swapped_positions": pair, "swapped_torques": pair, "coupled_joint": np.log(4 * self.dof)}
+        reversed_both = {c.joints for c in hypothesis if c.code == "reversed_positions"}
+        reversed_both &= {c.joints for c in hypothesis if c.code == "reversed_torque"}
+        total = sum(each.get(change.code, _OF_SIGN) for change in hypothesis)
+        constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+        repeated = 0.5 * np.log(self.counted) * (len(constants) - len(set(constants)))
+        return float(total - _OF_SIGN * len(reversed_both) - repeated)
+
+    @property
+    def _of_number(self) -> float:
+        """Log-likelihood that a number of one of the joints costs."""
+        return 0.5 * float(np.log(self.counted)) + float(np.log(self.dof + 1))
+
+    @cached_property
+    def declared(self) -> Scored:
+        """The recording as it is."""
+        return Scored((), 0.0, np.sqrt(np.mean(self._rest(()) ** 2, 1)))
+
+    def suspicious(self, scored: Scored, share: float = SUSPECT) -> bool:
+        """Whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
+        rest = self._rest(scored.hypothesis)
+        near = np.sum(rest[:, 1:] * rest[:, :-1], 1) / np.maximum(np.sum(rest**2, 1), 1e-300)
+        return bool(((scored.left > share * self.size) & (near > _CORRELATED)).any())
+
+    def rigid(self, moved: Array, gravity: Array) -> Array:
+        """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
+        bodies = self.data.bodies
+        sliding, (q, dq, ddq) = bodies.motion.sliding.joints, moved
+        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, q, dq, ddq, gravity, sliding))
+        if self.payload.any():
+            unit = np.zeros_like(bodies.links)
+            unit[-1] = point_mass(1.0, bodies.payload_center)
+            per_kg = inverse_dynamics(bodies.kinematics, unit, q, dq, ddq, gravity, sliding)
+            torque = torque + self.payload * np.asarray(per_kg)
+        return torque
+
+    def _moved(self, hypothesis: Hypothesis) -> tuple[Array, Array]:
+        """The motion `(3, joint, sample)` and gravity `(3,)` of a hypothesis."""
+        A, b, _, gravity = maps(hypothesis, self.dof)
+        moved = np.einsum("ij,kjs->kis", A, self.moved)
+        moved[0] += b[:, None]
+        return moved, self.data.bodies.gravity if gravity is None else np.asarray(gravity)
+
+    def _beside(self, moved: Array) -> Array:
+        """`(joint, number, sample)`: offset of both signs, friction, narrow and wide, and rotor, none negative."""
+        _, dq, ddq = moved
+        slides = self.data.arm.slides
+        narrow = np.stack([direction(v, s) for v, s in zip(dq, slides, strict=True)])
+        wide = np.tanh(dq / np.maximum(0.2 * np.abs(dq).max(1, keepdims=True), 1e-9))
+        one = np.ones_like(dq)
+        columns = np.stack([one, -one, dq, narrow, wide, ddq], 1)
+        return columns / np.maximum(np.linalg.norm(columns, axis=2, keepdims=True), 1e-300)
+
+    def _rest(self, hypothesis: Hypothesis) -> Array:
+        """`(joint, sample)` Nm that a hypothesis leaves beside what each joint may add."""
+        moved, gravity = self._moved(hypothesis)
+        return self._left(maps(hypothesis, self.dof)[2] @ self.measured - self.rigid(moved, gravity), moved)
+
+    def _left(self, rest: Array, moved: Array) -> Array:
+        """Torques `(joint, sample)` Nm less what each joint may add."""
+        return np.stack([row - nnls(c.T, row)[0] @ c for row, c in zip(rest, self._beside(moved), strict=True)])
+
+    def scored(self, hypothesis: Hypothesis) -> Scored:
+        """A hypothesis about positions and gravity, with the columns, signs and constants of torques that fit it best.
+
+        Args:
+            hypothesis: without changes of torques.
+        """
+        moved, gravity = self._moved(hypothesis)
+        measured, rigid = maps(hypothesis, self.dof)[2] @ self.measured, self.rigid(moved, gravity)
+        n, dof, half = self.measured.shape[1], self.dof, 0.5 * self.counted
+        square, factor, loaded = np.empty((2, dof, dof)), np.ones((2, dof)), np.empty((2, dof))
+        seen = np.zeros(dof, bool)
+        for j, columns in enumerate(self._beside(moved)):
+            weight = max(float(np.linalg.norm(rigid[j])), 1e-300)
+            alone = np.linalg.qr(columns.T)
+            with_load = np.linalg.qr(np.vstack([columns, rigid[j] / weight]).T)
+            for k, sign in enumerate((1.0, -1.0)):
+                for c in range(dof):
+                    square[k, c, j] = _nonnegative(alone, sign * measured[c] - rigid[j])[1] / n
+                numbers, rss = _nonnegative(with_load, sign * measured[j])
+                factor[k, j], loaded[k, j] = numbers[-1] / weight, rss / n
+            seen[j] = (
+                half * np.log(_nonnegative(alone, measured[j])[1] / (n * max(loaded[:, j].min(), 1e-300))) > TRUSTED
+            )
+        square = np.maximum(square, self.floor[None, :, None] ** 2)
+        loaded = np.maximum(loaded, self.floor**2)
+        every, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
+        cost = half * np.log(square) + of_sign[:, None, None] + 0.5 * _of_pair(dof) * (1 - np.eye(dof))
+        columns, place = linear_sum_assignment(cost.min(0))
+        order = np.empty(dof, int)
+        order[place] = columns
+        reversed_ = np.argmin(cost[:, order, every], 0) == 1
+        total, left = cost.min(0)[order, every], np.sqrt(square[reversed_.astype(int), order, every])
+        constants = np.ones(dof)
+        code, with_any = "wrong_torque_constant", half * np.log(loaded) + of_sign[:, None] + self._of_number
+        for of_all in (False, True):
+            other = self._constants(with_any, factor, cost[:, every, every], seen if of_all else None)
+            if other is not None and other[1].sum() < total.sum():
+                code = "torque_unit" if of_all else "wrong_torque_constant"
+                order, (constants, total, reversed_) = every, other
+                k = reversed_.astype(int)
+                left = np.sqrt(np.where(constants != 1, loaded[k, every], square[k, every, every]))
+        changes = [*hypothesis, *exchanges(order)]
+        changes += [Change("reversed_torque", (int(j),)) for j in np.flatnonzero(reversed_)]
+        found = [(int(j), float(constants[j])) for j in np.flatnonzero(constants != 1)]
+        changes += [Change(code, (j,), float(f"{k:.3g}")) for j, k in found]
+        return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), left)
+
+    def _constants(
+        self, loaded: Array, factor: Array, as_it_is: Array, seen: NDArray[np.bool_] | None
+    ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+        """Constants of the torques of joints, what each joint costs, and which are reversed, `(joint,)` each.
+
+        Args:
+            loaded: `(sign, joint)`, costs with any constant.
+            factor: likewise, the measured torque over the true one.
+            as_it_is: `(sign, joint)`, costs with the constant as declared.
+            seen: `(joint,)`, whose constants the torques show, for constants of all joints; None for single joints'.
+        """
+        low, high = _FACTORS
+        if seen is not None:
+            k, every = np.argmin(loaded, 0), np.arange(self.dof)
+            found = factor[k, every]
+            low, high = _UNIT
+            shown = found[seen]
+            if 2 * seen.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
+                return None
+            usual = float(np.exp(np.mean(np.log(shown))))
+            return np.where(seen, found, usual), loaded[k, every], k == 1
+        beyond = ((factor > 0) & (factor < low)) | (factor > high)
+        cost = np.minimum(as_it_is, np.where(beyond, loaded, np.inf))
+        reversed_, every = np.argmin(cost, 0) == 1, np.arange(self.dof)
+        k = reversed_.astype(int)
+        other = cost[k, every] < as_it_is[k, every]
+        if not other.any() or 2 * other.sum() > self.dof:
+            return None
+        return np.where(other, factor[k, every], 1.0), cost[k, every], reversed_
+
+    def refined(self, hypothesis: Hypothesis) -> Hypothesis:
+        """With zeros between those that were tried."""
+        for change in hypothesis:
+            if change.code != "joint_zero":
+                continue
+
+            def at(value: float, change: Change = change, whole: Hypothesis = hypothesis) -> Hypothesis:
+                return tuple(replace(c, value=value) if c == change else c for c in whole)
+
+            near = (change.value - STEP, change.value + STEP)
+            best: Any = minimize_scalar(
+                lambda value, at=at: self.scored(at(value)).cost, bounds=near, method="bounded", options={"xatol": 5e-3}
+            )
+            value = float(best.x)
+            quarters = float(np.round(value / (np.pi / 2)) * np.pi / 2)
+            value = quarters if abs(value - quarters) < _SNAP else float(f"{value:.3g}")
+            hypothesis = at(turned_back(value))
+        return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.value) > _LEAST_ZERO)
+
+    def gravity_found(self, hypothesis: Hypothesis) -> Change | None:
+        """Gravity along the direction that the torques show beside what joints may add; None where that is as declared.
+
+        Torques are linear in gravity: its three components are fitted, joints weighted by what is left of them. A small
+        tilt is an effect on its own (`base_tilt`).
+        """
+        declared = self.data.bodies.gravity
+        strength = float(np.linalg.norm(declared))
+        if not strength:
+            return None
+        moved, _ = self._moved(hypothesis)
+        without = self.rigid(moved, np.zeros(3))
+        of_axes = np.stack([self.rigid(moved, axis) - without for axis in np.eye(3)])
+        rest = maps(hypothesis, self.dof)[2] @ self.measured - without
+        found, scale = declared, np.maximum(self.size, 1e-9)
+        bases = [np.linalg.qr(np.stack([c[0], *c[2:]]).T)[0] for c in self._beside(moved)]
+        X = np.stack([of_axes[:, j] - (of_axes[:, j] @ Q) @ Q.T for j, Q in enumerate(bases)])
+        Y = np.stack([rest[j] - (rest[j] @ Q) @ Q.T for j, Q in enumerate(bases)])
+        for _ in range(4):
+            A, b = np.concatenate(X / scale[:, None, None], 1), np.concatenate(Y / scale[:, None])
+            found = np.linalg.lstsq(A.T, b, rcond=None)[0]
+            scale = np.maximum(np.sqrt(np.mean((Y - np.einsum("k,jks->js", found, X)) ** 2, 1)), self.floor)
+        size = float(np.linalg.norm(found))
+        cosine = float(found @ declared) / max(size * strength, 1e-300)
+        if abs(size / strength - 1) > _STRENGTH or np.arccos(np.clip(cosine, -1, 1)) <= bounds.TILT:
+            return None
+        along = found / size
+        k = int(np.argmax(np.abs(along)))
+        if np.arccos(min(abs(along[k]), 1.0)) < _UPRIGHT:
+            along = np.sign(along[k]) * np.eye(3)[k]
+        return Change("wrong_gravity", gravity=tuple(float(f"{value:.4g}") + 0.0 for value in strength * along))
+
+    def evidence(self, hypothesis: Hypothesis) -> float:
+        """The logarithm of the marginal likelihood, with the likeliest width of the inertial numbers' prior.
+
+        Beside the arm each joint has what most arms have: offset, friction, rotor, spring, scale and lag; links have
+        other masses, a payload hangs on the flange, and the base is tilted, all of a prior. Samples that remember each
+        other count as fewer, and each joint has a noise of its own.
+        """
+        moved, gravity = self._moved(hypothesis)
+        T = maps(hypothesis, self.dof)[2]
+        measured = T @ self.measured
+        size = np.std(measured, axis=1) + 1e-9
+        rest = measured - self.rigid(moved, gravity)
+        shared, of_links = self._of_bodies(moved, gravity)
+        own, bounded = self._of_joints(moved, gravity, T @ self.slope, size)
+        k, m, dof = len(shared), own.shape[1], self.dof
+        columns = [np.vstack([shared[:, j], own[j]]) for j in range(dof)]
+        grams, sides = [c @ c.T for c in columns], [c @ row for c, row in zip(columns, rest, strict=True)]
+        places = [np.r_[:k, k + m * j : k + m * (j + 1)] for j in range(dof)]
+        lower = np.r_[np.zeros(k, bool), np.tile(bounded, dof)]
+        squares, n, floor = np.sum(rest**2, 1), rest.shape[1], np.abs(T) @ self.floor
+        start = np.maximum(np.sqrt(np.mean(self._left(rest, moved) ** 2, 1)), floor)
+
+        def of_width(width: float) -> float:
+            prior, noise = np.r_[np.where(of_links, width, 1.0), np.ones(m * dof)], start
+            square, H, x = start**2, np.zeros((len(lower), len(lower))), np.zeros(len(lower))
+            for _ in range(5):
+                H, g = np.zeros_like(H), np.zeros(len(lower))
+                for at, gram, side, sigma in zip(places, grams, sides, noise, strict=True):
+                    weight = self.counted / (n * sigma**2)
+                    H[np.ix_(at, at)] += weight * gram
+                    g[at] += weight * side
+                H *= np.outer(prior, prior)
+                x = _solved(H + np.eye(len(H)), g * prior, lower)
+                y = [(prior * x)[at] for at in places]
+                left = [s - 2 * v @ b + v @ G @ v for s, v, b, G in zip(squares, y, sides, grams, strict=True)]
+                square = np.maximum(left, 0.0) / n
+                noise = np.maximum(np.sqrt(square), floor)
+            of_noise = np.log(noise / np.abs(T).sum(1)) + 0.5 * square / noise**2  # in the unit that was recorded
+            volume = float(np.linalg.slogdet(np.eye(len(H)) + H)[1])
+            return -self.counted * float(of_noise.sum()) - 0.5 * float(x @ x) - 0.5 * volume
+
+        return max(map(of_width, _WIDTHS))
+
+    def _of_bodies(self, moved: Array, gravity: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Torques `(number, joint, sample)` by changes of the bodies of one prior sigma, and which are of the links."""
+        bodies = self.data.bodies
+        q, dq, ddq = moved
+        Y = np.asarray(regressor(bodies.kinematics, q, dq, ddq, gravity, bodies.motion.sliding.joints))
+        directions, deviations = uncertain(bodies.links, 1.0)
+        links = np.einsum("nk,jks->njs", (deviations[:, None, None] * directions).reshape(len(directions), -1), Y)
+        mass = _PAYLOAD * float(bodies.links[:, 0].sum())
+        payload = np.moveaxis(Y[:, -10:-6], 1, 0) * (mass * np.r_[1.0, np.full(3, _PAYLOAD_LEVER)])[:, None, None]
+        parts = [links, payload]
+        if gravity.any():
+            across = np.linalg.svd(gravity[None])[2][1:]
+            still = np.stack([moved[0], 0 * moved[1], 0 * moved[2]])
+            parts.append(np.stack([_TILT * self.rigid(still, np.cross(gravity, axis)) for axis in across]))
+        columns = np.concatenate(parts)
+        return columns, np.arange(len(columns)) < len(links)
+
+    def _of_joints(self, moved: Array, gravity: Array, slope: Array, size: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """`(joint, number, sample)` Nm by what a joint may add, of one prior sigma, and which numbers are positive."""
+        q = moved[0]
+        own = self._beside(moved)[:, [0, 2, 3, 4, 5]] * np.sqrt(q.shape[1])  # of unit mean square
+        spring = q - q.mean(1, keepdims=True)
+        spring /= np.maximum(np.std(spring, axis=1, keepdims=True), 1e-9)
+        rigid = self.rigid(moved, gravity) / size[:, None]
+        added = np.stack([0.3 * spring, 0.1 * rigid, 0.02 * slope / size[:, None]], 1)
+        columns = np.concatenate([own, added], 1) * size[:, None, None]
+        return columns, np.array([False, True, True, True, True, False, False, False])
+
+
+def _nonnegative(factors: tuple[Array, Array], y: Array) -> tuple[Array, float]:
+    """Numbers of columns `QR`, none negative, by least squares, and the sum of squares that they leave."""
+    Q, R = factors
+    target = Q.T @ y
+    numbers, left = nnls(R, target)
+    return numbers, max(float(y @ y - target @ target), 0.0) + left**2
+
+
+def _solved(H: Array, g: Array, lower: NDArray[np.bool_]) -> Array:
+    """The minimum of ½ xᵀHx − gᵀx in which the numbers `lower` are not negative."""
+    free = ~lower
+    L = np.linalg.cholesky(H[np.ix_(free, free)])
+    B, c = np.linalg.solve(L, H[np.ix_(free, lower)]), np.linalg.solve(L, g[free])
+    S = np.linalg.cholesky(H[np.ix_(lower, lower)] - B.T @ B)
+    x = np.zeros(len(g))
+    x[lower] = nnls(S.T, np.linalg.solve(S, g[lower] - B.T @ c))[0]
+    x[free] = np.linalg.solve(L.T, c - B @ x[lower])
+    return x
+
+
+def _of_pair(dof: int) -> float:
+    """Log-likelihood that an exchange costs: one of all pairs."""
+    return float(np.log(dof * (dof - 1) / 2 + 1))
