@@ -86,9 +86,8 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             functions = with_each(problem, rest, likely_functions(problem, test, options, site), options)
             largest = options.together * (_causes(problem, there) - 1)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
-                if len(there) == 2 and not preferred(
-                    problem, choice, best or state, 0.0 if best else -largest, options
-                ):
+                usual = len(there) == 2 and any(tested.term.usual for tested in there)
+                if usual and not preferred(problem, choice, best or state, 0.0 if best else -largest, options):
                     continue  # none of two may stay: without them it is as it is
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)
