@@ -6,7 +6,7 @@ those of `report.joining`.
 
 from collections.abc import Mapping, Sequence
 from itertools import islice, product
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.joint_path import JointPath, joint_path
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.domains.pose.readings import FEWEST
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
@@ -25,6 +24,9 @@ from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
+
+if TYPE_CHECKING:
+    from lite6jax.domains.pose.joint_path import JointPath
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
@@ -93,7 +95,7 @@ class WithJoints(NamedTuple):
     """
 
     file: File
-    path: JointPath
+    path: "JointPath"
     form: str
 
 
@@ -142,6 +144,8 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
+    from lite6jax.domains.pose.joint_path import joint_path  # imports JAX
+
     for names in _orientations(turned):
         told = {own: known_column(name) for own, name in names.items()}
         values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
