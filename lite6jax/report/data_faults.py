@@ -5,7 +5,7 @@ from typing import Any
 
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import pose_faults, torque_faults
-from lite6jax.report.pose_faults import NO_MISMATCH, mismatch_ruled_out
+from lite6jax.report.pose_faults import MISMATCHES, mismatch_ruled_out
 
 _NAMES = pose_faults.NAMES | torque_faults.NAMES
 _FOUND = pose_faults.FOUND | torque_faults.FOUND
@@ -33,11 +33,11 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     """The same for several; faults that the same numbers rule out share a sentence."""
     groups: dict[tuple[object, ...], list[DataFault]] = {}
     for fault in faults:
-        column = fault.code in NO_MISMATCH
+        column = fault.code in MISMATCHES
         groups.setdefault(tuple(fault.numbers.values()) if column else (fault.code,), []).append(fault)
     lines = []
     for group in groups.values():
-        if group[0].code in NO_MISMATCH:
+        if group[0].code in MISMATCHES:
             lines.append(mismatch_ruled_out([fault.code for fault in group], group[0].numbers))
         else:
             lines += map(ruled_out_statement, group)

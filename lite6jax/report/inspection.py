@@ -10,6 +10,7 @@ from rich.text import Text
 
 from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.meanings import Meaning
+from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.naming import Role, unit_of, units_allowed
@@ -270,7 +271,7 @@ def arm_statement(found: Inspection) -> str:
     if not found.arms:
         return f"Arm: {found.arm.name}, as given; there are no poses to compare it with."
     near = f"its nominal kinematics agree with the poses to {1e3 * found.error:.3g} mm (median)"
-    if found.error > 0.05:
+    if found.error > ScreeningOptions().suspect_reach * found.arm.reach:
         missed = f"its nominal kinematics miss the poses by {1e3 * found.error:.3g} mm (median)"
         return f"Arm: {found.arm.name}, as given; as the columns are read, {missed}."
     others = "; ".join(f"{name} to {1e3 * error:.3g} mm" for name, error in found.arms[1:3])

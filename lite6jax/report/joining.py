@@ -20,13 +20,13 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
         )
         if np.isfinite(clocks.drift_std):
             said.append(
-                f"it gains {1e6 * clocks.drift:.1f} ± {1e6 * clocks.drift_std:.2g} ppm: its times are used, counted as "
-                "it counts them"
+                f"the clock of {joints} runs {1e6 * clocks.drift:.1f} ± {1e6 * clocks.drift_std:.2g} ppm faster; the "
+                "joined table has its times"
             )
         else:
             said.append(
-                "the arm stood still at the poses: the offset may be changed by as much before it moves, and a drift "
-                "does not show"
+                f"the arm stood still at every pose: the offset is known within {_small(clocks.offset_std)} only, and "
+                "the drift cannot be estimated"
             )
         fitted = f", with its geometry fitted to {1e3 * clocks.fitted_error:.3g} mm"
         said.append(

@@ -16,10 +16,10 @@ NAMES = {
     "swapped_joints": "Swapped joints",
     "mirrored_joint": "Joint with reversed sign",
     "joint_unit": "Joint in another unit",
-    "joint_turns": "Joint off by turns",
+    "joint_turns": "Joint zero or whole turns",
     "orientation_convention": "Orientation convention",
-    "declared_frame": "Declared frame",
-    "declared_tool": "Declared tool",
+    "declared_frame": "Frame other than declared",
+    "declared_tool": "Tool other than declared",
     "inverted_poses": "Inverted poses",
     "mirrored_sensor": "Left-handed sensor",
     "coupled_joint": "Coupled joints",
@@ -112,18 +112,11 @@ def _grid(n: Numbers) -> str:
 
 # ------------------------------------------------------------------ what misses the arm grossly
 
-NO_MISMATCH = {
-    "declared_frame": "the frame is the declared one",
-    "declared_tool": "the tool is the declared one",
-    "inverted_poses": "no poses are inverted",
-    "mirrored_sensor": "the sensor's axes are right-handed",
-    "orientation_convention": "the orientations are unit quaternions of the tool, scalar first",
-    "swapped_joints": "no joints are swapped",
-    "joint_unit": "no joint is in another unit",
-    "mirrored_joint": "no joint has its sign reversed",
-    "coupled_joint": "no joint's column depends on another joint",
-}
-"""Faults that make poses miss the arm grossly, each as a clause that rules it out."""
+MISMATCHES = (
+    *("declared_frame", "declared_tool", "inverted_poses", "mirrored_sensor", "orientation_convention"),
+    *("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint"),
+)
+"""Faults that make poses miss the arm grossly."""
 _REMEDIES = {
     "declared_frame": "The frame is fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
     "declared_tool": "The tool is fitted. Declare the tool that was set in the controller, or tool: unknown",
@@ -135,14 +128,14 @@ _REMEDIES = {
 
 def _mismatch(n: Numbers, code: str) -> str:
     if "median_error_m" not in n:
-        return f"{_capital(_changed(code, n))}, beside what follows."
+        return f"{_capital(_changed(code, n))}, together with the next fault."
     sentence = f"{_capital(_changed(code, n))}. "
     sentence += (
-        f"With the correction, which is made whenever the file is read, the median error falls from "
+        f"This is corrected in memory whenever the file is read: the median error falls from "
         f"{_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
     )
     if n["alternatives"]:
-        sentence += f"The same poses would result where {' or where '.join(map(_together, n['alternatives']))}. "
+        sentence += f"These corrections fit about as well: {'; or '.join(map(_together, n['alternatives']))}. "
     return f"{sentence}{_REMEDIES.get(code, 'Correct the columns in the file')}."
 
 
@@ -237,7 +230,7 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
     """Why faults that the same numbers rule out are not there.
 
     Args:
-        codes: of `NO_MISMATCH`.
+        codes: of `MISMATCHES`.
         n: of each.
     """
     error, limit = _mm(n["median_error_m"]), _mm(n["suspected_above_m"])
@@ -246,10 +239,10 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
             "Signs, order, units and frames were not compared: the positions are one point, the same in every row, "
             "which shows neither a scale nor axes."
         )
-    reason = f"the median error is {error} mm; such faults are suspected above {limit} mm."
+    reason = f"the median error is {error} mm, and such faults are searched for above {limit} mm."
     if "best_alternative_m" in n:
-        reason = f"of the median error of {error} mm the best correction leaves {_mm(n['best_alternative_m'])} mm."
-    return f"{_capital(_joined(NO_MISMATCH[code] for code in codes))}: {reason}"
+        reason = f"the best correction leaves {_mm(n['best_alternative_m'])} mm of the median error of {error} mm."
+    return f"Not found: {', '.join(NAMES[code].lower() for code in codes)}; {reason}"
 
 
 def _joint_turns(rows: Sequence[int], n: Numbers) -> str:
@@ -431,7 +424,7 @@ FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "repeated_rows": _repeated_rows,
     "position_unit": _position_unit,
     "commanded_joints": _commanded,
-    **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in NO_MISMATCH},
+    **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in MISMATCHES},
     "undecided": _undecided,
     "other_arm": _other_arm,
     "unexplained": _unexplained,
@@ -450,7 +443,7 @@ RULED_OUT: dict[str, Callable[[Numbers], str]] = {
     "repeated_rows": lambda n: f"None of the {n['samples']} rows repeats joints and pose of another.",
     "position_unit": _no_position_unit,
     "commanded_joints": _not_commanded,
-    **{code: partial(lambda n, code: mismatch_ruled_out([code], n), code=code) for code in NO_MISMATCH},
+    **{code: partial(lambda n, code: mismatch_ruled_out([code], n), code=code) for code in MISMATCHES},
     "computed_pose": lambda n: _NOT_COMPUTED[n["reason"]],
     "joint_turns": _no_joint_turns,
     "frame_jump": _no_frame_jump,

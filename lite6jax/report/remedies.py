@@ -29,7 +29,10 @@ class Remedy(NamedTuple):
 
 
 _GEAR = "Service the gear; until then compensate."
-_DECLARE_LOAD = "Set the payload in the controller, and declare it in the recording (payload_kg, payload_com_m)."
+_DECLARE_LOAD = (
+    "Set the payload in the controller. Give its mass in the column payload_kg and its centre as payload_com_m in the "
+    "sidecar."
+)
 _FEED = "Add it to the model of the controller's feed-forward."
 _FRICTION = "Check the lubrication of the gear if it has grown, and add it to the controller's feed-forward."
 

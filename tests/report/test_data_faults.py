@@ -61,7 +61,7 @@ FOUND = [
                 "alternatives": [[{"fault": "joint_turns", "joint": 2, "added_rad": 3.1415926536}]],
             },
         ),
-        "The same poses would result where the column of joint 2 has its zero off by half a turn.",
+        "These corrections fit about as well: the column of joint 2 has its zero off by half a turn.",
     ),
     (DataFault("frame_jump", (62, 63), JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
     (
@@ -140,7 +140,7 @@ COLUMN_ERRORS = {"median_error_m": 3e-4, "suspected_above_m": 7.48e-3}
 RULED_OUT = [
     (DataFault("time_order", (), {"samples": 40, "timed": False}), "The 40 rows have no times"),
     (DataFault("repeated_rows", (), {"samples": 40}), "None of the 40 rows repeats"),
-    (DataFault("swapped_joints", (), COLUMN_ERRORS), "such faults are suspected above 7.48 mm"),
+    (DataFault("swapped_joints", (), COLUMN_ERRORS), "such faults are searched for above 7.48 mm"),
     (
         DataFault("mirrored_joint", (), {**COLUMN_ERRORS, "best_alternative_m": 0.1}),
         "the best correction leaves 100 mm",
@@ -212,8 +212,8 @@ def test_what_rules_a_fault_out_is_stated(fault, words):
 def test_columns_that_the_same_numbers_rule_out_share_a_sentence():
     faults = [DataFault(code, (), COLUMN_ERRORS) for code in ("swapped_joints", "mirrored_joint")]
     assert ruled_out_statements(faults) == [
-        "No joints are swapped and no joint has its sign reversed: the median error is 0.3 mm; such faults are "
-        "suspected above 7.48 mm."
+        "Not found: swapped joints, joint with reversed sign; the median error is 0.3 mm, and such faults are searched "
+        "for above 7.48 mm."
     ]
 
 
