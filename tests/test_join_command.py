@@ -125,7 +125,7 @@ def test_captures_at_times_are_found_in_a_log(tmp_path, capsys):
     )
     code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes", width=300)
     assert code == 0
-    assert "the arm stood still at the poses" in flat(out)
+    assert "the arm stood still at every pose" in flat(out)
     recording = read_recording(tmp_path / "r_t.csv")
     assert recording.samples >= len(stops) - 1
     np.testing.assert_allclose(recording.joint_position, stops[: recording.samples], atol=2e-4)

@@ -79,7 +79,8 @@ def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array,
     rows[:, :, 12:] = -R
     A = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, 15)
     found, _, _, singular = np.linalg.lstsq(A, (np.sqrt(weight)[:, None] * p).ravel(), rcond=1e-9)
-    return found[:9].reshape(3, 3), float(singular[-1] / singular[0])
+    determined = float(singular[-1] / singular[0]) if A.shape[0] >= 15 else 0.0
+    return found[:9].reshape(3, 3), determined
 
 
 def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Array]:

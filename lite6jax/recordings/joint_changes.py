@@ -58,9 +58,10 @@ def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
         unwrapped = np.unwrap(q[run], axis=0)
         # only what is continuous without its wraps shows that these are wraps
         smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
+        smooth[list(recording.sliding)] = False
         q[run] = np.where(smooth, unwrapped, q[run])
     for joint in range(recording.dof):
-        if not np.isfinite(high[joint] - low[joint]):
+        if joint in recording.sliding or not np.isfinite(high[joint] - low[joint]):
             continue
         middle = (low[joint] + high[joint]) / 2
         for part in runs if trajectory else [np.ones(recording.samples, bool)]:

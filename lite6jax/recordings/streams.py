@@ -26,6 +26,8 @@ _STILL = 1e-4
 """… within this part of the range in which they move."""
 _UNRESOLVED = 0.3
 """Of the change from one joint state to the next: an error of interpolation above it shows captures, not a motion."""
+_COARSE = 0.01
+"""Of the widest range of a joint, which the error of a log that follows the motion does not exceed."""
 _BESIDE = 0.1
 """Of the median step: the longest time from a pose to the capture of joints that belongs to it."""
 _MOST_BESIDE = 0.8
@@ -108,6 +110,7 @@ class JointStream:
         Joints are interpolated by straight lines, or by cubics whose slopes are those of a parabola through three joint
         states: by what finds joint states that are left out more exactly.
         """
+        position = _unwrapped(position)
         gap = np.diff(time)
         step = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
         with np.errstate(invalid="ignore", over="ignore"):
@@ -122,7 +125,9 @@ class JointStream:
         """Whether the joint states follow a motion; false of captures, between which the joints move far."""
         with np.errstate(invalid="ignore", over="ignore"):
             change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
-        return not self.error > _UNRESOLVED * change
+            width = np.ptp(self.position, axis=0).max()
+        # beside a fine log, rounding and a jump between runs are errors as large as its steps
+        return not (self.error > _UNRESOLVED * change and self.error > _COARSE * width)
 
     def known(self, at: Array) -> Flags:
         """`(pose,)`, where there are joint states near enough."""
@@ -199,7 +204,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     """
     if not joints or not places or not {time, *joints, *places} <= columns.keys():
         return None
-    clock = columns[time]
+    clock = _clock_of_runs(columns, time)
     moved, measured = (
         np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
     )
@@ -262,6 +267,33 @@ def said_of_merged(found: Merged) -> list[str]:
     """The same of a table, which begins with what was found."""
     first, *dropped = said_of(found.joined)
     return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
+
+
+def _unwrapped(position: Array) -> Array:
+    """Joints `(state, joint)` without jumps of whole turns, where nothing but these breaks their motion."""
+    with np.errstate(invalid="ignore"):
+        unwrapped = np.unwrap(position, axis=0)
+        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
+    return np.where(smooth, unwrapped, position)
+
+
+def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
+    """Times `(row,)` that grow from run to run, far apart between runs, where each run counts its own.
+
+    Raises:
+        InputError: times begin anew, and no column says where a run begins.
+    """
+    clock, there = columns[time], np.isfinite(columns[time])
+    width = float(np.ptp(clock[there])) if there.any() else 0.0
+    anew = np.diff(clock[there]) < -0.5 * width
+    if not anew.any():
+        return clock
+    run = columns.get("run")
+    if run is None or not np.isfinite(run).all():
+        row = int(np.flatnonzero(there)[np.flatnonzero(anew)[0] + 1]) + 1
+        raise InputError(f"times begin anew at row {row}; number the runs in a column `run`")
+    segment = np.concatenate([[0], np.cumsum(np.diff(run) != 0)])
+    return clock + segment * (10 * width + 1.0)
 
 
 def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:

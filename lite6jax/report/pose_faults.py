@@ -157,10 +157,12 @@ def _other_arm(rows: Sequence[int], n: Numbers) -> str:
 
 
 def _unexplained(rows: Sequence[int], n: Numbers) -> str:
+    left = n["best_alternative_m"]
+    best = "" if left is None else f" (the best leaves {_mm(left)} mm)"
     return (
         f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and by {_mm(n['fitted_error_m'])} mm "
         "with its geometry fitted. That is no calibration error. No change of frame, tool, axes, order, signs, zeros "
-        f"or units explains it (the best leaves {_mm(n['best_alternative_m'])} mm). Check that it is this arm, and "
+        f"or units explains it{best}. Check that it is this arm, and "
         "that joints and poses of a row belong together."
     )
 
@@ -240,7 +242,9 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
             "which shows neither a scale nor axes."
         )
     reason = f"the median error is {error} mm, and such faults are searched for above {limit} mm."
-    if "best_alternative_m" in n:
+    if "fitted_error_m" in n:
+        reason = f"a change of geometry explains the median error of {error} mm, to {_mm(n['fitted_error_m'])} mm."
+    elif "best_alternative_m" in n:
         reason = f"the best correction leaves {_mm(n['best_alternative_m'])} mm of the median error of {error} mm."
     return f"Not found: {', '.join(NAMES[code].lower() for code in codes)}; {reason}"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, read_recording
+from lite6jax.recordings import Recording, read_recording, streams
 from lite6jax.recordings.streams import join
 
 
@@ -137,3 +137,36 @@ def test_without_times_the_rows_are_missed(sparse):
     del columns["time_s"]
     with pytest.raises(InputError, match="rows are NaN"):
         Recording.from_dataframe(columns)
+
+
+def test_each_run_has_its_own_clock():
+    """Times begin anew in each run: its poses take its own joints; without a column of runs that is refused."""
+    t = np.arange(0, 5, 0.02)
+    at = np.arange(0.11, 4.8, 0.1)
+    parts = []
+    for run in (1, 2):
+        joint = {"time": t, "q1": np.sin(t) + 0.5 * run, "x": np.full(len(t), np.nan), "run": np.full(len(t), run)}
+        pose = {"time": at, "q1": np.full(len(at), np.nan), "x": at, "run": np.full(len(at), run)}
+        parts += [joint, pose]
+    columns = {name: np.concatenate([part[name] for part in parts]).astype(float) for name in parts[0]}
+    found = streams.merged(columns, ["q1"], ["x"], "time")
+    assert found is not None
+    wanted = np.sin(found.columns["time"]) + 0.5 * found.columns["run"]
+    np.testing.assert_allclose(found.columns["q1"], wanted, atol=1e-5)
+    assert len(wanted) == 2 * len(at)
+    del columns["run"]
+    with pytest.raises(InputError, match="number the runs in a column `run`"):
+        streams.merged(columns, ["q1"], ["x"], "time")
+
+
+@pytest.mark.parametrize("kind", ["wrapped", "rounded"])
+def test_a_dense_log_follows_the_motion(kind):
+    """Joints that wrap round at half a turn, and joints that are written to a tenth of a degree."""
+    t = np.arange(0, 20, 0.01)
+    q = 3.0 + 0.4 * np.sin(0.5 * t)
+    written = (q + np.pi) % (2 * np.pi) - np.pi if kind == "wrapped" else np.round(q, 3)
+    found = streams.JointStream.of(t, written[:, None])
+    assert found.resolved
+    at = t[:-1] + 0.004
+    error = found.at(at)[:, 0] - (3.0 + 0.4 * np.sin(0.5 * at))
+    np.testing.assert_allclose(error - 2 * np.pi * np.round(error / (2 * np.pi)), 0, atol=1.5e-3)

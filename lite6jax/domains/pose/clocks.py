@@ -529,6 +529,8 @@ def _window(time: Array, position: Array) -> Rows:
         return np.arange(len(time))
     starts = np.arange(time[0], time[-1] - _LONGEST_WINDOW_S / 2, _LONGEST_WINDOW_S / 2)
     windows = [np.flatnonzero((time >= start) & (time <= start + _LONGEST_WINDOW_S)) for start in starts]
+    if max(map(len, windows)) < 2 * FEWEST:  # captures minutes apart
+        return np.arange(len(time))
     return max(windows, key=lambda rows: _median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
 
 

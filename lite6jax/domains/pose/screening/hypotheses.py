@@ -127,7 +127,8 @@ class Comparison(NamedTuple):
         found: the hypothesis to be taken; None where nothing is wrong, nothing explains it, or several do alike.
         corrected_error: m, the median with the best hypothesis, fitted; None where none was tried.
         alternatives: hypotheses that fit as well; where none is taken, two or more that cannot be told apart.
-        fitted_error: m, the median with the geometry fitted, where that is too large for any arm; else None.
+        fitted_error: m, the median with the geometry fitted instead; None where that was not tried.
+        unexplained: whether that too is more than any arm has.
         one_point: whether the positions are one point, so that nothing was compared.
         other_arm: a bundled arm whose nominal kinematics agree where those of the declared one do not.
     """
@@ -138,6 +139,7 @@ class Comparison(NamedTuple):
     corrected_error: float | None = None
     alternatives: tuple[Hypothesis, ...] = ()
     fitted_error: float | None = None
+    unexplained: bool = False
     one_point: bool = False
     other_arm: str | None = None
 
@@ -152,14 +154,21 @@ def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
 def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
     """What is wrong with a recording that misses the arm grossly; what was ruled out where nothing is."""
     compared = compare_hypotheses(state, options)
-    if compared.found or compared.alternatives or compared.other_arm or compared.fitted_error is not None:
+    if compared.found or compared.alternatives or compared.other_arm or compared.unexplained:
         return Detection(compared)
     numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
+    if compared.fitted_error is not None:
+        numbers["fitted_error_m"] = compared.fitted_error
     if compared.one_point:
         numbers["one_point"] = True
     if compared.corrected_error is not None:
         numbers["best_alternative_m"] = compared.corrected_error
-    missing = {"joint_turns"} | (set() if state.rigid_arm.rows == 6 else {"orientation_convention", "inverted_poses"})
+    settings = state.rigid_arm.recording.settings
+    missing = {"joint_turns"}  # the screen of turns speaks of these
+    missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
+    missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
+    missing |= {"declared_tool"} if settings.tool == "unknown" else set()
+    missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
     return Detection(None, tuple(DataFault(code, (), numbers) for code in CODES if code not in missing))
 
 
@@ -170,7 +179,7 @@ def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOp
         errors = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
         named = {"declared": arm.arm.name, "arm": compared.other_arm}
         return state.corrected(DataFault("other_arm", (), named | errors))
-    if compared.fitted_error is not None:
+    if compared.unexplained:
         errors = {"median_error_m": compared.error, "fitted_error_m": compared.fitted_error}
         return state.corrected(DataFault("unexplained", (), errors | {"best_alternative_m": compared.corrected_error}))
     numbers: dict[str, Any] = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
@@ -219,7 +228,7 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
     if least > allowed:
         fitted = _median_error(arm.fitted(options.most_fitted))
         beyond = fitted > options.corrected_reach * arm.arm.reach
-        return Comparison(error, limit, None, min(least, fitted), fitted_error=fitted if beyond else None)
+        return Comparison(error, limit, None, least if fits else None, fitted_error=fitted, unexplained=beyond)
     equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
     equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
     equal.sort(key=lambda one: (_outside_limits(state, one[0], options), _simplicity(one[0])))
@@ -229,7 +238,7 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
     scale = min(corrected.scale, recorded.scale)
     more = 0.5 * np.log(arm.rows * arm.samples) * (len(corrected.unknown) - len(recorded.unknown))
     if corrected.log_likelihood(scale) - recorded.log_likelihood(scale) < options.trusted_log_likelihood + more:
-        return Comparison(_median_error(recorded), limit)
+        return Comparison(error, limit, fitted_error=_median_error(recorded))
     distinct, rivals = [chosen], []
     for hypothesis, fit in equal[1:]:
         if any(_whole_turns_apart(hypothesis, other) for other in distinct):

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.readings import FEWEST
 from lite6jax.domains.pose.screening import hypotheses
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
@@ -135,6 +136,7 @@ def detect_computed(state: Screened, options: ScreeningOptions) -> Detection:
         return not_there("computed_pose", reason="declared")
     error = float(np.median(arm.distance))
     exact = error <= options.computed_m and float(np.median(arm.turn)) <= options.computed_rad
+    exact &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
     if not exact or hypotheses.touches_one_point(recording, arm.noise[0]):
         return not_there("computed_pose", reason="measured")
     return Detection({"median_error_m": error, "chain": "factory" if arm.exact else "nominal"})
