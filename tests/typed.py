@@ -1,14 +1,15 @@
 """Commands as they are typed: what they print, and the one line with which they refuse."""
 
 import os
+from unittest import mock
 
 from lite6jax import cli
 
 
 def run(capsys, *arguments, width=80):
     """Exit code, stdout and stderr of a command."""
-    os.environ["COLUMNS"] = str(width)
-    code = cli.main([str(argument) for argument in arguments])
+    with mock.patch.dict(os.environ, {"COLUMNS": str(width)}):
+        code = cli.main([str(argument) for argument in arguments])
     said = capsys.readouterr()
     return code, said.out, said.err
 
