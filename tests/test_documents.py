@@ -128,7 +128,7 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
     text = (ROOT / "docs/reference/torques.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
-    assert {row[0] for row in sections["Data faults"]} == set(NAMES)
+    assert {row[0] for row in sections["Data faults"]} == {*NAMES, "joint_turns"}  # which poses name as well
     documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
     assert documented | {"schema", "domain", "checksum"} == set(PARTS) | {"model"}
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
@@ -139,7 +139,8 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
         made = effect(**given)
         names = set(parameters.replace("`", "").split(", "))
         reported = set(made.reported(np.ones(made.size)))
-        assert reported == names, effect.name
+        assert reported <= names, effect.name
+        assert names - reported <= set(effect.__dataclass_fields__), effect.name  # a usual value is not reported
 
 
 def test_every_direct_dependency_is_listed_with_its_licence_and_locked():
