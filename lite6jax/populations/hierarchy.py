@@ -10,7 +10,7 @@ Bayes (C. Morris, ibid. 78, 1983), and intervals of μ and s are those of J. Har
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,7 +186,7 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
     found = [arms.solved(tau)[3] for tau in grid]
     best = int(np.argmax(found))
     near = np.log(grid[[max(best - 1, 0), min(best + 1, _STEPS - 1)]])
-    refined = minimize_scalar(
+    refined: Any = minimize_scalar(
         lambda log: -arms.solved(float(np.exp(log)))[3], bounds=tuple(near), method="bounded", options={"xatol": 1e-6}
     )
     tau = float(np.exp(refined.x)) if -refined.fun > arms.solved(0.0)[3] + 1e-9 else 0.0

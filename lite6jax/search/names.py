@@ -105,7 +105,7 @@ def _together(
 ) -> Iterator[tuple[str | None, Sequence[SelectedTerm]]]:
     """Terms that one may replace, two at least: those of each site, and, of several sites, all names and all terms.
 
-    Of several sites are only terms that act on common rows: what acts on one joint's torque replaces nothing at others.
+    Of several sites are only terms that act on common rows: what acts on one row replaces nothing at others.
     """
     for site in sorted({tested.term.site for tested in terms}):
         there = [tested for tested in terms if tested.term.site == site]

@@ -33,7 +33,7 @@ _STEPS = 6
 def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
     """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
 
-    It does where they are few, and are not the friction of most joints.
+    It does where they are few, and are not what most sites have.
 
     Args:
         problem: the data.
@@ -87,7 +87,7 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
 
 
 def _distinct(problem: Problem, terms: Sequence[Term], training: Mask, options: EngineOptions) -> Terms:
-    """The terms that no others say as well: a joint that moves one way alone has an offset or Coulomb friction.
+    """The terms that no others say as well.
 
     Of two that are the same there, the usual one stays.
     """
@@ -130,7 +130,7 @@ def _tested(problem: Problem, state: State, times: Array, options: EngineOptions
 def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOptions) -> set[int]:
     """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one.
 
-    What nearly every arm has stays longer than what else would explain the same.
+    What nearly every problem has stays longer than what else would explain the same.
     """
     std = np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
     worst: dict[str, tuple[tuple[bool, float], int]] = {}

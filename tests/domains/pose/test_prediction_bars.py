@@ -326,7 +326,7 @@ def test_a_document_without_it_is_read(arm):
     model = model_from_document(document(arm, [COMPLIANCE]))
     motion = narrow(5, 5)
     bars = shown(model, motion)
-    assert bars[1:] == (None, None, None)
+    assert (bars.position_std, bars.orientation_std, bars.outside) == (None, None, None)
     arrays = {name: motion[name] for name in ARRAYS}
     np.testing.assert_array_equal(bars.poses, predict(model, motion["joint_position"], **arrays))
     assert bars_of(model, model.motion_of(Recording.from_arrays(motion["joint_position"]))) is None
