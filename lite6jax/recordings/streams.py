@@ -204,13 +204,14 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     """
     if not joints or not places or not {time, *joints, *places} <= columns.keys():
         return None
-    clock = _clock_of_runs(columns, time)
+    clock = columns[time]
     moved, measured = (
         np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
     )
     poses = np.flatnonzero(measured)
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
         return None
+    clock = _clock_of_runs(columns, time)
     states = _in_order(clock, moved)
     if len(states) < 2:
         return None
@@ -285,7 +286,8 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     """
     clock, there = columns[time], np.isfinite(columns[time])
     width = float(np.ptp(clock[there])) if there.any() else 0.0
-    anew = np.diff(clock[there]) < -0.5 * width
+    with np.errstate(invalid="ignore", over="ignore"):
+        anew = np.diff(clock[there]) < -0.5 * width
     if not anew.any():
         return clock
     run = columns.get("run")
