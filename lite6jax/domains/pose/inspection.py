@@ -16,7 +16,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
-from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement
+from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement, computed_by_controller
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
@@ -39,12 +39,6 @@ Array = NDArray[np.floating]
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `fitting.recognition`."""
-FINEST_SENSOR_M = 2e-5
-"""Above, an error may be a sensor's noise."""
-COMPUTED_M = 2e-6
-"""Below, it is none: controllers compute in single precision too."""
-LEAST_TRAVEL_M = 0.02
-"""Of positions of which is said that they are computed."""
 WIDEST_ANGLE = 1e3
 """Beyond, numbers are no angles of an orientation, in whatever unit."""
 BEYOND = 1e100
@@ -234,25 +228,6 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     return numbers
-
-
-def computed_by_controller(error: float, step: float) -> bool:
-    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
-
-    Args:
-        error: m, the median distance of the positions from those of the arm's nominal kinematics.
-        step: m, how far apart positions are that are written alike (`digit_step`); 0 of all digits.
-    """
-    return error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
-
-
-def digit_step(values: Array) -> float:
-    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
-    there = values[np.isfinite(values)]
-    there = there[:: max(len(there) // 1000, 1)]
-    digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
-    place = next(digits, None)
-    return 0.0 if place is None else 10.0**-place
 
 
 def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
@@ -465,11 +440,11 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
 
 
 def _computed(agreed: Agreement, pose: Pose) -> bool:
-    if not agreed.close or agreed.spread < LEAST_TRAVEL_M:
+    if not agreed.close:
         return False
-    step = digit_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
-    turn = digit_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
-    return computed_by_controller(agreed.error, np.hypot(step, turn * agreed.spread * pose.joint.shape[1] ** 0.5))
+    position = pose.position / units_of("x")[agreed.length.choice if agreed.length else "m"]
+    joint = pose.joint / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
+    return computed_by_controller(agreed.error, position, joint)
 
 
 def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int | None:

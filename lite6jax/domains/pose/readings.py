@@ -38,6 +38,12 @@ LEAST_SPREAD_M = 5e-3
 """Of positions that say something of an arm, from their median: those of one touched point set no scale."""
 LONGEST_TOOL_M = 1.0
 """Or the reach of an arm, if that is longer."""
+FINEST_SENSOR_M = 2e-5
+"""Above, an error may be a sensor's noise."""
+COMPUTED_M = 2e-6
+"""Below, it is none: controllers compute in single precision too."""
+LEAST_TRAVEL_M = 0.02
+"""Of positions of which is said that they are computed."""
 
 
 class Pose(NamedTuple):
@@ -125,6 +131,33 @@ def agreement(
     )
 
 
+def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
+    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
+
+    Args:
+        error: m, the median distance of the positions from those of the arm's kinematics.
+        position: `(sample, 3)` m.
+        joint: `(sample, joint)` rad, and m of prismatic joints.
+    """
+    spread = _spread(position)
+    turn = max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint))))
+    step = float(np.hypot(digit_step(position), turn * spread * joint.shape[1] ** 0.5))
+    return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
+
+
+def digit_step(values: Array) -> float:
+    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
+    there = values[np.isfinite(values)]
+    there = there[:: max(len(there) // 1000, 1)]
+    digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
+    place = next(digits, None)
+    return 0.0 if place is None else 10.0**-place
+
+
+def _spread(position: Array) -> float:
+    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+
+
 def _possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
     return (known,) if known else tuple(units_of(quantity, slides))
 
@@ -146,8 +179,7 @@ def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
     point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
     error = float(np.median(np.linalg.norm(point - position, axis=1)))
-    spread = float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-    return _Tried(error, spread, T_sensor_base[:3, :3] @ flange[:, :3, :3])
+    return _Tried(error, _spread(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
 
 
 def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:

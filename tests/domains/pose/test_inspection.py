@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.domains.pose.inspection import computed_by_controller, digit_step, inspect
+from lite6jax.domains.pose.inspection import inspect
+from lite6jax.domains.pose.readings import computed_by_controller, digit_step
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.raw import of_arrays
@@ -473,10 +474,16 @@ def test_a_pose_that_the_arm_reproduces_to_rounding_was_computed():
 
 
 def test_what_counts_as_rounding():
-    assert computed_by_controller(1e-6, 0.0)
-    assert computed_by_controller(1.5e-5, 2e-5)
-    assert not computed_by_controller(1.5e-5, 1e-6)
-    assert not computed_by_controller(5e-5, 1e-3)  # a sensor may be as exact
+    def computed(error: float, decimals: int) -> bool:
+        return computed_by_controller(error, np.round(P, decimals), Q)
+
+    assert computed(1e-6, 15)
+    assert computed(1e-5, 5)
+    assert not computed(1.5e-5, 6)
+    assert not computed(5e-5, 3)  # a sensor may be as exact
+    assert not computed_by_controller(1e-7, np.tile(P[:1], (ROWS, 1)), Q)  # one point
+    degrees = np.deg2rad(np.round(np.rad2deg(Q), 3))
+    assert computed_by_controller(1.5e-5, P, degrees)
     steps = [digit_step(np.round(P, k)) for k in (1, 3, 6)]
     np.testing.assert_allclose(steps, [1e-1, 1e-3, 1e-6])
     assert digit_step(P) == 0.0

@@ -34,12 +34,9 @@ class ScreeningOptions:
     most_in_another_unit: float = option(
         0.5, "share of the rows below which they may be in another unit", "the rest says which unit is right"
     )
-    computed_m: float = option(
-        3e-6,
-        "m to which a table reproduces poses that were computed from it",
-        "columns of micrometres; sensors scatter more",
+    computed_rad: float = option(
+        1e-5, "rad to which a table reproduces orientations that were computed from it", "columns of five decimals"
     )
-    computed_rad: float = option(1e-5, "rad, the same of orientations", "columns of five decimals")
     grid_tolerance_rad: float = option(
         6e-7, "rad from its grid at which a joint position is a command", "degrees written with six decimals in radians"
     )

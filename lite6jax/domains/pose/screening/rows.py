@@ -6,8 +6,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.readings import FEWEST
-from lite6jax.domains.pose.screening import hypotheses
+from lite6jax.domains.pose.readings import FEWEST, computed_by_controller
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
@@ -134,10 +133,11 @@ def detect_computed(state: Screened, options: ScreeningOptions) -> Detection:
     arm, recording = state.rigid_arm, state.recording
     if recording.settings.pose_source == "controller_fk":
         return not_there("computed_pose", reason="declared")
-    error = float(np.median(arm.distance))
-    exact = error <= options.computed_m and float(np.median(arm.turn)) <= options.computed_rad
-    exact &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
-    if not exact or hypotheses.touches_one_point(recording, arm.noise[0]):
+    error, position = float(np.median(arm.distance)), recording.position
+    assert position is not None
+    computed = computed_by_controller(error, position, recording.joint_position)
+    computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
+    if not computed or float(np.median(arm.turn)) > options.computed_rad:
         return not_there("computed_pose", reason="measured")
     return Detection({"median_error_m": error, "chain": "factory" if arm.exact else "nominal"})
 
