@@ -274,7 +274,7 @@ class _Bodies:
         if len(candidates) > 1:
             names = [self.name(body) for body in candidates] + list(sites)
             raise InputError(
-                f"{path}: the chain could end at {', '.join(filter(None, names))}; name one with --tip"
+                f"{path}: the chain could end at {', '.join(filter(None, names))}; say which with --tip"
                 f" {(first := next(filter(None, names), ''))}, or as {Path(path).name}#{first} where a file is named"
             )
         return candidates[0], np.eye(4)

@@ -84,7 +84,7 @@ def read_tree(path: str | Path, base: str | None, tip: str | None) -> Tree:
     base = _base(path, base, links, above)
     end = _tip(path, base, tip, links, above)
     tree = Tree(robot, joints, links, base, end, _path(path, base, end, above))
-    return tree._replace(remark=_jaw(path, tree)) if tip is None else tree
+    return tree._replace(remark=_jaw(path, tree)[1]) if tip is None else tree
 
 
 def _parse(path: str | Path) -> ET.Element:
@@ -260,7 +260,8 @@ def _ends(path: str | Path, base: str, chains: Mapping[str, list[Joint]], above:
     order = {best: (hands | ends)[best]} | hands | ends
     listed = ", ".join(f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN])
     file = Path(path).name
-    text = f"the chain could end at {listed}; name one with --tip {best}, or as {file}#{best} where a file is named"
+    said = f"say which with --tip {best}, or as {file}#{best} where a file is named"
+    text = f"the chain could end at {listed}; {said}"
     chain = [joint for joint in _path(path, base, best, above) if joint.kind != "fixed"]
     starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
     if not starts:
@@ -270,8 +271,17 @@ def _ends(path: str | Path, base: str, chains: Mapping[str, list[Joint]], above:
     return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
 
 
-def _jaw(path: str | Path, tree: Tree) -> str:
-    """That a chain ends in a jaw, by the names of its last joints or by a frame of the tool beside them."""
+def tip_before_jaw(path: str | Path) -> str:
+    """The link before the jaw in which the only chain of a file ends; empty where it ends in none.
+
+    Raises:
+        InputError: as `read_tree`.
+    """
+    return _jaw(path, read_tree(path, None, None))[0]
+
+
+def _jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
+    """The link before a jaw, by the names of the last joints or by a frame of the tool; and that in words."""
     moving = [joint for joint in tree.chain if joint.kind != "fixed"]
     arm = list(moving)
     while arm and (arm[-1].mimics or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
@@ -280,13 +290,13 @@ def _jaw(path: str | Path, tree: Tree) -> str:
     if not named:
         arm.pop()
     if not arm:
-        return ""
+        return "", ""
     first = moving[len(arm)]
     beside = [name for name, _ in fixed_to(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
     if not beside and not named:
-        return ""
+        return "", ""
     likely, file = (beside or [first.parent])[0], Path(path).name
-    return (
+    return likely, (
         f"{path}: the chain ends in {tree.tip} after {len(moving)} joints, and joint {first.name!r} seems to move a"
         f" jaw: the tip of the arm is likely {likely}, after {len(arm)} joints; name {file}#{likely} for it, or"
         f" {file}#{tree.tip} to keep the jaw"

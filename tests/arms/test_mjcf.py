@@ -172,7 +172,7 @@ ARM = f'<body name="a">{HINGE}{INERTIAL}'
         (
             f'{ARM}<site name="s"/><body name="x"/><body name="y" pos="1 0 0"/></body>',
             None,
-            "the chain could end at x, y, s; name one with --tip x, or as arm.xml#x where a file is named",
+            "the chain could end at x, y, s; say which with --tip x, or as arm.xml#x where a file is named",
         ),
     ],
 )
