@@ -50,6 +50,10 @@ class DataFault:
 
     and of torques:
 
+        uneven_times            reason ("stamps" or "samples"), from_s, to_s, rate_Hz; of samples gaps and rms_Nm
+        velocity_bias           joints, bias_rad_per_s
+        velocity_dead_zone      joints, width_rad_per_s
+        joint_axis              joint, axis ("x", "-x", "y" or "-y"); the recording is refused
         torque_spikes           joints, count
         estimated_torque        reason: "no_friction" where there is none; nothing where torques are constant at rest
         swapped_torques         joints, columns that hold their torques

@@ -12,6 +12,7 @@ Numbers = Mapping[str, Any]
 NAMES = {
     "uneven_times": "Uneven times",
     "velocity_bias": "Velocity with a bias",
+    "velocity_dead_zone": "Velocity with a dead zone",
     "torque_spikes": "Single torques far from their neighbours",
     "swapped_torques": "Swapped torque columns",
     "reversed_torque": "Torque of reversed sign",
@@ -71,6 +72,14 @@ def _bias(rows: Sequence[int], n: Numbers) -> str:
 def _swapped(rows: Sequence[int], n: Numbers) -> str:
     pairs = ", ".join(f"tau{c} is that of joint {j}" for j, c in zip(n["joints"], n["columns"], strict=True))
     return f"The torque columns are swapped: {pairs}, by the weight and the motion of the arm. They were exchanged."
+
+
+def _dead_zone(rows: Sequence[int], n: Numbers) -> str:
+    widths = ", ".join(f"{1e3 * width:.2g} mrad/s" for width in n["width_rad_per_s"])
+    return (
+        f"The velocity of {_joints(n['joints'])} reads nothing below {widths}, while the positions go on. There the "
+        "slope of the positions was taken."
+    )
 
 
 def _reversed(rows: Sequence[int], n: Numbers) -> str:
@@ -222,6 +231,7 @@ def _held(rows: Sequence[int], n: Numbers) -> str:
 FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "uneven_times": _uneven,
     "velocity_bias": _bias,
+    "velocity_dead_zone": _dead_zone,
     "torque_spikes": _spikes,
     "swapped_torques": _swapped,
     "reversed_torque": _reversed,

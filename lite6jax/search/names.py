@@ -23,15 +23,23 @@ from lite6jax.search.tried_numbers import with_tried_numbers
 from lite6jax.search.whole_orders import slow_waves, with_whole_orders
 
 
-def challenge_names(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state with names that the data do not contradict, and functions without a name for what is left."""
+def challenge_names(problem: Problem, state: State, options: EngineOptions, several: bool = True) -> State:
+    """The state with names that the data do not contradict, and functions without a name for what is left.
+
+    Args:
+        problem: the data.
+        state: the model.
+        options: thresholds.
+        several: whether one function is tried in the place of several names, as what is unlikely to be there at once.
+    """
     state = with_tried_numbers(problem, believable(problem, state, options), options)
     for _ in range(options.name_rounds):
         better = _more_likely(problem, state, options)
         if better is None:
             break
         state = with_tried_numbers(problem, believable(problem, better, options), options)
-    return _one_for_names(problem, _named_again(problem, state, options), options)
+    state = _named_again(problem, state, options)
+    return _one_for_names(problem, state, options) if several else state
 
 
 def most_probable(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -66,13 +66,14 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
 
     Each term is finally tested by what it explains, in as many independent samples as the autocorrelation time of the
     groups that it acts on leaves: blocks of samples are too few for a test of so many terms. The times are those of
-    the model with all of them, as what a term leaves that should have stayed would mask the next one.
+    the model with all of them, as what a term leaves that should have stayed would mask the next one. One function in
+    the place of several names is not tried: that a domain's usual effects are there at once is no coincidence.
     """
     more = replace(options, most_terms=len(state.tested) + options.most_terms)
     state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
     entered("naming")
     more = replace(more, name_rounds=2 * options.name_rounds)
-    state = most_probable(problem, challenge_names(problem, state, more), more)
+    state = most_probable(problem, challenge_names(problem, state, more, several=False), more)
     times = autocorrelation_times(problem, state.fit, options)
     while leaving := _unnecessary(problem, state.fit, times, options):
         kept = [k not in leaving for k in range(len(state.tested))]

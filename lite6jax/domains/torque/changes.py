@@ -21,6 +21,8 @@ CODES = (*GRAVITY, *POSITIONS, *TORQUES)
 
 STEP = np.deg2rad(15.0)
 """rad between zeros that are tried; the best are refined."""
+_SAME_GRAVITY = 0.1
+"""Relative difference of two gravities that are one."""
 
 
 @final
@@ -134,15 +136,21 @@ def faults_in(hypothesis: Hypothesis) -> int:
     return sum(map(bool, several.values())) - both + sum(c.code not in sets for c in hypothesis)
 
 
-def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...], tuple[float, ...]]]:
-    """Its changes without how far a zero is off, or how large a constant is."""
-    return {(c.code, c.joints, c.gravity) for c in hypothesis}
+def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...]]]:
+    """Its changes without how far a zero is off, how large a constant is, and where gravity points."""
+    return {(c.code, c.joints) for c in hypothesis}
 
 
 def alike(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ in how far a zero is off by little, or in a constant, alone."""
-    zeros = [{c.joints: c.value for c in hypothesis if c.code == "joint_zero"} for hypothesis in (a, b)]
-    return kinds(a) == kinds(b) and all(abs(turned_back(v - zeros[1][j])) < STEP for j, v in zeros[0].items())
+    """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
+    if kinds(a) != kinds(b):
+        return False
+    zeros, gravity = (
+        [{c.joints: get(c) for c in h if c.code in codes} for h in (a, b)]
+        for codes, get in ((("joint_zero",), lambda c: c.value), (GRAVITY, lambda c: np.array(c.gravity)))
+    )
+    same = [np.linalg.norm(g - gravity[1][k]) <= _SAME_GRAVITY * np.linalg.norm(g) for k, g in gravity[0].items()]
+    return all(same) and all(abs(turned_back(v - zeros[1][j])) < STEP for j, v in zeros[0].items())
 
 
 def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:

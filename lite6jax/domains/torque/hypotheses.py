@@ -51,6 +51,15 @@ _FRICTIONLESS = 5e-3
 """Of a joint's torque, RMS: friction, and what a rigid arm leaves, of one that was computed, at most."""
 
 
+_AXES = {
+    "x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "-x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""Rotations that turn z into another axis of a frame."""
+
+
 class Declared(NamedTuple):
     """The rows as they are diagnosed.
 
@@ -67,9 +76,14 @@ class Declared(NamedTuple):
 
 def as_declared(data: TorqueRows) -> Declared:
     """The rows as the hypothesis has them that is decided; as they are where none is needed, or several do alike."""
-    compared = _compare(Samples(data))
+    rows = Samples(data)
+    compared = _compare(rows)
     found: list[DataFault] = []
-    if compared.found:
+    # several faults at once may be one of the description
+    doubtful = rows.suspicious(rows.declared) and (len(compared.alternatives) > 0 or faults_in(compared.found) != 1)
+    if doubtful and (axis := _other_axis(rows, compared.evidence)) is not None:
+        found = [axis]
+    elif compared.found:
         found = faults_of(compared.found, data)
         data = undo(compared.found, data)
     elif compared.alternatives:
@@ -88,6 +102,20 @@ def as_declared(data: TorqueRows) -> Declared:
         if not (codes | doubted) & others
     ]
     return Declared(data, tuple(found), tuple(ruled_out))
+
+
+def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
+    """The joint that turns about another axis of its frame than described; None where none exceeds that evidence."""
+    least, best = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof), None
+    for joint in (i for i in range(rows.dof) if i not in rows.data.arm.sliding):
+        for name, R in _AXES.items():
+            turned = rows.with_axis(joint, R)
+            scored = turned.scored(())
+            if scored.hypothesis or (scored.left > rows.declared.left / _CLEARLY).all():
+                continue
+            if (other := turned.evidence(())) > least:
+                least, best = other, DataFault("joint_axis", (), {"joint": joint + 1, "axis": name})
+    return best
 
 
 def computed_torque(data: TorqueRows) -> bool:
@@ -142,10 +170,12 @@ class _Comparison(NamedTuple):
     """Attributes:
     found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
     alternatives: where none is taken, two or more that cannot be told apart.
+    evidence: of the best of them.
     """
 
     found: Hypothesis = ()
     alternatives: tuple[Hypothesis, ...] = ()
+    evidence: float = -np.inf
 
 
 def _compare(rows: Samples) -> _Comparison:
@@ -167,12 +197,11 @@ def _compare(rows: Samples) -> _Comparison:
     simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
     distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
     if len(distinct) > 1:
-        return _Comparison(alternatives=tuple(distinct))
+        return _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
     (found,) = distinct
     common = _with_one_constant(found)
-    if rows.evidence(common) - rows.price(common) > evidence[found]:
-        return _Comparison(found=common)
-    return _Comparison(found=found)
+    together = rows.evidence(common) - rows.price(common)
+    return _Comparison(common if together > evidence[found] else found, evidence=max(together, evidence[found]))
 
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:

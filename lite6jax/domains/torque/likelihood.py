@@ -1,5 +1,6 @@
 """How likely hypotheses about a torque recording are: what each leaves of some samples, and its evidence."""
 
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
+from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, regressor
 from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
 from lite6jax.domains.torque.links import uncertain
@@ -82,6 +84,19 @@ class Samples:
             self.floor = np.hypot(self.floor, 0.5 * noise)
         slope = np.stack([np.gradient(row) for row in data.measured])
         self.slope = slope[:, kept] * data.filter.rate / data.filter.every
+
+    def with_axis(self, joint: int, R: Array) -> "Samples":
+        """The same of an arm whose joint, from 0, turns about the axis of its frame that `R` turns z into."""
+        bodies, other = self.data.bodies, copy(self)
+        kinematics, links = bodies.kinematics.copy(), bodies.links.copy()
+        T = np.eye(4)
+        T[:3, :3] = R
+        kinematics[joint] = frames.row_from_transform(frames.transform_from_row(kinematics[joint]) @ T)
+        if joint + 1 < self.dof:
+            kinematics[joint + 1] = frames.row_from_transform(T.T @ frames.transform_from_row(kinematics[joint + 1]))
+        links[joint] = _rotated(links[joint], R.T)
+        other.data = replace(self.data, bodies=replace(bodies, kinematics=kinematics, links=links))
+        return other
 
     @property
     def dof(self) -> int:
@@ -364,6 +379,13 @@ class Samples:
         added = np.stack([0.3 * spring, 0.1 * rigid, 0.02 * slope / size[:, None]], 1)
         columns = np.concatenate([own, added], 1) * size[:, None, None]
         return columns, np.array([False, True, True, True, True, False, False, False])
+
+
+def _rotated(numbers: Array, R: Array) -> Array:
+    """Inertial numbers `(10,)` of a link in axes turned by `R` about the same origin."""
+    xx, yy, zz, xy, xz, yz = numbers[4:]
+    tensor = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
+    return np.r_[numbers[0], R @ numbers[1:4], np.diagonal(tensor), tensor[[0, 0, 1], [1, 2, 2]]]
 
 
 def _nonnegative(factors: tuple[Array, Array], y: Array) -> tuple[Array, float]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
@@ -40,6 +41,8 @@ _SAME_UNIT = 0.15
 """Relative deviation of all factors from a unit's, up to which it is that."""
 _FEWEST_AT_REST = 10
 """Rows at rest from which a bias of the velocity is known."""
+_FEWEST_IN_ZONE = 5
+"""Rows in a row without a velocity, over which positions show whether the joint moves."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -85,12 +88,8 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     require_joints(recording, arm)
     found = list[DataFault]()
     if not still:
-        q = without_turns(recording, arm.possible_positions, _BEYOND)
-        turned = np.abs(q - recording.joint_position) > 1.0
-        if turned.any():
-            joints = (1 + np.flatnonzero(turned.any(0))).tolist()
-            found.append(DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints}))
-            recording = at_positions(recording, q)
+        recording, turns = _without_turns(recording, arm, wraps_only=True)
+        found += turns
         biased = _velocity_bias(recording, arm)
         if biased.any():
             assert recording.joint_velocity is not None
@@ -98,6 +97,8 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             numbers = {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()}
             found.append(DataFault("velocity_bias", (), numbers))
             recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
+        recording, dead = _without_dead_zone(recording, arm)
+        found += dead
         recording, uneven = evenly_timed(recording)
         found += [] if uneven is None else [uneven]
     torque = recording.torques().T
@@ -120,13 +121,38 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     if recording.settings.inertial != "unknown" and not still:
         declared = as_declared(data)
         _require_unit(recording, declared.found)
+        _require_axes(recording, declared.found)
         data = declared.data
         found += declared.found
         ruled_out += declared.ruled_out
+    if not still:
+        # a joint beyond its limits may have another sign or zero, which has been settled now
+        recording, turns = _without_turns(data.recording, arm, wraps_only=False)
+        data = torque_rows(recording, arm, data.torque) if turns else data
+        found += turns
     held = held_by_friction(data)
     data = replace(data, slack=held.slack) if held.found else data
     found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
+
+
+def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Recording, list[DataFault]]:
+    """Positions without whole turns, and the joints that had them.
+
+    Args:
+        recording: a motion.
+        arm: whose limits say which turn it is.
+        wraps_only: whether a joint that is beyond its limits by a turn all the time is left.
+    """
+    q = without_turns(recording, arm.possible_positions, _BEYOND)
+    apart = q - recording.joint_position
+    q = np.where(np.ptp(apart, axis=0) > 1.0, q, recording.joint_position) if wraps_only else q
+    turned = np.abs(q - recording.joint_position) > 1.0
+    if not turned.any():
+        return recording, []
+    joints = (1 + np.flatnonzero(turned.any(0))).tolist()
+    fault = DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints})
+    return at_positions(recording, q), [fault]
 
 
 def _require_inertia(recording: Recording, arm: Arm) -> None:
@@ -167,6 +193,16 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
         raise InputError(f"{said}; {remedy}")
 
 
+def _require_axes(recording: Recording, faults: tuple[DataFault, ...]) -> None:
+    for fault in faults:
+        if fault.code == "joint_axis":
+            joint, axis = fault.numbers["joint"], fault.numbers["axis"]
+            raise InputError(
+                f"{recording.source}: the torques fit an arm whose joint {joint} turns about {axis} of its frame, "
+                "where the description has z; correct the joint's axis in the arm's description"
+            )
+
+
 def _postures(recording: Recording) -> Recording:
     """Static postures in the order of the file, with a number in the place of times that they do not have."""
     if recording.samples < _FEWEST_POSTURES:
@@ -205,6 +241,36 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
         if large and np.mean(np.abs(rest - bias) < abs(bias) / 2) > 0.8 and abs(average[joint] - bias) < abs(bias) / 2:
             none[joint] = bias
     return none
+
+
+def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[DataFault]]:
+    """Velocities of the positions where a register reads nothing although the joint moves, and the joints concerned.
+
+    A stretch of zeros counts where the joint goes on through it, and where no reading is smaller than the zone is wide.
+    """
+    recorded, time = recording.joint_velocity, recording.time
+    if recorded is None or recording.velocity_differentiated or time is None:
+        return recording, []
+    velocity, widths = recorded.copy(), dict[int, float]()
+    for joint in range(recording.dof):
+        shown, zero = np.abs(recorded[:, joint]), recorded[:, joint] == 0
+        width = float(np.min(shown[~zero], initial=np.inf))
+        if not zero.any() or as_revolute([width], "rad/s", arm.slides[[joint]])[0] < DIRECTION_SPEED:
+            continue
+        q, dead = recording.joint_position[:, joint], 0
+        for rows in _pieces(zero, recording.run):
+            span = time[rows.stop - 1] - time[rows.start]
+            if rows.stop - rows.start < _FEWEST_IN_ZONE or span <= 0:
+                continue
+            fastest = abs(q[rows.stop - 1] - q[rows.start]) / span
+            dead += (rows.stop - rows.start) * bool(width / 8 < fastest < 2 * width)
+        if dead >= _FEWEST_AT_REST:
+            slope = uniform_filter1d(np.gradient(q, time), _FEWEST_IN_ZONE, mode="nearest")
+            velocity[zero, joint], widths[joint] = slope[zero], width
+    if not widths:
+        return recording, []
+    numbers = {"joints": [1 + joint for joint in widths], "width_rad_per_s": [*widths.values()]}
+    return replace(recording, joint_velocity=velocity), [DataFault("velocity_dead_zone", (), numbers)]
 
 
 def _require_motion(recording: Recording, arm: Arm) -> None:

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from domains.torque.moved import GRAVITY, at_flange, hidden, motion_of, recorded, setup_of
+from scipy.spatial.transform import Rotation
 
 from benchmarks.torque_trials.physics import torques
+from lite6jax.arms import frames
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.screening import screen_torques
@@ -359,3 +361,22 @@ def test_rest_that_the_model_explains_keeps_its_weight():
     screened = screen_torques(recording, arm)
     assert screened.found == ()
     assert screened.data.slack is None
+
+
+@pytest.mark.parametrize(("joint", "axis"), [(3, "x"), (2, "-y")])
+def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis(joint, axis):
+    recording, arm = recorded(FRICTION, seed=7)
+    R = {"x": Rotation.from_euler("y", 90, degrees=True), "-y": Rotation.from_euler("x", 90, degrees=True)}[axis]
+    wrong = arm.kinematics.copy()
+    before, after = np.eye(4), np.eye(4)
+    before[:3, :3] = R.inv().as_matrix()
+    after[:3, :3] = R.as_matrix()
+    wrong[joint - 1] = frames.row_from_transform(frames.transform_from_row(wrong[joint - 1]) @ before)
+    wrong[joint] = frames.row_from_transform(after @ frames.transform_from_row(wrong[joint]))
+    center, inertia = np.array(arm.center_of_mass), np.array(arm.inertia)
+    center[joint - 1] = after[:3, :3] @ center[joint - 1]
+    inertia[joint - 1] = after[:3, :3] @ inertia[joint - 1] @ before[:3, :3]
+    described = replace(arm, kinematics=wrong, center_of_mass=center, inertia=inertia)
+    with pytest.raises(InputError, match=f"joint {joint} turns about {axis} of its frame"):
+        screen_torques(recording, described)
+    assert screen_torques(recording, arm).found == ()

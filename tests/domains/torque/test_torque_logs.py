@@ -137,6 +137,21 @@ def test_a_bias_of_the_velocity_is_subtracted_and_said(arm):
     assert "velocity_bias" not in {one.code for one in still.found}
 
 
+def test_a_dead_zone_of_the_velocity_is_filled_from_the_positions_and_said(arm):
+    time = np.arange(3000) / 100
+    whole = made(time, swung(time), both, velocity_noise=1e-4)
+    assert whole.joint_velocity is not None
+    zone = np.where(np.abs(whole.joint_velocity) < 0.05, 0.0, whole.joint_velocity)
+    screened = screen_torques(replace(whole, joint_velocity=zone), arm)
+    (fault,) = [one for one in screened.found if one.code == "velocity_dead_zone"]
+    assert fault.numbers["joints"] == [1]
+    assert fault.numbers["width_rad_per_s"][0] == pytest.approx(0.05, abs=5e-3)
+    filled = screened.data.recording.joint_velocity
+    assert filled is not None
+    assert np.abs(filled - whole.joint_velocity).max() < 0.02
+    assert "velocity_dead_zone" not in {one.code for one in screen_torques(whole, arm).found}
+
+
 @pytest.mark.parametrize("reason", ["samples", "stamps"])
 def test_uneven_times_are_made_even_and_said(arm, reason):
     even = np.arange(1200) / 50
