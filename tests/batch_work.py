@@ -47,6 +47,20 @@ def freed(inputs):
     return pa.table({"held": [resident()] * len(inputs)})
 
 
+def unsendable(inputs):
+    """Raises what cannot be pickled."""
+
+    class Unsendable(Exception):  # noqa: N818
+        pass
+
+    raise Unsendable("no")
+
+
+def ends_at_once(connection, lifeline, imports):
+    """In the place of what a process does first."""
+    os._exit(3)
+
+
 def dead(value):
     """The row of an input at which workers die."""
     return pa.table({"input": [str(value)], "length": [-1]})

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from lite6jax.cli.arguments import check_processes
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.folders.place import Place, url_of
-from lite6jax.temporaries import temporary_folder
+from lite6jax.folders.place import Place, sha256_of, url_of
+from lite6jax.storage import temporary_folder
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -103,8 +103,6 @@ def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Ta
 
 def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
     """What of the command the diagnoses depend on, and the checksums of the files that they all read."""
-    from lite6jax.distribution.kept import sha256_of
-
     read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
     alike = {"source": Path(), "out": None, "force": True, "fleet": False}
     alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
