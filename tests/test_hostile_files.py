@@ -152,7 +152,7 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):
     FACTORY.write(tmp_path)
-    out = write_tables(lambda: iter([table_of_rows([])]), tmp_path / "fleet.parquet")
+    out = write_tables([table_of_rows([])], tmp_path / "fleet.parquet")
     assert fleet_names(Place.of(tmp_path), out) == ["arm.yaml"]
 
 

@@ -208,7 +208,7 @@ class Campaign:
         """The rows by index, in one step: a reader never sees half a file."""
         path.parent.mkdir(parents=True, exist_ok=True)
         table = self._table(sorted(rows, key=lambda row: row["index"]))
-        write_tables(lambda: iter([table]), path, overwrite=True)
+        write_tables([table], path, overwrite=True)
 
     def _table(self, rows: Sequence[Row]) -> pa.Table:
         return pa.Table.from_pylist(list(rows), self.schema)

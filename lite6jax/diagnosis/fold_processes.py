@@ -7,13 +7,13 @@ share. Each process computes with one thread, so that it does not matter which o
 import pickle
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, final
 
 from lite6jax import interruption, threads
-from lite6jax.distribution.workers import Process
+from lite6jax.distribution.workers import Process, Processes
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -114,20 +114,17 @@ class FoldProcesses:
 
     def __init__(self, count: int) -> None:
         """Starts nothing."""
-        self._count = count
+        self._processes = Processes(count, _IMPORTS)
         self._job: _Job[Any, Any] | None = None
         self._working: list[Future[None]] = []
 
     def __enter__(self) -> "FoldProcesses":
-        self._pairs = [(Process(_IMPORTS), ThreadPoolExecutor(1)) for _ in range(self._count)]
+        self._processes.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._forget()
-        for process, _ in self._pairs:
-            process.end()  # the thread that waits for it goes on
-        for _, thread in self._pairs:
-            thread.shutdown()
+        self._processes.__exit__(*error)
 
     def ahead(self, how: RemoteWork[Any], folds: Sequence[Any]) -> None:
         """Begins work on folds before it is known that their results are needed.
@@ -135,8 +132,8 @@ class FoldProcesses:
         `results` takes them where it is called with the same work and folds.
         """
         self._forget()
-        job = self._job = _Job(how, folds)
-        self._working = [thread.submit(job.work_by, process) for process, thread in self._pairs]
+        self._job = _Job(how, folds)
+        self._working = self._processes.each(self._job.work_by)
 
     def results(
         self,

@@ -92,7 +92,7 @@ def run_batches(
                 kept += len(inputs)
                 progress(len(inputs))
 
-    def rows_again() -> "Iterator[pa.Table]":
+    def finished() -> "Iterator[pa.Table]":
         for key in keys:
             if (rows := parts.find(key)) is None:
                 raise InputError(f"{parts.folder}: was changed while it was being written; give the same command again")
@@ -102,7 +102,7 @@ def run_batches(
         for number, rows in workers.outcomes(function, remaining(), given, died=died):
             parts.keep(keys[number], arrived(at_work.pop(number), rows))
             progress(sizes[number])
-    write_tables(rows_again, out, overwrite)
+    write_tables(finished(), out, overwrite)
     parts.remove()
     return Run(out, sum(sizes), kept)
 
@@ -204,7 +204,7 @@ class Parts:
 
     A file is named after all on which its rows depend: what the inputs hold, what was asked for, and the versions of
     the package and its libraries. So a run that was ended goes on, and where any of these differs a batch is done
-    again. Rows are read when they are wanted: memory does not grow with their number.
+    again.
 
     Attributes:
         folder: which is there from the first `keep` until `remove`.
@@ -273,31 +273,17 @@ def concatenated(tables: "Iterable[pa.Table]") -> "pa.Table":
     return pa.concat_tables(tables, promote_options="default")
 
 
-def write_tables(tables: "Callable[[], Iterator[pa.Table]]", path: Path, overwrite: bool = False) -> Path:
+def write_tables(tables: "Iterable[pa.Table]", path: Path, overwrite: bool = False) -> Path:
     """Writes the rows of tables as one Parquet file, in groups of `ROW_GROUP` rows whatever the tables' sizes.
-
-    Args:
-        tables: gives them, twice: for their columns, and for their rows.
-        path: of the file.
-        overwrite: whether it may be replaced.
 
     Raises:
         InputError: as `storage.write_atomically`.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = pa.unify_schemas([*dict.fromkeys(table.schema for table in tables())])
+    rows = concatenated(tables).combine_chunks()
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(target, schema, write_page_checksum=True) as writer:
-            waiting = schema.empty_table()
-            for table in tables():
-                waiting = concatenated([waiting, table])
-                while len(waiting) >= ROW_GROUP:
-                    writer.write_table(waiting.slice(0, ROW_GROUP).combine_chunks(), ROW_GROUP)
-                    waiting = waiting.slice(ROW_GROUP)
-            if len(waiting):
-                writer.write_table(waiting.combine_chunks(), ROW_GROUP)
+        pq.write_table(rows, target, row_group_size=ROW_GROUP, write_page_checksum=True)
 
     return storage.write_atomically(path, write, overwrite)

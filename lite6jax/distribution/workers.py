@@ -17,10 +17,12 @@ from functools import cache
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 from lite6jax import interruption, threads
 from lite6jax.errors import InputError
+from lite6jax.fitting import version
+from lite6jax.fitting.code_folder import keep_compiled_code
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,18 +47,11 @@ _SENT_AHEAD = 2
 """Batches for each thread of a cluster: what a scheduler holds does not grow with their number."""
 
 
-class Worked(NamedTuple):
-    """The rows of a batch, and the bytes of memory that the worker has then; 0 where the system does not say."""
-
-    rows: "pa.Table"
-    resident: int
-
-
 _one_at_a_time = threading.Lock()
 _job: tuple[Function, tuple[Any, ...]] | None = None
 
 
-def work(job: bytes | None, inputs: Sequence[Any]) -> Worked:
+def work(job: bytes | None, inputs: Sequence[Any], expected: tuple[str, ...] | None = None) -> "tuple[pa.Table, int]":
     """What a worker does with a batch.
 
     A worker of a cluster may call this from several threads: one computes, as compiled code and what libraries set for
@@ -65,12 +60,22 @@ def work(job: bytes | None, inputs: Sequence[Any]) -> Worked:
     Args:
         job: the pickled function and what is given to it besides a batch; None where they are those of the last call.
         inputs: of the batch.
+        expected: the versions of the program that asks: with others a worker might compute other numbers.
+
+    Returns:
+        the rows, and the bytes of memory that the worker has then; 0 where the system does not say.
 
     Raises:
+        InputError: the versions are others.
         Exception: what the function raised; a `RuntimeError` with its message where it cannot be sent.
     """
     global _job
     with _one_at_a_time:
+        if expected is not None and expected != version.versions():
+            raise InputError(
+                "a worker of the cluster has another version of lite6jax, of Python or of a library than this program; "
+                "install the same in both places, and start the workers again"
+            )
         set_up()
         if job is not None:
             _job = None
@@ -91,18 +96,16 @@ def work(job: bytes | None, inputs: Sequence[Any]) -> Worked:
                 jax.clear_caches()
         with suppress(OSError, AttributeError, TypeError):  # glibc: a heap in fragments else grows with every batch
             ctypes.CDLL(None).malloc_trim(0)
-        resident = 0
-        with suppress(OSError):
-            resident = int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        return Worked(rows, resident)
+        try:
+            return rows, int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        except OSError:
+            return rows, 0
 
 
 @cache
 def set_up() -> None:
     """One thread, and the compiled code of all workers of this user on this machine."""
     threads.limit(1)  # before what computes is loaded
-    from lite6jax.fitting.code_folder import keep_compiled_code
-
     keep_compiled_code()
     gc.set_threshold(200_000)  # tracing makes objects that stay
 
@@ -115,12 +118,8 @@ class WorkerDiedError(Exception):
 class Process:
     """A process of this machine, in whose place another comes where it died or has grown."""
 
-    def __init__(self, imports: tuple[str, ...] = ()) -> None:
-        """Starts it.
-
-        Args:
-            imports: modules that it imports at once.
-        """
+    def __init__(self, imports: tuple[str, ...]) -> None:
+        """Starts it; it imports these modules at once."""
         self._imports = imports
         self._one_at_a_time = threading.Lock()
         self._is_over = False
@@ -175,8 +174,8 @@ class Process:
                 raise WorkerDiedError from error
         if isinstance(said, Exception):
             raise said
-        self._resident = said.resident
-        return said.rows
+        rows, self._resident = said
+        return rows
 
     def _restart(self) -> None:
         self._stop()
@@ -227,17 +226,17 @@ def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...
 
 @final
 class Processes:
-    """Processes of this machine, started by the `with` statement."""
+    """Processes of this machine, started by the `with` statement, and a thread here for each."""
 
-    def __init__(self, count: int) -> None:
-        """Starts nothing."""
-        self._count = count
+    def __init__(self, count: int, imports: tuple[str, ...] = ()) -> None:
+        """Starts nothing; the modules `imports` are imported by each at once."""
+        self._count, self._imports = count, imports
 
     def __enter__(self) -> "Processes":
-        self._all = [Process() for _ in range(self._count)]
+        self._all = [Process(self._imports) for _ in range(self._count)]
         self._threads = ThreadPoolExecutor(self._count)
         self._free = list(self._all)
-        self._at_work: dict[Future[pa.Table], Process] = {}
+        self._at_work: dict[Future[Any], Process] = {}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -245,26 +244,30 @@ class Processes:
             process.end()
         self._threads.shutdown()
 
+    def each(self, function: Callable[[Process], Any]) -> list[Future[Any]]:
+        """Calls a function with each process, side by side."""
+        return [self._threads.submit(function, process) for process in self._all]
+
     @property
     def has_room(self) -> bool:
         """Whether a process has nothing to do."""
         return bool(self._free)
 
-    def submit(self, job: bytes, inputs: Sequence[Any]) -> "Future[pa.Table]":
+    def submit(self, job: bytes, inputs: Sequence[Any]) -> Future[Any]:
         """Gives a batch to a process that has nothing to do, as `Process.work` takes it."""
         process = self._free.pop()
         future = self._threads.submit(process.work, job, inputs)
         self._at_work[future] = process
         return future
 
-    def forget(self, future: "Future[pa.Table]") -> None:
+    def forget(self, future: Future[Any]) -> None:
         """Has the process of a batch take others, whether it is done or not."""
         process = self._at_work.pop(future)
         if not future.done():
             process.interrupt()
         self._free.append(process)
 
-    def rows(self, future: "Future[pa.Table]") -> "pa.Table | None":
+    def rows(self, future: Future[Any]) -> "pa.Table | None":
         """The rows of a batch; None where its worker died.
 
         Raises:
@@ -300,8 +303,6 @@ class Cluster:
             raise InputError(
                 f"--scheduler {self._address}: takes Dask; pip install 'lite6jax[distributed]', or leave it out"
             ) from error
-        from lite6jax.fitting.version import versions
-
         try:
             self._client = Client(self._address, timeout=ANSWERS_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -310,8 +311,8 @@ class Cluster:
                 "the address (tcp://HOST:8786)"
             ) from error
         self._executor = self._client.get_executor(pure=False)
-        self._versions = versions()
-        self._at_work: set[Future[Worked]] = set()
+        self._versions = version.versions()
+        self._at_work: set[Future[Any]] = set()
         self._threads = 0
         return self
 
@@ -325,13 +326,13 @@ class Cluster:
         self._threads = sum(counts.values())
         return len(self._at_work) < _SENT_AHEAD * max(self._threads, 1)
 
-    def submit(self, job: bytes, inputs: Sequence[Any]) -> "Future[Worked]":
+    def submit(self, job: bytes, inputs: Sequence[Any]) -> Future[Any]:
         """Sends a batch to the scheduler, as `work` takes it.
 
         Raises:
             InputError: the cluster has no worker.
         """
-        future = self._executor.submit(_work_alike, self._versions, job, list(inputs))
+        future = self._executor.submit(work, job, list(inputs), self._versions)
         self._at_work.add(future)
         if not self._threads:  # a cluster that adapts to its load starts some for what it has
             try:
@@ -343,12 +344,12 @@ class Cluster:
                 ) from error
         return future
 
-    def forget(self, future: "Future[Worked]") -> None:
+    def forget(self, future: Future[Any]) -> None:
         """As `Processes.forget`."""
         self._at_work.remove(future)
         future.cancel()
 
-    def rows(self, future: "Future[Worked]") -> "pa.Table | None":
+    def rows(self, future: Future[Any]) -> "pa.Table | None":
         """As `Processes.rows`.
 
         Raises:
@@ -358,7 +359,7 @@ class Cluster:
         from distributed import KilledWorker
 
         try:
-            return future.result().rows
+            return future.result()[0]
         except KilledWorker:
             return None
         except CancelledError as error:
@@ -366,19 +367,3 @@ class Cluster:
                 f"--scheduler {self._address}: the scheduler is gone; start it, and the same command goes on where it "
                 "stopped"
             ) from error
-
-
-def _work_alike(expected: tuple[str, ...], job: bytes, inputs: Sequence[Any]) -> Worked:
-    """As `work`, by a worker of a cluster with the same versions as the program that asks.
-
-    Raises:
-        InputError: they are others, which might compute other numbers.
-    """
-    from lite6jax.fitting.version import versions
-
-    if versions() != expected:
-        raise InputError(
-            "a worker of the cluster has another version of lite6jax, of Python or of a library than this program; "
-            "install the same in both places, and start the workers again"
-        )
-    return work(job, inputs)

@@ -77,7 +77,7 @@ def test_processes_that_work_are_ended_at_once(monkeypatch):
     monkeypatch.setattr(Process, "_start", lambda self, start=Process._start: started.append(start(self)))
     with FoldProcesses(1) as them:
         them.ahead(how("slow"), FOLDS)
-        ((process, _),) = them._pairs
+        (process,) = them._processes._all
         deadline = time.monotonic() + 60
         while process._told is None and time.monotonic() < deadline:
             time.sleep(0.01)

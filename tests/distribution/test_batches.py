@@ -207,15 +207,15 @@ def test_a_key_is_of_values_and_not_of_objects():
 def test_row_groups_do_not_depend_on_the_batches(tmp_path, monkeypatch):
     monkeypatch.setattr(layer, "ROW_GROUP", 4)
     tables = [pa.table({"x": list(range(first, first + size))}) for first, size in ((0, 3), (3, 6), (9, 1))]
-    parts = layer.write_tables(lambda: iter(tables), tmp_path / "parts.parquet")
-    whole = layer.write_tables(lambda: iter([pa.table({"x": list(range(10))})]), tmp_path / "whole.parquet")
+    parts = layer.write_tables(tables, tmp_path / "parts.parquet")
+    whole = layer.write_tables([pa.table({"x": list(range(10))})], tmp_path / "whole.parquet")
     assert parts.read_bytes() == whole.read_bytes()
     assert [pq.ParquetFile(parts).metadata.row_group(i).num_rows for i in range(3)] == [4, 4, 2]
 
 
 def test_columns_that_some_batches_lack_are_null_there(tmp_path):
     tables = [pa.table({"a": [1]}), pa.table({"a": [2], "b": [0.5]})]
-    path = layer.write_tables(lambda: iter(tables), tmp_path / "both.parquet")
+    path = layer.write_tables(tables, tmp_path / "both.parquet")
     assert pq.read_table(path).to_pydict() == {"a": [1, 2], "b": [None, 0.5]}
 
 

@@ -46,7 +46,7 @@ def test_rows_are_the_same_from_their_table(tmp_path):
         Row("a.yaml", "calibration", Result.CONVERGED, "naïve", "good", "lite6", 6, 300, 4, (("d1_m", 0.3),), errors),
         Row("b.csv", "recording", Result.UNREADABLE, "no", parameters=(("beta2_rad", -0.1),)),
     ]
-    path = write_tables(lambda: iter([table_of_rows(rows)]), tmp_path / "rows.parquet")
+    path = write_tables([table_of_rows(rows)], tmp_path / "rows.parquet")
     assert repr(list(read_rows(path))) == repr(rows)
     assert [row.parameters for row in read_rows(path, parameters=False)] == [(), ()]
     assert [row.failed for row in rows] == [False, True]
