@@ -218,7 +218,7 @@ def read_yaml(path: str | Path) -> Any:
     text = read_text(path, YAML_SIZE_LIMIT)
     values = _mapping_of_numbers(text)
     if values is None:
-        values = _parsed_yaml(path, text)
+        values = _parse_yaml(path, text)
     verify_comment(text, values, path)
     return values
 
@@ -274,7 +274,7 @@ def _mapping_of_numbers(text: str) -> dict[str, Any] | None:
     return root if root and opened is None else None
 
 
-def _parsed_yaml(path: str | Path, text: str) -> Any:
+def _parse_yaml(path: str | Path, text: str) -> Any:
     """What a YAML text holds; errors as of `read_yaml`."""
     try:
         _check_events(path, text)

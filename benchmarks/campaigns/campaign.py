@@ -138,7 +138,7 @@ class Campaign:
         digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
         done = [len(wanted) - len(left)]
 
-        def arrived(given: Sequence[_Given], answer: pa.Table) -> pa.Table:
+        def score(given: Sequence[_Given], answer: pa.Table) -> pa.Table:
             (said,) = answer.to_pylist()
             return self._table([self._scored(folder, digests[given[0].trial], said)])
 
@@ -153,7 +153,7 @@ class Campaign:
             out=more,
             content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
             died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
-            arrived=arrived,
+            store=score,
             processes=processes,
             scheduler=scheduler,
             progress=advanced,

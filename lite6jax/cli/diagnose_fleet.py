@@ -76,9 +76,9 @@ def _pooled(command: "Diagnose") -> "Population":
 
 def diagnose_and_reduce(names: Sequence[str], place: "Place", command: "Diagnose") -> "pa.Table":
     """The rows of some recordings with their documents and reduced recordings."""
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
 
-    return concatenated([diagnosed(name, place, command, _reduced) for name in names])
+    return concatenate([diagnosed(name, place, command, _reduced) for name in names])
 
 
 def _reduced(command: "Diagnose") -> tuple[str, bytes]:

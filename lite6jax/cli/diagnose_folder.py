@@ -111,9 +111,9 @@ def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
 
 def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":
     """The rows of some recordings of a folder with their documents, which are those of the command on each file."""
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
 
-    return concatenated([diagnosed(name, place, command, _as_by_the_command) for name in names])
+    return concatenate([diagnosed(name, place, command, _as_by_the_command) for name in names])
 
 
 def diagnosed(
@@ -134,7 +134,7 @@ def diagnosed(
 
     from lite6jax.folders.diagnoses import refusal, row_of, with_reduced
 
-    with place.at_hand([name]) as folder, temporary_folder() as written:
+    with place.local_folder([name]) as folder, temporary_folder() as written:
         out = written / "diagnosis.json"
         try:
             with (
@@ -145,13 +145,13 @@ def diagnosed(
                 warnings.simplefilter("always", InputWarning)
                 text, reduced = work(replace(command, source=folder / name, out=out))
         except InputError as error:
-            return refusal(name, place.as_shown(str(error), folder))
+            return refusal(name, place.show(str(error), folder))
         except Exception as error:  # a defect of ours, met on one recording, is no reason to lose the others
             found = " ".join(f"{type(error).__name__}: {error}".split())
             said = f"{folder / name}: unexpected {found}; please report it with this recording"
-            return refusal(name, place.as_shown(said, folder))
+            return refusal(name, place.show(said, folder))
         said = dict.fromkeys(str(remark.message) for remark in remarks if issubclass(remark.category, InputWarning))
-        row = row_of(name, json.loads(text), text, place.as_shown("; ".join(said), folder))
+        row = row_of(name, json.loads(text), text, place.show("; ".join(said), folder))
         return row if reduced is None else with_reduced(row, reduced)
 
 

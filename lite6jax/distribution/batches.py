@@ -42,8 +42,8 @@ def run_batches(
     out: Path,
     content: Callable[[Sequence[Any]], bytes],
     died: Callable[[Any], "pa.Table"],
-    arrived: "Callable[[Sequence[Any], pa.Table], pa.Table]" = lambda inputs, rows: rows,
-    intact: "Callable[[pa.Table], bool]" = lambda rows: True,
+    store: "Callable[[Sequence[Any], pa.Table], pa.Table]" = lambda inputs, rows: rows,
+    is_intact: "Callable[[pa.Table], bool]" = lambda rows: True,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda done: None,
@@ -62,8 +62,8 @@ def run_batches(
         out: the table to write.
         content: of the inputs of a batch, all on which its rows depend besides `given`; its checksum is taken.
         died: the row of an input at which workers die.
-        arrived: called with the inputs of a batch and its rows before they are kept; returns what is to be kept.
-        intact: of rows that were kept, whether what `arrived` made of them still stands.
+        store: called with the inputs of a batch and its rows before they are kept; returns what is to be kept.
+        is_intact: of rows that were kept, whether what `store` made of them still stands.
         scheduler: the address of the scheduler of a Dask cluster; processes of this machine where not given.
         processes: so many; one a core where not given, and none but this one for 0.
         progress: called with the number of inputs done since the last call.
@@ -79,30 +79,30 @@ def run_batches(
     at_work: dict[int, Sequence[Any]] = {}
     kept = 0
 
-    def remaining() -> Iterator[tuple[int, Sequence[Any]]]:
+    def batches_to_do() -> Iterator[tuple[int, Sequence[Any]]]:
         nonlocal kept
         for number, inputs in enumerate(batches):
             keys.append(parts.key(content(inputs)))
             sizes.append(len(inputs))
             rows = parts.find(keys[number])
-            if rows is None or not intact(rows):
+            if rows is None or not is_intact(rows):
                 at_work[number] = inputs
                 yield number, inputs
             else:
                 kept += len(inputs)
                 progress(len(inputs))
 
-    def finished() -> "Iterator[pa.Table]":
+    def rows_in_order() -> "Iterator[pa.Table]":
         for key in keys:
             if (rows := parts.find(key)) is None:
                 raise InputError(f"{parts.folder}: was changed while it was being written; give the same command again")
             yield rows
 
     with Workers(scheduler, processes, len(batches)) as workers:
-        for number, rows in workers.outcomes(function, remaining(), given, died=died):
-            parts.keep(keys[number], arrived(at_work.pop(number), rows))
+        for number, rows in workers.outcomes(function, batches_to_do(), given, died=died):
+            parts.keep(keys[number], store(at_work.pop(number), rows))
             progress(sizes[number])
-    write_tables(finished(), out, overwrite)
+    write_tables(rows_in_order(), out, overwrite)
     parts.remove()
     return Run(out, sum(sizes), kept)
 
@@ -170,32 +170,26 @@ class Workers:
             at_work[pool.submit(job, inputs)] = number, inputs, is_again
 
         def alone(one: Any) -> "pa.Table":
-            future = pool.submit(job, [one])
-            rows = pool.rows(future)
-            pool.forget(future)
+            rows = pool.take(pool.submit(job, [one]))
             return died(one) if rows is None else rows
 
         def fill() -> None:
             while pool.has_room and (batch := next(following, None)) is not None:
                 submit(*batch)
 
-        try:
+        pool.begin()
+        fill()
+        while at_work:
+            for future in wait(at_work, return_when=FIRST_COMPLETED).done:
+                number, inputs, is_again = at_work.pop(future)
+                rows = pool.take(future)
+                if rows is None and not is_again:
+                    submit(number, inputs, True)
+                    continue
+                if rows is None:
+                    rows = concatenate(map(alone, inputs)) if len(inputs) > 1 else died(inputs[0])
+                yield number, rows  # kept before more is begun: a run that is killed loses what its workers have
             fill()
-            while at_work:
-                for future in wait(at_work, return_when=FIRST_COMPLETED).done:
-                    number, inputs, is_again = at_work.pop(future)
-                    pool.forget(future)
-                    rows = pool.rows(future)
-                    if rows is None and not is_again:
-                        submit(number, inputs, True)
-                        continue
-                    if rows is None:
-                        rows = concatenated(map(alone, inputs)) if len(inputs) > 1 else died(inputs[0])
-                    yield number, rows  # kept before more is begun: a run that is killed loses what its workers have
-                fill()
-        finally:
-            for future in at_work:
-                pool.forget(future)
 
 
 @final
@@ -266,7 +260,7 @@ class Parts:
         return self.folder / f"{key}.arrow"
 
 
-def concatenated(tables: "Iterable[pa.Table]") -> "pa.Table":
+def concatenate(tables: "Iterable[pa.Table]") -> "pa.Table":
     """The rows of tables one after the other; a column that one of them lacks is null there."""
     import pyarrow as pa
 
@@ -281,7 +275,7 @@ def write_tables(tables: "Iterable[pa.Table]", path: Path, overwrite: bool = Fal
     """
     import pyarrow.parquet as pq
 
-    rows = concatenated(tables).combine_chunks()
+    rows = concatenate(tables).combine_chunks()
 
     def write(target: Path) -> None:
         pq.write_table(rows, target, row_group_size=ROW_GROUP, write_page_checksum=True)

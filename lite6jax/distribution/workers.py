@@ -147,7 +147,7 @@ class Process:
         """The rows of a batch, of a pickled function and what is given to it; waits for the batch of another thread.
 
         Raises:
-            WorkerDiedError: the process died, or was ended or interrupted.
+            WorkerDiedError: the process died, or was ended.
             InputError: no process gets as far as to ask for a batch.
             Exception: what the function raised.
         """
@@ -184,17 +184,13 @@ class Process:
             raise WorkerDiedError
         self._start()
 
-    def interrupt(self) -> None:
-        """Has it give up what it works on."""
-        self._lifeline.close()
-
     def end(self) -> None:
         """Ends it at once, whatever it works on; no other comes in its place."""
         self._is_over = True
         self._stop()
 
     def _stop(self) -> None:
-        self.interrupt()
+        self._lifeline.close()
         self._process.join(_ENDS_WITHIN if self._is_ready else 0)
         self._process.kill()
         self._process.join()
@@ -214,14 +210,15 @@ def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...
     for module in imports:
         with suppress(Exception):  # where it is not whole, work says so
             import_module(module)
-    connection.send(True)
-    while True:
-        message = connection.recv_bytes()
-        try:
-            said = work(*pickle.loads(message))
-        except Exception as error:
-            said = error
-        connection.send(said)
+    with suppress(EOFError, OSError):  # the process at the other end has ended
+        connection.send(True)
+        while True:
+            message = connection.recv_bytes()
+            try:
+                said = work(*pickle.loads(message))
+            except Exception as error:
+                said = error
+            connection.send(said)
 
 
 @final
@@ -235,8 +232,6 @@ class Processes:
     def __enter__(self) -> "Processes":
         self._all = [Process(self._imports) for _ in range(self._count)]
         self._threads = ThreadPoolExecutor(self._count)
-        self._free = list(self._all)
-        self._at_work: dict[Future[Any], Process] = {}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -247,6 +242,10 @@ class Processes:
     def each(self, function: Callable[[Process], Any]) -> list[Future[Any]]:
         """Calls a function with each process, side by side."""
         return [self._threads.submit(function, process) for process in self._all]
+
+    def begin(self) -> None:
+        """Forgets the batches that were not taken."""
+        self._free, self._at_work = list(self._all), dict[Future[Any], Process]()
 
     @property
     def has_room(self) -> bool:
@@ -260,19 +259,13 @@ class Processes:
         self._at_work[future] = process
         return future
 
-    def forget(self, future: Future[Any]) -> None:
-        """Has the process of a batch take others, whether it is done or not."""
-        process = self._at_work.pop(future)
-        if not future.done():
-            process.interrupt()
-        self._free.append(process)
-
-    def rows(self, future: Future[Any]) -> "pa.Table | None":
-        """The rows of a batch; None where its worker died.
+    def take(self, future: Future[Any]) -> "pa.Table | None":
+        """The rows of a batch that is done; None where its worker died.
 
         Raises:
             Exception: as `Process.work`.
         """
+        self._free.append(self._at_work.pop(future))
         try:
             return future.result()
         except WorkerDiedError:
@@ -312,12 +305,14 @@ class Cluster:
             ) from error
         self._executor = self._client.get_executor(pure=False)
         self._versions = version.versions()
-        self._at_work: set[Future[Any]] = set()
-        self._threads = 0
         return self
 
     def __exit__(self, *error: object) -> None:
         self._client.close(timeout=ANSWERS_WITHIN)
+
+    def begin(self) -> None:
+        """As `Processes.begin`."""
+        self._at_work = set[Future[Any]]()
 
     @property
     def has_room(self) -> bool:
@@ -344,13 +339,8 @@ class Cluster:
                 ) from error
         return future
 
-    def forget(self, future: Future[Any]) -> None:
-        """As `Processes.forget`."""
-        self._at_work.remove(future)
-        future.cancel()
-
-    def rows(self, future: Future[Any]) -> "pa.Table | None":
-        """As `Processes.rows`.
+    def take(self, future: Future[Any]) -> "pa.Table | None":
+        """As `Processes.take`.
 
         Raises:
             InputError: a worker has another version of the package or of a library, or the scheduler is gone.
@@ -358,6 +348,7 @@ class Cluster:
         """
         from distributed import KilledWorker
 
+        self._at_work.remove(future)
         try:
             return future.result()[0]
         except KilledWorker:

@@ -95,7 +95,7 @@ def diagnose_folder(
         for name in documents.values():
             storage.check_writable(out / name)
 
-    def arrived(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
+    def write_files(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
         """Writes the files of a row, and names them in it with their checksums."""
         (row,) = rows.to_pylist()
         for what, suffix in (("document", ".json"), ("reduced", ".npz")):
@@ -107,7 +107,7 @@ def diagnose_folder(
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
 
-    def intact(rows: pa.Table) -> bool:
+    def files_intact(rows: pa.Table) -> bool:
         (row,) = rows.to_pylist()
         return all(
             row.get(what) is None or sha256_of([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
@@ -122,8 +122,8 @@ def diagnose_folder(
         died=lambda name: refusal(
             name, f"{name}: the process that read it was ended; the file is damaged or too large for this machine"
         ),
-        arrived=arrived,
-        intact=intact,
+        store=write_files,
+        is_intact=files_intact,
         scheduler=scheduler,
         processes=processes,
         progress=lambda done: progress(done, len(names)),
@@ -236,7 +236,7 @@ def pool_folder(
         if heading is None or row["result"] != DIAGNOSED:
             members.append(Member(row["file"], {}, (), row["message"] or "was not diagnosed"))
         else:
-            members.append(Member(row["file"], heading.about, heading.found, _unused(heading, arm, over)))
+            members.append(Member(row["file"], heading.about, heading.found, _reason_unused(heading, arm, over)))
     used = [i for i, member in enumerate(members) if not member.unused]
     if len(used) < _FEWEST:
         reason = next((f" ({member.unused})" for member in members if member.unused), "")
@@ -281,7 +281,7 @@ def _kind(heading: "Heading") -> tuple[str, int, str]:
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
-def _unused(heading: "Heading", arm: tuple[str, int, str], over: str | None) -> str:
+def _reason_unused(heading: "Heading", arm: tuple[str, int, str], over: str | None) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
     own = heading.about
     if _kind(heading)[:2] != arm[:2]:

@@ -82,7 +82,7 @@ def fit_files(
         elif (content := attempt(path, partial(_read, path))) is not None:
             read[path] = content
     types: dict[str, dict[Path, FactoryCalibration]] = {}
-    for path, near in _recognised(read, nominal).items():
+    for path, near in _recognise(read, nominal).items():
         calibration = attempt(path, partial(_calibration, path, read[path], near, nominal))
         if calibration is not None:
             types.setdefault(calibration.arm.name, {})[path] = calibration
@@ -109,7 +109,7 @@ def _read(path: Path) -> _Content:
     return _Content(content, entries.kinematics(content["kinematics"], str(path))[0])
 
 
-def _recognised(read: Mapping[Path, _Content], nominal: Arm | None) -> dict[Path, Arm | None]:
+def _recognise(read: Mapping[Path, _Content], nominal: Arm | None) -> dict[Path, Arm | None]:
     """The arm that each calibration is near; None where it takes a closer look."""
     found: dict[Path, Arm | None] = dict.fromkeys(read)
     by_joints: dict[int, dict[Path, Array]] = {}
@@ -147,13 +147,13 @@ def _fit_calibrations(alike: Mapping[Path, FactoryCalibration]) -> Iterator[tupl
                 file=path.name,
                 kind="calibration",
                 result=result,
-                message=result.message + _qualified(quality),
+                message=result.message + _remark(quality),
                 quality=quality.verdict,
                 arm=arm.name,
                 joints=arm.dof,
                 samples=SAMPLES,
                 steps=int(fitted.steps[i]),
-                parameters=_named(form, fitted.parameters[i]),
+                parameters=_parameters(form, fitted.parameters[i]),
                 fitted=errors[0],
                 checked=errors[1],
                 nominal=errors[2],
@@ -175,24 +175,24 @@ def _fit_recording(path: Path, nominal: Arm | None) -> Row:
         file=path.name,
         kind="recording",
         result=solution.result,
-        message=solution.result.message + _qualified(solution.quality) + faults,
+        message=solution.result.message + _remark(solution.quality) + faults,
         quality=solution.quality.verdict,
         arm=solution.arm.name,
         joints=solution.arm.dof,
         samples=recording.samples,
         steps=solution.steps,
-        parameters=_named(ModelForm(solution.form.chain), solution.parameters),
+        parameters=_parameters(ModelForm(solution.form.chain), solution.parameters),
         fitted=Statistics.of(solution.errors),
         checked=Statistics.of(solution.checked),
         nominal=Statistics.of(solution.nominal_errors),
     )
 
 
-def _named(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:
+def _parameters(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:
     """Parameters by their names with the unit."""
     values = np.asarray(parameters).tolist()
     return tuple((f"{name}_{unit}", value) for name, unit, value in zip(form.names, form.units, values, strict=True))
 
 
-def _qualified(quality: Quality) -> str:
+def _remark(quality: Quality) -> str:
     return "; but the model does not describe the data" if quality.verdict == "bad" else ""

@@ -131,8 +131,8 @@ def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.
     # a program that has others do this does not import what it takes
     from lite6jax.folders.fit import fit_files
 
-    with place.at_hand(names) as folder:
-        rows = fit_files([folder / name for name in names], nominal, lambda said: place.as_shown(said, folder))
+    with place.local_folder(names) as folder:
+        rows = fit_files([folder / name for name in names], nominal, lambda said: place.show(said, folder))
     return table_of_rows(rows)
 
 

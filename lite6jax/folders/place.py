@@ -113,8 +113,8 @@ class Place:
         """
         if self.remote:
             store, root = _store(self.root)
-            stated = (f"{root}/{part}" for name in names for part in _with_sidecar(name))
-            return "\0".join((*names, *(_stated(store, path) for path in stated))).encode(errors="surrogateescape")
+            paths = (f"{root}/{part}" for name in names for part in _file_and_sidecar(name))
+            return "\0".join((*names, *(_stamp(store, path) for path in paths))).encode(errors="surrogateescape")
         found = []
         for name in names:
             files: list[str | Path] = [os.path.join(self.root, name)]
@@ -122,12 +122,12 @@ class Place:
                 path = Path(files[0])
                 if path.is_dir():
                     files = [*sorted(part for part in path.rglob("*") if part.is_file())]
-                files += named_by(path)
+                files += settings_files(path)
             found += [os.fsencode(name), b"\0", sha256_of(files)]
         return b"".join(found)
 
     @contextmanager
-    def at_hand(self, names: Sequence[str]) -> Iterator[Path]:
+    def local_folder(self, names: Sequence[str]) -> Iterator[Path]:
         """A folder of this machine with these files, and those that a recording of them takes.
 
         What is behind a URL is copied into a temporary folder; a file that cannot be read is not there.
@@ -143,16 +143,16 @@ class Place:
                     (folder / part).parent.mkdir(parents=True, exist_ok=True)
                     store.get_file(f"{root}/{part}", str(folder / part))
 
-            for part in dict.fromkeys(part for name in names for part in _with_sidecar(name)):
+            for part in dict.fromkeys(part for name in names for part in _file_and_sidecar(name)):
                 copy(part)
-            for path in (path for name in names for path in named_by(folder / name)):
+            for path in (path for name in names for path in settings_files(folder / name)):
                 part = os.path.relpath(path, folder)
                 if not part.startswith("..") and not path.exists():
                     copy(Path(part).as_posix())
             yield folder
 
-    def as_shown(self, message: str, folder: Path) -> str:
-        """A message on a file of `at_hand` that names it as the user did."""
+    def show(self, message: str, folder: Path) -> str:
+        """A message on a file of `local_folder` that names it as the user did."""
         before = f"{self.shown}/" if self.remote else str(Path(self.shown, "x"))[:-1]
         return message.replace(f"{folder}{os.sep}", before)
 
@@ -211,7 +211,7 @@ def batches_of(names: Sequence[str]) -> list[list[str]]:
     return batches
 
 
-def named_by(path: Path) -> list[Path]:
+def settings_files(path: Path) -> list[Path]:
     """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
     if kind_of(path) == "calibration":
         return []
@@ -232,7 +232,7 @@ def _suffix(name: str | Path) -> str:
     return os.path.splitext(name)[1].lower()
 
 
-def _with_sidecar(name: str) -> list[str]:
+def _file_and_sidecar(name: str) -> list[str]:
     return [name] if kind_of(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
 
 
@@ -266,7 +266,7 @@ def _store(url: str) -> tuple[Any, str]:
     return store, root.rstrip("/")
 
 
-def _stated(store: Any, path: str) -> str:
+def _stamp(store: Any, path: str) -> str:
     """The checksum that a store has of a file, or when it was made and its size; empty where there is none."""
     try:
         return str(store.ukey(path))

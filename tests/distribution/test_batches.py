@@ -1,6 +1,7 @@
 """Batches: the same bytes whoever computes them, one death costs one row, and a run that was ended goes on."""
 
 import ctypes
+import os
 import pickle
 import subprocess
 import sys
@@ -152,7 +153,7 @@ def test_a_run_that_was_ended_goes_on_with_the_same_bytes(tmp_path):
         return rows
 
     with pytest.raises(KeyboardInterrupt):
-        ran(tmp_path, out="again.parquet", processes=0, arrived=stop)
+        ran(tmp_path, out="again.parquet", processes=0, store=stop)
     assert done(tmp_path) == ["a", "bb", "ccc", "dddd", "e"]
     run = ran(tmp_path, out="again.parquet", processes=0)
     assert done(tmp_path) == ["dddd", "e", "f"]  # the third had been worked on, and not kept
@@ -219,49 +220,36 @@ def test_columns_that_some_batches_lack_are_null_there(tmp_path):
     assert pq.read_table(path).to_pydict() == {"a": [1, 2], "b": [None, 0.5]}
 
 
+SLOW = [[f"{i}", "slow"] for i in range(20)]
 KILLED = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from lite6jax.distribution.batches import run_batches
-from tests.batch_work import content, dead, spelled
-if __name__ == "__main__":
-    folder = Path(sys.argv[2])
-    inputs = [[f"{i}", "slow"] for i in range(20)]
-    run_batches(spelled, inputs, (str(folder),), out=folder / "out.parquet", content=content, died=dead, processes=2)
+from tests.distribution.test_batches import SLOW, ran
+ran(Path(sys.argv[1]), SLOW, processes=2)
 """
 
 
 @POSIX
-def test_a_run_that_was_killed_loses_a_batch_a_worker(tmp_path):
-    program = tmp_path / "killed.py"
-    program.write_text(KILLED)
-    started = subprocess.Popen([sys.executable, program, ROOT, tmp_path], cwd=ROOT)
-    parts, deadline = tmp_path / "out.parquet.parts", time.monotonic() + 60
+def test_a_run_that_was_killed_loses_a_batch_a_worker_and_leaves_no_temporary_folder(tmp_path):
+    home, parts = tmp_path / "temporary", tmp_path / "out.parquet.parts"
+    home.mkdir()
+    environment = os.environ | {"TMPDIR": str(home)}
+    started = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path], cwd=ROOT, env=environment)
+    deadline = time.monotonic() + 60
     while (not parts.exists() or len(list(parts.iterdir())) < 3) and time.monotonic() < deadline:
         time.sleep(0.02)
     started.kill()
     started.wait()
+    while any(home.iterdir()) and time.monotonic() < deadline:  # workers end with the program
+        time.sleep(0.02)
+    assert not any(home.iterdir())
     count = len(list(parts.iterdir()))
     assert 3 <= count < 20
-    before = done_in_the_end(tmp_path)
-    assert len(before) <= 2 * (count + 2)
-    inputs = [[f"{i}", "slow"] for i in range(20)]
-    run = run_batches(
-        spelled, inputs, (str(tmp_path),), out=tmp_path / "out.parquet", content=content, died=dead, processes=2
-    )
+    assert len(done(tmp_path)) <= 2 * (count + 2)
+    run = ran(tmp_path, SLOW, processes=2)
     assert run.kept in (2 * count, 2 * (count - 1))  # the last batch may have been cut as it was written
     assert len(done(tmp_path)) == 2 * 20 - run.kept
-    assert pq.read_table(run.path)["input"].to_pylist() == [value for one in inputs for value in one]
-
-
-def done_in_the_end(folder):
-    """What was done when the workers have ended, which they do with the batch that they have."""
-    size, file = -1, folder / "done"
-    while size != (now := file.stat().st_size):
-        size = now
-        time.sleep(0.9)  # an input takes a third of it
-    return done(folder)
+    assert pq.read_table(run.path)["input"].to_pylist() == [value for one in SLOW for value in one]
 
 
 def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):

@@ -94,16 +94,15 @@ def test_a_run_goes_on_unless_an_input_differs(arms, tmp_path, monkeypatch):
     assert again() == names
     assert again() == []
     assert again(LITE6) == names
-    (arms / "run.yaml").write_text("recording: {factory_calibration: own.yaml}\n")
-    assert again() == ["run.csv"]
-    (arms / "own.yaml").write_text("kinematics: {}\n")
-    assert again() == ["own.yaml", "run.csv"]
-    (arms / "run.yaml").write_text("recording: [\n")
-    assert again() == ["run.csv"]
-    (arms / "arm0.yaml").write_text((arms / "arm0.yaml").read_text() + "\n")
-    assert again() == ["arm0.yaml"]
-    run.write_text(run.read_text() + "\n")
-    assert again() == ["run.csv"]
+    for name, text, differ in (
+        ("run.yaml", "recording: {factory_calibration: own.yaml}\n", ["run.csv"]),
+        ("own.yaml", "kinematics: {}\n", ["own.yaml", "run.csv"]),
+        ("run.yaml", "recording: [\n", ["run.csv"]),
+        ("arm0.yaml", (arms / "arm0.yaml").read_text() + "\n", ["arm0.yaml"]),
+        ("run.csv", run.read_text() + "\n", ["run.csv"]),
+    ):
+        (arms / name).write_text(text)
+        assert again() == differ
 
 
 def test_the_closed_form_is_what_a_fit_finds(arms):
@@ -176,6 +175,9 @@ def test_what_is_behind_a_url_is_fitted_as_a_folder_is(arms, stored, tmp_path):
     ]
     assert shown[0] == shown[1]
     assert f"{stored}/own/arm.yaml: lacks the key 'kinematics'" in rows[1][-2].message
+    before = [Place.of(stored).content(["arm0.yaml"]) for _ in range(2)]
+    fsspec.filesystem("memory").pipe("/fleet/arms/arm0.yaml", b"kinematics: {}")
+    assert before[0] == before[1] != Place.of(stored).content(["arm0.yaml"])
 
 
 def test_the_command_takes_a_url(arms, tmp_path, capsys):
@@ -183,14 +185,6 @@ def test_the_command_takes_a_url(arms, tmp_path, capsys):
     assert main(["fleet", f"file://{arms}", "--out", str(out), "--processes", "1"]) == 0
     assert "2 of 7 files have no usable fit:" in capsys.readouterr().out
     assert next(row for row in read_rows(out) if row.file == "broken.yaml").message.startswith(f"file://{arms}/broken")
-
-
-def test_what_changed_behind_a_url_is_another_input(stored):
-    of = Place.of(stored)
-    before = of.content(["arm0.yaml"])
-    assert of.content(["arm0.yaml"]) == before
-    fsspec.filesystem("memory").pipe("/fleet/arms/arm0.yaml", b"kinematics: {}")
-    assert of.content(["arm0.yaml"]) != before
 
 
 def test_urls_survive_being_paths():
