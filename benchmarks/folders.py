@@ -16,6 +16,7 @@ from benchmarks.command import ROOT
 from benchmarks.measure import Record, timed
 from benchmarks.problem import simulated_arms
 from lite6jax.arms.factory import write_factory
+from lite6jax.folders.place import BATCH
 
 
 def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
@@ -72,9 +73,9 @@ def _loaded(paths: list[Path]) -> None:
 
 def _after_a_kill(work: str, arms: Path, out: Path, table: bytes) -> Iterator[Record]:
     """Whether a run that is killed half-way goes on with what it kept."""
-    kept = out.with_name(f"{out.name}.kept")
+    parts, third = out.with_name(f"{out.name}.parts"), -(-len(os.listdir(arms)) // BATCH) // 3
     started = subprocess.Popen(_command(arms, out, 2), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while started.poll() is None and not (kept.exists() and os.stat(kept).st_size > len(table) // 3):
+    while started.poll() is None and not (parts.exists() and len(os.listdir(parts)) > third):
         time.sleep(0.01)
     started.kill()
     started.wait()

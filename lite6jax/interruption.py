@@ -13,11 +13,6 @@ _undo: list[Callable[[], object]] = []
 _ends_on_signals = False
 
 
-def undo_at_signal(undo: Callable[[], object]) -> None:
-    """Has `undo` called where a signal ends the program, which then runs no `finally`."""
-    _undo.append(undo)
-
-
 def end_on_signals() -> None:
     """From here on a signal of `SIGNALS` ends the process at once; to be called by a program, before its imports.
 
@@ -38,19 +33,24 @@ def is_command_line() -> bool:
 
 
 @contextmanager
-def undone(undo: Callable[[], object]) -> Iterator[None]:
-    """As `undo_at_signal`, within the `with` statement only."""
-    undo_at_signal(undo)
+def undone(action: Callable[[], object]) -> Iterator[None]:
+    """Has `action` called where the process is ended within the `with` statement, and then runs no `finally`."""
+    _undo.append(action)
     try:
         yield
     finally:
-        _undo.remove(undo)
+        _undo.remove(action)
+
+
+def undo() -> None:
+    """Calls what `undone` was given, the last first; for what ends the process at once."""
+    for action in reversed(_undo):
+        with suppress(Exception):
+            action()
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    for undo in reversed(_undo):
-        with suppress(Exception):
-            undo()
+    undo()
     what = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
     # progress bars have hidden the cursor of a terminal
     shown = "\r\x1b[K\x1b[?25h" if os.isatty(2) else ""

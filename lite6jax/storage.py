@@ -2,7 +2,9 @@
 
 import os
 import re
+import shutil
 import stat
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -12,9 +14,12 @@ from typing import Any
 
 import yaml
 
+from lite6jax import interruption
 from lite6jax.checksum import verify_comment
 from lite6jax.errors import InputError
-from lite6jax.temporaries import create_temporary, remove_temporary
+
+_TEMPORARY = ".lite6jax-"
+"""How names of temporary files begin; folders of inputs are listed without hidden files."""
 
 
 def check_writable(path: str | Path, overwrite: bool = False) -> Path:
@@ -57,31 +62,36 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
     """
     path = check_writable(path, overwrite)
     try:
-        temporary = create_temporary(path)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=_TEMPORARY, suffix=path.suffix)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder you may write to") from error
-    try:
-        if callable(write):
-            write(temporary)
-        else:
-            temporary.write_bytes(write.encode() if isinstance(write, str) else write)
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        with suppress(PermissionError):  # some file systems (FAT, SMB) have no such permissions
-            temporary.chmod(0o666 & ~umask)
-        if overwrite:
-            os.replace(temporary, path)
-        else:
-            _place(temporary, path)
-    except FileExistsError as error:
-        raise InputError(f"{path}: appeared while it was being written; choose another name or add --force") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{path}: cannot be written ({reason}); free space or choose another folder") from error
-    finally:
-        remove_temporary(temporary)
+    os.close(handle)
+    temporary = Path(name)
+    with interruption.undone(lambda: temporary.unlink(missing_ok=True)):
+        try:
+            if callable(write):
+                write(temporary)
+            else:
+                temporary.write_bytes(write.encode() if isinstance(write, str) else write)
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
+            umask = os.umask(0)
+            os.umask(umask)
+            with suppress(PermissionError):  # some file systems (FAT, SMB) have no such permissions
+                temporary.chmod(0o666 & ~umask)
+            if overwrite:
+                os.replace(temporary, path)
+            else:
+                _place(temporary, path)
+        except FileExistsError as error:
+            raise InputError(
+                f"{path}: appeared while it was being written; choose another name or add --force"
+            ) from error
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(f"{path}: cannot be written ({reason}); free space or choose another folder") from error
+        finally:
+            temporary.unlink(missing_ok=True)
     return path
 
 
@@ -102,6 +112,17 @@ def _place(temporary: Path, path: Path) -> None:
         except OSError:
             path.unlink()
             raise
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """An empty folder among the system's temporary files, removed at the end with all that is in it."""
+    path = Path(tempfile.mkdtemp(prefix=_TEMPORARY))
+    try:
+        with interruption.undone(lambda: shutil.rmtree(path, ignore_errors=True)):
+            yield path
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
 
 
 @contextmanager
@@ -197,7 +218,7 @@ def read_yaml(path: str | Path) -> Any:
     text = read_text(path, YAML_SIZE_LIMIT)
     values = _mapping_of_numbers(text)
     if values is None:
-        values = _parsed_yaml(path, text)
+        values = _parse_yaml(path, text)
     verify_comment(text, values, path)
     return values
 
@@ -253,7 +274,7 @@ def _mapping_of_numbers(text: str) -> dict[str, Any] | None:
     return root if root and opened is None else None
 
 
-def _parsed_yaml(path: str | Path, text: str) -> Any:
+def _parse_yaml(path: str | Path, text: str) -> Any:
     """What a YAML text holds; errors as of `read_yaml`."""
     try:
         _check_events(path, text)

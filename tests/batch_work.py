@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from lite6jax.storage import temporary_folder
+
 
 def spelled(inputs, folder):
     """A row an input. `die` ends the process whenever it is met, `die once` the first time, `fail` raises."""
@@ -18,7 +20,8 @@ def spelled(inputs, folder):
         if value == "fail":
             raise KeyError(value)
         if value == "slow":
-            time.sleep(0.3)
+            with temporary_folder():
+                time.sleep(0.3)
         with open(Path(folder, "done"), "a") as file:
             file.write(f"{value}\n")
     return pa.table({"input": [str(value) for value in inputs], "length": [len(str(value)) for value in inputs]})
@@ -47,6 +50,20 @@ def freed(inputs):
     return pa.table({"held": [resident()] * len(inputs)})
 
 
+def unsendable(inputs):
+    """Raises what cannot be pickled."""
+
+    class Unsendable(Exception):  # noqa: N818
+        pass
+
+    raise Unsendable("no")
+
+
+def ends_at_once(connection, lifeline, imports):
+    """In the place of what a process does first."""
+    os._exit(3)
+
+
 def dead(value):
     """The row of an input at which workers die."""
     return pa.table({"input": [str(value)], "length": [-1]})
@@ -58,12 +75,12 @@ def content(inputs):
 
 def diagnosed(names, place, folder):
     """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
     from lite6jax.folders.diagnoses import refusal, row_of
 
     rows = []
     for name in names:
-        with place.at_hand([name]) as here:
+        with place.local_folder([name]) as here:
             verdict = (here / name).read_text()
         with open(Path(folder, "done"), "a") as file:
             file.write(f"{name}\n")
@@ -71,14 +88,14 @@ def diagnosed(names, place, folder):
             os.kill(os.getpid(), signal.SIGKILL)
         document = document_of(verdict)
         rows.append(row_of(name, document, f"document of {name}") if verdict else refusal(name, f"{here / name}: no"))
-    return concatenated(rows)
+    return concatenate(rows)
 
 
 def reduced(names, place, command):
     """Rows of recordings of a fleet without a diagnosis, of files whose content is the seed of a linear arm."""
     import numpy as np
 
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
     from lite6jax.folders.diagnoses import row_of, with_reduced
     from lite6jax.populations.files import to_bytes
     from lite6jax.populations.reduced import PooledTerm
@@ -86,11 +103,11 @@ def reduced(names, place, command):
 
     rows = []
     for name in names:
-        with place.at_hand([name]) as here:
+        with place.local_folder([name]) as here:
             rng = np.random.default_rng(int((here / name).read_text()))
         row = row_of(name, document_of("consistent"), f"document of {name}")
         rows.append(with_reduced(row, to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))))
-    return concatenated(rows)
+    return concatenate(rows)
 
 
 def document_of(verdict):

@@ -13,11 +13,10 @@ from typed import flat, refused, run
 from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.arguments import refuse_inputs
+from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.folders.fleet import fit_folder
-from lite6jax.folders.listing import fleet_names
-from lite6jax.folders.place import Place
-from lite6jax.folders.rows import write_rows
+from lite6jax.folders.fleet import fit_folder, table_of_rows
+from lite6jax.folders.place import Place, fleet_names
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
 
 
@@ -153,7 +152,7 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):
     FACTORY.write(tmp_path)
-    out = write_rows([], tmp_path / "fleet.parquet")
+    out = write_tables([table_of_rows([])], tmp_path / "fleet.parquet")
     assert fleet_names(Place.of(tmp_path), out) == ["arm.yaml"]
 
 

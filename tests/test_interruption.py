@@ -1,4 +1,4 @@
-"""What a signal and a kill leave: one line, an exit code, no temporary file, and nothing that goes on."""
+"""What a signal leaves: one line, an exit code, no temporary file, and nothing that goes on."""
 
 import os
 import signal
@@ -9,14 +9,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks import interrupts
-from lite6jax import temporaries
-from lite6jax.storage import write_atomically
-from lite6jax.temporaries import create_temporary, remove_left, remove_temporary, temporary_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-DEAD = 2**22 + 1
-"""A process that cannot be: above the largest number that Linux gives."""
 
 
 def process(program, *arguments, **options):
@@ -34,15 +29,17 @@ from pathlib import Path
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` has this run, and not its terminal, ignore it
 from lite6jax import interruption
 interruption.end_on_signals()
-from lite6jax.temporaries import create_temporary, temporary_folder
-create_temporary(Path(sys.argv[1], "run.csv"))
-with temporary_folder() as folder, interruption.undone(lambda: Path(sys.argv[1], "undone").touch()):
+from lite6jax.storage import temporary_folder, write_atomically
+def write(half):
+    half.write_text("half")
     print("ready", flush=True)
     while True:
         try:
             time.sleep(60)
         except BaseException:
             pass
+with temporary_folder() as folder, interruption.undone(lambda: Path(sys.argv[1], "undone").touch()):
+    write_atomically(Path(sys.argv[1], "run.csv"), write)
 """
 
 
@@ -94,56 +91,6 @@ def test_the_signals_of_a_program_that_calls_main_are_its_own():
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert "default_int_handler" in done.stdout
-
-
-@POSIX
-def test_what_a_kill_left_goes_with_the_next_write(tmp_path):
-    program = (
-        "import sys, time; from lite6jax.storage import write_atomically\n"
-        "def write(target):\n"
-        "    target.write_text('half')\n"
-        "    print('ready', flush=True)\n"
-        "    time.sleep(60)\n"
-        "write_atomically(sys.argv[1] + '/out.csv', write)"
-    )
-    started = process(program, tmp_path)
-    started.kill()
-    started.communicate()
-    (left,) = tmp_path.iterdir()
-    assert left.name.startswith(".lite6jax-")
-    remove_left.cache_clear()
-    write_atomically(tmp_path / "out.csv", "whole")
-    assert list(tmp_path.iterdir()) == [tmp_path / "out.csv"]
-
-
-def test_only_what_a_dead_process_of_this_machine_left_is_removed(tmp_path):
-    host = temporaries._host()
-    kept = [
-        tmp_path / f".lite6jax-{host}-{os.getpid()}-a.csv",
-        tmp_path / f".lite6jax-00000000-{DEAD}-a.csv",
-        tmp_path / f"lite6jax-{host}-{DEAD}-a.csv",
-        tmp_path / ".run.csv",
-    ]
-    gone = [tmp_path / f".lite6jax-{host}-{DEAD}-a.csv", tmp_path / f".lite6jax-{host}-{'9' * 30}-a.csv"]
-    for path in [*kept, *gone]:
-        path.write_text("")
-    folder = tmp_path / f".lite6jax-{host}-{DEAD}-folder"
-    folder.mkdir()
-    (folder / "log").write_text("")
-    remove_left(tmp_path)
-    assert set(tmp_path.iterdir()) == set(kept)
-    remove_left(tmp_path / "there is none")
-
-
-def test_temporary_files_and_folders_go_at_the_end(tmp_path):
-    path = create_temporary(tmp_path / "figure.png")
-    assert (path.parent, path.suffix, path.read_bytes()) == (tmp_path, ".png", b"")
-    remove_temporary(path)
-    remove_temporary(path)
-    assert list(tmp_path.iterdir()) == []
-    with temporary_folder() as folder:
-        (folder / "inside").write_text("")
-    assert not folder.exists()
 
 
 @POSIX

@@ -71,6 +71,12 @@ def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
     assert sorted(os.listdir(tmp_path)) == ["late.txt", "new.txt"]
 
 
+def test_a_temporary_folder_goes_at_the_end():
+    with storage.temporary_folder() as folder:
+        (folder / "inside").write_text("")
+    assert not folder.exists()
+
+
 @pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
 @pytest.mark.parametrize(
     ("text", "message"),

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lite6jax.distribution.batches import outcomes, run_batches, write_tables
+from lite6jax.distribution.batches import Workers, run_batches, write_tables
 
 Row = dict[str, Any]
 
@@ -69,7 +69,8 @@ class Campaign:
     def sealed_by_process(self, seed: int, index: int, folder: Path, sealed_families: bool) -> str:
         """As `seal`, drawn by a process as the trials of a run are: the truth is then the same to the last bit."""
         given = (self, seed, sealed_families)
-        ((_, table),) = outcomes(drawn, [(0, [index])], given, died=_not_drawn, processes=1)
+        with Workers(processes=1) as workers:
+            ((_, table),) = workers.outcomes(drawn, [(0, [index])], given, died=_not_drawn)
         (row,) = table.to_pylist()
         return self._put_aside(index, Drawn(dict(row["files"]), row["truth"]), folder)
 
@@ -121,49 +122,53 @@ class Campaign:
         Raises:
             ValueError: the file has trials of another seed, or of families that are sealed where these are not.
         """
-        folder = out.with_suffix(".trials")
-        rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
+        folder, more = out.with_suffix(".trials"), out.with_suffix(".more.parquet")
+        rows = {row["index"]: row for file in (out, more) if file.exists() for row in self.read_rows(file)}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             raise ValueError(
                 f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file"
             )
+        if more.exists():  # of a run that was ended before it had added them
+            self._add(rows, more, out)
         left = [index for index in wanted if index not in rows]
         if not left:
             return [rows[index] for index in wanted]
         digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
-        every = sorted({*rows, *left})
-        done = [sum(index in rows for index in wanted)]
+        done = [len(wanted) - len(left)]
 
-        def arrived(number: int, answer: pa.Table) -> pa.Table:
+        def score(given: Sequence[_Given], answer: pa.Table) -> pa.Table:
             (said,) = answer.to_pylist()
-            row = self._scored(folder, digests[every[number]], said)
-            return self._table([row])
+            return self._table([self._scored(folder, digests[given[0].trial], said)])
 
-        def advanced(more: int) -> None:
-            done[0] += more
-            advance("diagnosed", min(done[0], len(wanted)), len(wanted))
+        def advanced(count: int) -> None:
+            done[0] += count
+            advance("diagnosed", done[0], len(wanted))
 
         run_batches(
             answered,
-            [[_Given(index, given_in(folder, index))] for index in every],
+            _Trials(folder, left),
             (self,),
-            out=out,
+            out=more,
             content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
-            known=lambda given: self._table([rows[given[0].trial]]) if given[0].trial in rows else None,
-            loaded=lambda given: [_Given(one.trial, _read_files(one.files)) for one in given],
             died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
-            arrived=arrived,
+            store=score,
             processes=processes,
             scheduler=scheduler,
             progress=advanced,
             overwrite=True,
         )
+        rows |= {row["index"]: row for row in self.read_rows(more)}
+        self._add(rows, more, out)
         for index in left:
             shutil.rmtree(given_in(folder, index), ignore_errors=True)
-        rows = {row["index"]: row for row in self.read_rows(out)}
         return [rows[index] for index in wanted]
+
+    def _add(self, rows: dict[int, Row], more: Path, out: Path) -> None:
+        """Writes all rows, among them those of the file `more`, which goes."""
+        self.write_rows(list(rows.values()), out)
+        more.unlink()
 
     def _sealed(
         self,
@@ -181,16 +186,9 @@ class Campaign:
         listed = out.with_suffix(".sha256")
         digests = _listed(listed)
         todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
-        work = outcomes(
-            drawn,
-            enumerate([index] for index in todo),
-            (self, seed, sealed_families),
-            died=_not_drawn,
-            processes=processes,
-            scheduler=scheduler,
-            most=len(todo),
-        )
-        with contextlib.closing(work):
+        given = (self, seed, sealed_families)
+        with Workers(scheduler, processes, len(todo)) as workers:
+            work = workers.outcomes(drawn, enumerate([index] for index in todo), given, died=_not_drawn)
             for done, (_, table) in enumerate(work, 1):
                 (row,) = table.to_pylist()
                 index = row["index"]
@@ -210,7 +208,7 @@ class Campaign:
         """The rows by index, in one step: a reader never sees half a file."""
         path.parent.mkdir(parents=True, exist_ok=True)
         table = self._table(sorted(rows, key=lambda row: row["index"]))
-        write_tables(lambda: iter([table]), path, overwrite=True)
+        write_tables([table], path, overwrite=True)
 
     def _table(self, rows: Sequence[Row]) -> pa.Table:
         return pa.Table.from_pylist(list(rows), self.schema)
@@ -255,10 +253,24 @@ def sealed_text(truth: Row) -> str:
 
 
 class _Given(NamedTuple):
-    """A trial's files by name, or the folder that has them, as these are read when they are sent."""
+    """A trial's files by name."""
 
     trial: int
-    files: Any
+    files: dict[str, str]
+
+
+class _Trials(Sequence[list[_Given]]):
+    """A batch for each trial, whose files are read as it is sent: all of them together may be large."""
+
+    def __init__(self, folder: Path, indices: Sequence[int]) -> None:
+        self._folder, self._indices = folder, indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, number: Any) -> Any:
+        index = self._indices[number]
+        return [_Given(index, _read_files(given_in(self._folder, index)))]
 
 
 _FILES = pa.map_(TEXT, TEXT)

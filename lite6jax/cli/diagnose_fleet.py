@@ -26,31 +26,27 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
     if command.out is None or command.out.suffix.lower() == ".json":
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
     check_processes(command.processes, command.scheduler)
+    import pyarrow as pa
+
     from lite6jax.diagnosis.document import document_text
-    from lite6jax.distribution.kept import Kept
-    from lite6jax.folders.diagnoses import TABLE
-    from lite6jax.folders.listing import recording_names
-    from lite6jax.folders.place import Place
-    from lite6jax.folders.population import DOCUMENT, check_document
+    from lite6jax.distribution.batches import Parts
+    from lite6jax.folders.diagnoses import POOLED, TABLE, check_pooled
+    from lite6jax.folders.place import Place, recording_names
     from lite6jax.report import population_tables, screen
     from lite6jax.storage import write_atomically
 
     place = Place.of(command.source)
     names = recording_names(place)
-    check_document(command.out, names, command.force)
+    check_pooled(command.out, names, command.force)
     asked, also_read = asked_of(command)
-    kept = Kept(command.out / DOCUMENT, asked)
-    diagnoses = kept.key(place.content(names) + also_read)
-    try:
-        if kept.find(diagnoses) is None:  # a run that was ended while it pooled has them all
-            run_on_folder(command, command.out, diagnose_and_reduce)
-            kept.keep(diagnoses, b"")
-        document = _pooled(command).to_dict()
-    except BaseException:
-        kept.close()
-        raise
-    path = write_atomically(command.out / DOCUMENT, document_text(document), overwrite=command.force)
-    kept.close(remove=True)
+    parts = Parts(command.out / POOLED, asked)
+    diagnoses = parts.key(place.content(names) + also_read)
+    if parts.find(diagnoses) is None:  # a run that was ended while it pooled has them all
+        run = run_on_folder(command, command.out, diagnose_and_reduce)
+        parts.keep(diagnoses, pa.table({"recordings": [run.rows]}))
+    document = _pooled(command).to_dict()
+    path = write_atomically(command.out / POOLED, document_text(document), overwrite=command.force)
+    parts.remove()
     if command.json:
         print(document_text(document))
         return DONE
@@ -60,14 +56,14 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
 
 
 def _pooled(command: "Diagnose") -> "Population":
-    from lite6jax.folders.population import diagnose_recorded_population
+    from lite6jax.folders.diagnoses import pool_folder
     from lite6jax.populations.options import DEFAULTS
     from lite6jax.report import screen
 
     assert command.out is not None
     effects = [0]
     with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
-        return diagnose_recorded_population(
+        return pool_folder(
             str(command.source),
             command.out,
             DEFAULTS,
@@ -80,9 +76,9 @@ def _pooled(command: "Diagnose") -> "Population":
 
 def diagnose_and_reduce(names: Sequence[str], place: "Place", command: "Diagnose") -> "pa.Table":
     """The rows of some recordings with their documents and reduced recordings."""
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
 
-    return concatenated([diagnosed(name, place, command, _reduced) for name in names])
+    return concatenate([diagnosed(name, place, command, _reduced) for name in names])
 
 
 def _reduced(command: "Diagnose") -> tuple[str, bytes]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from lite6jax.cli.arguments import check_processes
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.folders.place import Place, url_of
-from lite6jax.temporaries import temporary_folder
+from lite6jax.folders.place import Place, sha256_of, url_of
+from lite6jax.storage import temporary_folder
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -103,8 +103,6 @@ def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Ta
 
 def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
     """What of the command the diagnoses depend on, and the checksums of the files that they all read."""
-    from lite6jax.distribution.kept import sha256_of
-
     read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
     alike = {"source": Path(), "out": None, "force": True, "fleet": False}
     alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
@@ -113,9 +111,9 @@ def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
 
 def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":
     """The rows of some recordings of a folder with their documents, which are those of the command on each file."""
-    from lite6jax.distribution.batches import concatenated
+    from lite6jax.distribution.batches import concatenate
 
-    return concatenated([diagnosed(name, place, command, _as_by_the_command) for name in names])
+    return concatenate([diagnosed(name, place, command, _as_by_the_command) for name in names])
 
 
 def diagnosed(
@@ -136,7 +134,7 @@ def diagnosed(
 
     from lite6jax.folders.diagnoses import refusal, row_of, with_reduced
 
-    with place.at_hand([name]) as folder, temporary_folder() as written:
+    with place.local_folder([name]) as folder, temporary_folder() as written:
         out = written / "diagnosis.json"
         try:
             with (
@@ -147,13 +145,13 @@ def diagnosed(
                 warnings.simplefilter("always", InputWarning)
                 text, reduced = work(replace(command, source=folder / name, out=out))
         except InputError as error:
-            return refusal(name, place.as_shown(str(error), folder))
+            return refusal(name, place.show(str(error), folder))
         except Exception as error:  # a defect of ours, met on one recording, is no reason to lose the others
             found = " ".join(f"{type(error).__name__}: {error}".split())
             said = f"{folder / name}: unexpected {found}; please report it with this recording"
-            return refusal(name, place.as_shown(said, folder))
+            return refusal(name, place.show(said, folder))
         said = dict.fromkeys(str(remark.message) for remark in remarks if issubclass(remark.category, InputWarning))
-        row = row_of(name, json.loads(text), text, place.as_shown("; ".join(said), folder))
+        row = row_of(name, json.loads(text), text, place.show("; ".join(said), folder))
         return row if reduced is None else with_reduced(row, reduced)
 
 

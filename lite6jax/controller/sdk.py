@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import interruption
 from lite6jax.controller.exchange import Address
 from lite6jax.errors import InputError
-from lite6jax.temporaries import temporary_folder
+from lite6jax.storage import temporary_folder
 
 CONNECT_SECONDS = 15.0
 """The time limit for starting Python, importing the SDK and connecting."""

@@ -4,15 +4,16 @@ Two threads of one process gain little where there are few rows: most of the tim
 share. Each process computes with one thread, so that it does not matter which of them works on which fold.
 """
 
+import pickle
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, final
 
 from lite6jax import interruption, threads
-from lite6jax.distribution.processes import Died, Processes, pickled
+from lite6jax.distribution.workers import Process, Processes
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -70,19 +71,41 @@ class RemoteWork(NamedTuple, Generic[Result]):
     given: tuple[Any, ...]
     read: "Callable[[pa.Table], Result]"
 
-    def is_same(self, other: "RemoteWork[Any]") -> bool:
-        """Whether the other is the same work."""
-        pairs = zip(self.given, other.given, strict=True)
-        return self.function is other.function and all(ours is theirs or ours == theirs for ours, theirs in pairs)
-
 
 class _Job(Generic[Fold, Result]):
     """The folds that are still to be worked on, and the results of the others, by the folds' numbers."""
 
     def __init__(self, how: RemoteWork[Result], folds: Sequence[Fold]) -> None:
         self.how, self.folds = how, folds
-        self.message = pickled(how.function, how.given)  # now: while this process works, it adds to what is given
+        # now: while this process works, it adds to what is given
+        self.pickled = pickle.dumps((how.function, how.given))
         self.todo, self.results = deque(range(len(folds))), dict[int, Result]()
+
+    def is_of(self, how: RemoteWork[Any], folds: Sequence[Any]) -> bool:
+        """Whether it is the same work on the same folds."""
+        given = zip(self.how.given, how.given, strict=True)
+        return (
+            self.how.function is how.function
+            and all(ours is theirs or ours == theirs for ours, theirs in given)
+            and len(self.folds) == len(folds)
+            and all((a == b).all() for a, b in zip(self.folds, folds, strict=True))
+        )
+
+    def take(self, pop: Callable[[], int]) -> int | None:
+        """The number of a fold of `todo`; None where another took the last."""
+        try:
+            return pop()
+        except IndexError:
+            return None
+
+    def work_by(self, process: Process) -> None:
+        """Gives a process the last folds until none is left; one at which it fails is for this process to work on."""
+        while (k := self.take(self.todo.pop)) is not None:
+            try:
+                self.results[k] = self.how.read(process.work(self.pickled, [self.folds[k]]))
+            except Exception:  # what it is shows where the fold is worked on again
+                self.todo.appendleft(k)
+                return
 
 
 @final
@@ -91,23 +114,17 @@ class FoldProcesses:
 
     def __init__(self, count: int) -> None:
         """Starts nothing."""
-        self._count = count
-        self._held = ExitStack()
-        self._pairs: list[tuple[Processes, ThreadPoolExecutor]] = []
+        self._processes = Processes(count, _IMPORTS)
         self._job: _Job[Any, Any] | None = None
         self._working: list[Future[None]] = []
 
     def __enter__(self) -> "FoldProcesses":
-        for _ in range(self._count):
-            process = self._held.enter_context(Processes(1, _IMPORTS))
-            self._pairs.append((process, ThreadPoolExecutor(1)))
+        self._processes.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._forget()
-        self._held.close()  # `Processes.next` then returns in each thread that waits for an answer
-        for _, thread in self._pairs:
-            thread.shutdown()
+        self._processes.__exit__(*error)
 
     def ahead(self, how: RemoteWork[Any], folds: Sequence[Any]) -> None:
         """Begins work on folds before it is known that their results are needed.
@@ -116,7 +133,7 @@ class FoldProcesses:
         """
         self._forget()
         self._job = _Job(how, folds)
-        self._working = [thread.submit(_serve, process, self._job) for process, thread in self._pairs]
+        self._working = self._processes.each(self._job.work_by)
 
     def results(
         self,
@@ -133,16 +150,14 @@ class FoldProcesses:
             folds: all.
             done: called with how many are done.
         """
-        job = self._job
-        if job is None or not job.how.is_same(how) or not _are_same(job.folds, folds):
+        if self._job is None or not self._job.is_of(how, folds):
             self.ahead(how, folds)
-            job = self._job
+        job = self._job
         assert job is not None
         while job.todo or any(not one.done() for one in self._working):
             while job.todo:
                 done(len(job.results))
-                k = _taken(job.todo.popleft)
-                if k is not None:
+                if (k := job.take(job.todo.popleft)) is not None:
                     job.results[k] = own(folds[k])
             done(len(job.results))
             for one in self._working:
@@ -159,37 +174,3 @@ class FoldProcesses:
 
 
 _at_hand: ContextVar[FoldProcesses | None] = ContextVar("fold_processes", default=None)
-
-
-def _serve(process: Processes, job: _Job[Any, Any]) -> None:
-    """Gives one process the last folds of a job until none is left.
-
-    Where it fails, the fold goes back to the job, for this process to work on.
-    """
-    from lite6jax.distribution.worker import table_of
-
-    begun = False
-    while (k := _taken(job.todo.pop)) is not None:
-        try:
-            if not begun:
-                process.begin_pickled(job.message)
-                begun = True
-            process.submit(k, [job.folds[k]])
-            _, outcome = process.next()
-            if isinstance(outcome, Died):
-                raise RuntimeError("a process died")
-            job.results[k] = job.how.read(table_of(outcome))
-        except Exception:  # what it is shows where the fold is worked on again
-            job.todo.appendleft(k)
-            return
-
-
-def _taken(pop: Callable[[], int]) -> int | None:
-    try:
-        return pop()
-    except IndexError:
-        return None
-
-
-def _are_same(folds: Sequence[Any], others: Sequence[Any]) -> bool:
-    return len(folds) == len(others) and all((a == b).all() for a, b in zip(folds, others, strict=True))

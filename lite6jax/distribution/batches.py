@@ -1,21 +1,20 @@
 """A function over many inputs, batch by batch: kept as they come, retried where a worker dies, written in order."""
 
-from collections import deque
+import hashlib
+import io
+import pickle
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from lite6jax import storage, threads
-from lite6jax.distribution.kept import Kept
-from lite6jax.distribution.processes import Died, Processes
+from lite6jax.distribution.workers import Cluster, Function, Processes
 from lite6jax.errors import InputError
+from lite6jax.fitting.version import versions
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa
-
-    from lite6jax.distribution.cluster import Cluster
-    from lite6jax.distribution.worker import Function
 
 ROW_GROUP = 4096
 """Rows of a table that are written together, whatever the batches."""
@@ -36,17 +35,15 @@ class Run(NamedTuple):
 
 
 def run_batches(
-    function: "Function",
+    function: Function,
     batches: Sequence[Sequence[Any]],
     given: tuple[Any, ...] = (),
     *,
     out: Path,
     content: Callable[[Sequence[Any]], bytes],
     died: Callable[[Any], "pa.Table"],
-    arrived: "Callable[[int, pa.Table], pa.Table]" = lambda number, rows: rows,
-    intact: "Callable[[pa.Table], bool]" = lambda rows: True,
-    known: "Callable[[Sequence[Any]], pa.Table | None]" = lambda inputs: None,
-    loaded: Callable[[Sequence[Any]], Sequence[Any]] = lambda inputs: inputs,
+    store: "Callable[[Sequence[Any], pa.Table], pa.Table]" = lambda inputs, rows: rows,
+    is_intact: "Callable[[pa.Table], bool]" = lambda rows: True,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda done: None,
@@ -60,240 +57,227 @@ def run_batches(
 
     Args:
         function: of a module: `function(inputs, *given)` makes a row of each input of a batch.
-        batches: the inputs.
+        batches: the inputs; each is asked for once, so that it may be read then.
         given: to the function with each batch.
         out: the table to write.
         content: of the inputs of a batch, all on which its rows depend besides `given`; its checksum is taken.
         died: the row of an input at which workers die.
-        arrived: called with the number of a batch and its rows before they are kept; returns what is to be kept.
-        intact: of rows that were kept, whether what `arrived` made of them still stands.
-        known: the rows of a batch that need no work, as a table has them that is to be replaced; None of the others.
-        loaded: what is sent of the inputs of a batch, where it is too large to be held of all.
+        store: called with the inputs of a batch and its rows before they are kept; returns what is to be kept.
+        is_intact: of rows that were kept, whether what `store` made of them still stands.
         scheduler: the address of the scheduler of a Dask cluster; processes of this machine where not given.
         processes: so many; one a core where not given, and none but this one for 0.
         progress: called with the number of inputs done since the last call.
         overwrite: whether a table that is there may be replaced.
 
     Raises:
-        InputError: as `storage.write_atomically`, `Kept` and `Cluster`.
+        InputError: as `storage.write_atomically`, `Parts.keep` and `workers.Cluster`.
         Exception: what the function raised.
     """
-    kept = Kept(out, function.__module__, function.__qualname__, given)
-    keys: list[str] = [""] * len(batches)
-    found = 0
+    parts = Parts(out, function.__module__, function.__qualname__, given)
+    keys: list[str] = []
+    sizes: list[int] = []
+    at_work: dict[int, Sequence[Any]] = {}
+    kept = 0
 
-    def left() -> Iterator[tuple[int, Sequence[Any]]]:
-        nonlocal found
+    def batches_to_do() -> Iterator[tuple[int, Sequence[Any]]]:
+        nonlocal kept
         for number, inputs in enumerate(batches):
-            if (had := known(inputs)) is not None:
-                keys[number] = f"known {number}"
-                kept.keep(keys[number], _written(had))
-                continue
-            keys[number] = kept.key(content(inputs))
-            rows = kept.find(keys[number])
-            if rows is None or not intact(_read(rows)):
-                yield number, loaded(inputs)
+            keys.append(parts.key(content(inputs)))
+            sizes.append(len(inputs))
+            rows = parts.find(keys[number])
+            if rows is None or not is_intact(rows):
+                at_work[number] = inputs
+                yield number, inputs
             else:
-                found += len(inputs)
+                kept += len(inputs)
                 progress(len(inputs))
 
-    todo = outcomes(function, left(), given, died=died, scheduler=scheduler, processes=processes, most=len(batches))
-    try:
-        with closing(todo):
-            for number, rows in todo:
-                kept.keep(keys[number], _written(arrived(number, rows)))
-                progress(len(batches[number]))
-        written = write_tables(lambda: (_again(kept, key) for key in keys), out, overwrite)
-    except BaseException:
-        kept.close()
-        raise
-    kept.close(remove=True)
-    return Run(written, sum(map(len, batches)), found)
+    def rows_in_order() -> "Iterator[pa.Table]":
+        for key in keys:
+            if (rows := parts.find(key)) is None:
+                raise InputError(f"{parts.folder}: was changed while it was being written; give the same command again")
+            yield rows
 
-
-def outcomes(
-    function: "Function",
-    batches: Iterable[tuple[int, Sequence[Any]]],
-    given: tuple[Any, ...] = (),
-    *,
-    died: Callable[[Any], "pa.Table"],
-    scheduler: str | None = None,
-    processes: int | None = None,
-    most: int | None = None,
-) -> Generator[tuple[int, "pa.Table"]]:
-    """Batches by their numbers with their rows, as they come; nothing is kept.
-
-    A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its
-    inputs are tried one by one, and those at which a worker dies get the row that `died` makes.
-
-    Args:
-        batches: numbers and inputs, taken as there is room for them.
-        most: how many batches there are at most: more processes are not started.
-        function, given, died, scheduler, processes: as `run_batches`.
-    """
-    with Workers(scheduler, processes, most) as workers:
-        yield from workers.outcomes(function, batches, given, died=died)
+    with Workers(scheduler, processes, len(batches)) as workers:
+        for number, rows in workers.outcomes(function, batches_to_do(), given, died=died):
+            parts.keep(keys[number], store(at_work.pop(number), rows))
+            progress(sizes[number])
+    write_tables(rows_in_order(), out, overwrite)
+    parts.remove()
+    return Run(out, sum(sizes), kept)
 
 
 @final
 class Workers:
     """Processes of this machine or a cluster, started by the `with` statement.
 
-    Any number of functions can then be run by them one after the other, each as by the function `outcomes`.
+    Any number of functions can then be run by them, one after the other.
     """
 
     def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
-        """Starts nothing; arguments as of `outcomes`."""
-        self._scheduler = scheduler
-        self._here = processes == 0 and scheduler is None
-        count = processes or threads.available()
-        self._count = count if most is None else max(1, min(count, most))
-        self._held = ExitStack()
+        """Starts nothing.
+
+        Args:
+            scheduler, processes: as of `run_batches`.
+            most: how many batches there are at most: more processes are not started.
+        """
         self._pool: Processes | Cluster | None = None
+        if scheduler is not None:
+            self._pool = Cluster(scheduler)
+        elif processes != 0:
+            count = processes or threads.available()
+            self._pool = Processes(count if most is None else max(1, min(count, most)))
 
     def __enter__(self) -> "Workers":
-        if self._scheduler is not None:
-            from lite6jax.distribution.cluster import Cluster
-
-            self._pool = self._held.enter_context(Cluster(self._scheduler))
-        elif not self._here:
-            self._pool = self._held.enter_context(Processes(self._count))
+        if self._pool is not None:
+            self._pool.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._held.close()
+        if self._pool is not None:
+            self._pool.__exit__(*error)
 
     def outcomes(
         self,
-        function: "Function",
+        function: Function,
         batches: Iterable[tuple[int, Sequence[Any]]],
         given: tuple[Any, ...] = (),
         *,
         died: Callable[[Any], "pa.Table"],
     ) -> Generator[tuple[int, "pa.Table"]]:
-        """As the function of this name, by these workers; read it to its end before the next begins."""
-        if self._pool is None:
+        """Batches by their numbers with their rows, as they come; read them to their end before the next begin.
+
+        A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its
+        inputs are tried one by one, and those at which a worker dies get the row that `died` makes.
+
+        Args:
+            batches: numbers and inputs, taken as there is room for them.
+            function, given, died: as of `run_batches`.
+
+        Raises:
+            InputError: no process starts, or as `workers.Cluster`.
+            Exception: what the function raised.
+        """
+        pool = self._pool
+        if pool is None:
             for number, inputs in batches:
                 yield number, function(inputs, *given)
             return
-        self._pool.begin(function, given)
-        yield from _worked(self._pool, batches, died)
+        job, following = pickle.dumps((function, given)), iter(batches)
+        at_work: dict[Future[Any], tuple[int, Sequence[Any], bool]] = {}
+
+        def submit(number: int, inputs: Sequence[Any], is_again: bool = False) -> None:
+            at_work[pool.submit(job, inputs)] = number, inputs, is_again
+
+        def alone(one: Any) -> "pa.Table":
+            rows = pool.take(pool.submit(job, [one]))
+            return died(one) if rows is None else rows
+
+        def fill() -> None:
+            while pool.has_room and (batch := next(following, None)) is not None:
+                submit(*batch)
+
+        pool.begin()
+        fill()
+        while at_work:
+            for future in wait(at_work, return_when=FIRST_COMPLETED).done:
+                number, inputs, is_again = at_work.pop(future)
+                rows = pool.take(future)
+                if rows is None and not is_again:
+                    submit(number, inputs, True)
+                    continue
+                if rows is None:
+                    rows = concatenate(map(alone, inputs)) if len(inputs) > 1 else died(inputs[0])
+                yield number, rows  # kept before more is begun: a run that is killed loses what its workers have
+            fill()
 
 
-class _Task:
-    """A batch, or one input of a batch at which workers died.
+@final
+class Parts:
+    """The rows of the batches that are done, a file each in a folder beside the table that a run is to write.
+
+    A file is named after all on which its rows depend: what the inputs hold, what was asked for, and the versions of
+    the package and its libraries. So a run that was ended goes on, and where any of these differs a batch is done
+    again.
 
     Attributes:
-        number: of the batch.
-        inputs: of it.
-        place: of the one input in the batch; None of a whole batch.
-        deaths: of workers that had it.
+        folder: which is there from the first `keep` until `remove`.
     """
 
-    def __init__(self, number: int, inputs: Sequence[Any], place: int | None = None) -> None:
-        self.number, self.inputs, self.place, self.deaths = number, inputs, place, 0
+    def __init__(self, out: Path, *asked: Any) -> None:
+        """Reads nothing.
+
+        Args:
+            out: the table, beside which the folder stands.
+            asked: what the rows depend on besides the inputs; can be pickled.
+        """
+        self.folder = out.with_name(f"{out.name}.parts")
+        pickled = io.BytesIO()
+        pickler = pickle.Pickler(pickled)
+        pickler.fast = True  # equal values have equal bytes, whether parts of them are the same object or not
+        pickler.dump((versions(), asked))
+        self._asked = pickled.getvalue()
+
+    def key(self, content: bytes) -> str:
+        """What a batch is known by, as hexadecimal digits, of the content of its inputs."""
+        return hashlib.sha256(self._asked + content).hexdigest()
+
+    def find(self, key: str) -> "pa.Table | None":
+        """The rows of the batch with this key; None where there are none, or a kill cut them short."""
+        import pyarrow as pa
+        from pyarrow import feather
+
+        try:
+            return feather.read_table(str(self._file(key)), memory_map=False)
+        except (OSError, pa.ArrowException):
+            return None
+
+    def keep(self, key: str, rows: "pa.Table") -> None:
+        """Adds the rows of a batch.
+
+        Raises:
+            InputError: the disk is full, or cannot be written to.
+        """
+        from pyarrow import feather
+
+        try:
+            self.folder.mkdir(exist_ok=True)
+            feather.write_feather(rows, str(self._file(key)))
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: cannot be written ({error.strerror or error}); free space, and the same command goes "
+                "on where it stopped"
+            ) from error
+
+    def remove(self) -> None:
+        """Removes the files, and the folder unless there is something else in it."""
+        for file in self.folder.glob("*.arrow"):
+            file.unlink(missing_ok=True)
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _file(self, key: str) -> Path:
+        return self.folder / f"{key}.arrow"
 
 
-def _worked(
-    workers: "Processes | Cluster", batches: Iterable[tuple[int, Sequence[Any]]], died: Callable[[Any], "pa.Table"]
-) -> Iterator[tuple[int, "pa.Table"]]:
-    new, again = iter(batches), deque[_Task]()
-    in_hand: dict[int, _Task] = {}
-    parts: dict[int, list[pa.Table | None]] = {}
-    count = 0
-
-    def next_task() -> _Task | None:
-        if again:
-            return again.popleft()
-        found = next(new, None)
-        return None if found is None else _Task(*found)
-
-    def fill() -> None:
-        nonlocal count
-        while workers.has_room and (task := next_task()) is not None:
-            in_hand[count] = task
-            workers.submit(count, task.inputs)
-            count += 1
-
-    fill()
-    while in_hand:
-        at, outcome = workers.next()
-        task = in_hand.pop(at)
-        if isinstance(outcome, Died):
-            task.deaths += 1
-            if task.deaths == 1 and task.place is None:
-                again.append(task)
-                rows = None
-            elif len(task.inputs) > 1:
-                parts[task.number] = [None] * len(task.inputs)
-                again.extend(_Task(task.number, [one], i) for i, one in enumerate(task.inputs))
-                rows = None
-            else:
-                rows = died(task.inputs[0])
-        else:
-            rows = _read(outcome)
-        if rows is not None and task.place is not None:
-            own = parts[task.number]
-            own[task.place] = rows
-            done = [part for part in own if part is not None]
-            rows = concatenated(done) if len(done) == len(own) else None
-        if rows is not None:
-            yield task.number, rows  # kept before more is begun: a run that is killed loses what its workers have
-        fill()
-
-
-def concatenated(tables: "Sequence[pa.Table]") -> "pa.Table":
+def concatenate(tables: "Iterable[pa.Table]") -> "pa.Table":
     """The rows of tables one after the other; a column that one of them lacks is null there."""
     import pyarrow as pa
 
     return pa.concat_tables(tables, promote_options="default")
 
 
-def _again(kept: Kept, key: str) -> "pa.Table":
-    rows = kept.find(key)
-    if rows is None:
-        raise InputError(f"{kept.path}: was changed while it was being written; give the same command again")
-    return _read(rows)
-
-
-def _read(stream: bytes) -> "pa.Table":
-    # imported here, and below, as workers start meanwhile
-    from lite6jax.distribution.worker import table_of
-
-    return table_of(stream)
-
-
-def _written(table: "pa.Table") -> bytes:
-    from lite6jax.distribution.worker import of_table
-
-    return of_table(table)
-
-
-def write_tables(tables: "Callable[[], Iterator[pa.Table]]", path: Path, overwrite: bool = False) -> Path:
+def write_tables(tables: "Iterable[pa.Table]", path: Path, overwrite: bool = False) -> Path:
     """Writes the rows of tables as one Parquet file, in groups of `ROW_GROUP` rows whatever the tables' sizes.
-
-    Args:
-        tables: gives them, twice: for their columns, and for their rows.
-        path: of the file.
-        overwrite: whether it may be replaced.
 
     Raises:
         InputError: as `storage.write_atomically`.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = pa.unify_schemas([*dict.fromkeys(table.schema for table in tables())])
+    rows = concatenate(tables).combine_chunks()
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(target, schema, write_page_checksum=True) as writer:
-            waiting = schema.empty_table()
-            for table in tables():
-                waiting = concatenated([waiting, table])
-                while len(waiting) >= ROW_GROUP:
-                    writer.write_table(waiting.slice(0, ROW_GROUP).combine_chunks(), ROW_GROUP)
-                    waiting = waiting.slice(ROW_GROUP)
-            if len(waiting):
-                writer.write_table(waiting.combine_chunks(), ROW_GROUP)
+        pq.write_table(rows, target, row_group_size=ROW_GROUP, write_page_checksum=True)
 
     return storage.write_atomically(path, write, overwrite)

@@ -1,19 +1,25 @@
-"""The diagnoses of a folder's recordings: a document for each, and a table with a row a recording."""
+"""The recordings of a folder diagnosed: a document for each and a row a recording; and pooled over many arms."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import pyarrow as pa
 
 from lite6jax import storage
-from lite6jax.distribution.batches import Run, run_batches
+from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.listing import recording_names
-from lite6jax.folders.place import Place
+from lite6jax.folders.place import Place, recording_names, sha256_of
+
+if TYPE_CHECKING:  # imported where recordings are pooled
+    from lite6jax.populations.candidate import Candidate
+    from lite6jax.populations.files import Heading
+    from lite6jax.populations.options import PoolingOptions
+    from lite6jax.populations.population import Population
 
 TABLE = "summary.parquet"
+POOLED = "fleet.json"
 """In the folder of results."""
 DIAGNOSED, UNREADABLE = "diagnosed", "unreadable"
 
@@ -42,8 +48,10 @@ SCHEMA = pa.schema(
 """A row a recording; errors are of rows that were held out, and what a diagnosis does not have is null."""
 REDUCED = pa.schema({"reduced": pa.string(), "reduced_sha256": pa.string()})
 """What the table of a fleet has besides: the file of each reduced recording."""
-_TEXT, _REDUCED = "text", "reduced_bytes"
-"""The columns of the document itself, and of the reduced recording, on their way from where they were made."""
+_CONTENT = {"document": "document_content", "reduced": "reduced_content"}
+"""The columns of what these files hold, on its way from where it was made."""
+_FEWEST, _FEWEST_DATES = 2, 4
+"""Recordings that are pooled at least; of a slope, so that its interval is finite and arms can vary about it."""
 
 
 def diagnose_folder(
@@ -78,37 +86,32 @@ def diagnose_folder(
     names = recording_names(place)
     table = _folder_for(out, place) / TABLE
     storage.check_writable(table, overwrite)
-    documents = dict(zip(names, _document_names(names), strict=True))
-    goes_on = table.with_name(f"{TABLE}.kept").exists()
-    if not (overwrite or goes_on):
+    # a document has the stem of its recording, or the whole name where another has the same stem
+    stems = [Path(name).stem for name in names]
+    documents = {
+        name: f"{stem if stems.count(stem) == 1 else name}.json" for name, stem in zip(names, stems, strict=True)
+    }
+    if not (overwrite or Parts(table).folder.exists()):
         for name in documents.values():
             storage.check_writable(out / name)
 
-    def arrived(number: int, rows: pa.Table) -> pa.Table:
-        (row,), document = rows.to_pylist(), documents[names[number]]
-        schema = SCHEMA
-        if _REDUCED in row:
-            schema = pa.schema([*SCHEMA, *REDUCED])
-            row |= written("reduced", Path(document).with_suffix(".npz").name, row[_REDUCED])
-        if row[_TEXT] is not None:
-            row |= written("document", document, row[_TEXT].encode())
+    def write_files(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
+        """Writes the files of a row, and names them in it with their checksums."""
+        (row,) = rows.to_pylist()
+        for what, suffix in (("document", ".json"), ("reduced", ".npz")):
+            if (content := row.get(_CONTENT[what])) is not None:
+                path = storage.write_atomically(
+                    (out / documents[inputs[0]]).with_suffix(suffix), content, overwrite=True
+                )
+                row |= {what: path.name, f"{what}_sha256": sha256_of([path]).hex()}
+        schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
 
-    def written(what: str, name: str, content: bytes) -> dict[str, str]:
-        storage.write_atomically(out / name, content, overwrite=True)
-        return {what: name, f"{what}_sha256": hashlib.sha256(content).hexdigest()}
-
-    def intact(rows: pa.Table) -> bool:
+    def files_intact(rows: pa.Table) -> bool:
         (row,) = rows.to_pylist()
-        for place in ("document", "reduced"):
-            if row.get(place) is None:
-                continue
-            try:
-                if hashlib.sha256((out / row[place]).read_bytes()).hexdigest() != row[f"{place}_sha256"]:
-                    return False
-            except OSError:
-                return False
-        return True
+        return all(
+            row.get(what) is None or sha256_of([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
+        )
 
     return run_batches(
         diagnose,
@@ -119,8 +122,8 @@ def diagnose_folder(
         died=lambda name: refusal(
             name, f"{name}: the process that read it was ended; the file is damaged or too large for this machine"
         ),
-        arrived=arrived,
-        intact=intact,
+        store=write_files,
+        is_intact=files_intact,
         scheduler=scheduler,
         processes=processes,
         progress=lambda done: progress(done, len(names)),
@@ -156,7 +159,7 @@ def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "")
     if torques is not None:
         row["torque_verdict"] = torques["verdict"]
         row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}
-    return _table(row | {"data_faults": list(dict.fromkeys(faults)), "findings": findings}, text)
+    return _table(row | {"data_faults": list(dict.fromkeys(faults)), "findings": findings}, text.encode())
 
 
 def refusal(name: str, message: str) -> pa.Table:
@@ -166,12 +169,12 @@ def refusal(name: str, message: str) -> pa.Table:
 
 def with_reduced(row: pa.Table, reduced: bytes) -> pa.Table:
     """A row with the bytes of the file of its reduced recording."""
-    return row.append_column(_REDUCED, pa.array([reduced], pa.binary()))
+    return row.append_column(_CONTENT["reduced"], pa.array([reduced], pa.binary()))
 
 
-def _table(row: Mapping[str, Any], text: str | None) -> pa.Table:
+def _table(row: Mapping[str, Any], content: bytes | None) -> pa.Table:
     table = pa.Table.from_pylist([row], SCHEMA)
-    return table.append_column(_TEXT, pa.array([text], pa.string()))
+    return table.append_column(_CONTENT["document"], pa.array([content], pa.binary()))
 
 
 def _folder_for(out: Path, place: Place) -> Path:
@@ -186,7 +189,105 @@ def _folder_for(out: Path, place: Place) -> Path:
     return out
 
 
-def _document_names(names: Sequence[str]) -> list[str]:
-    """By the stem of the recording, or by its whole name where another has the same stem."""
-    stems = [Path(name).stem for name in names]
-    return [f"{stem if stems.count(stem) == 1 else name}.json" for name, stem in zip(names, stems, strict=True)]
+# ------------------------------------------------------------------ pooled
+
+
+def pool_folder(
+    folder: str,
+    out: Path,
+    options: "PoolingOptions",
+    over: Literal["date"] | None = None,
+    scheduler: str | None = None,
+    processes: int | None = None,
+    progress: Callable[[int], object] = lambda effects: None,
+) -> "Population":
+    """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type, or of one over time.
+
+    Args:
+        folder: of the recordings, as it was given: what messages name.
+        out: the folder of results, with the table and the reduced recordings.
+        options: thresholds.
+        over: "date" where the recordings are of one arm, whose effects may drift with the dates of their sidecars.
+        scheduler, processes: as `run_batches`.
+        progress: called with the number of effects at each round of the search.
+
+    Raises:
+        InputError: too few of the recordings can be pooled, or have different dates; or as `read_heading`.
+    """
+    import numpy as np
+    import pyarrow.parquet as pq
+
+    from lite6jax.populations.evidence import Reduced
+    from lite6jax.populations.files import read_heading
+    from lite6jax.populations.functions import in_common
+    from lite6jax.populations.population import Member, diagnose_population
+
+    rows = pq.read_table(out / TABLE).to_pylist()
+    places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
+    headings = {file: read_heading(path) for file, path in places.items()}
+    if not headings:
+        reason = next((row["message"] for row in rows if row["message"]), "no reason is known")
+        raise InputError(f"{folder}: none of its recordings could be diagnosed: {reason}")
+    kinds = [_kind(heading) for heading in headings.values()]
+    arm = max(kinds, key=kinds.count)
+    members = []
+    for row in rows:
+        heading = headings.get(row["file"])
+        if heading is None or row["result"] != DIAGNOSED:
+            members.append(Member(row["file"], {}, (), row["message"] or "was not diagnosed"))
+        else:
+            members.append(Member(row["file"], heading.about, heading.found, _reason_unused(heading, arm, over)))
+    used = [i for i, member in enumerate(members) if not member.unused]
+    if len(used) < _FEWEST:
+        reason = next((f" ({member.unused})" for member in members if member.unused), "")
+        raise InputError(
+            f"{folder}: {len(used)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
+            "recordings of this type of arm"
+        )
+    dates = None
+    if over is not None:
+        dates = np.array([float(date.fromisoformat(members[i].about["date"]).toordinal()) for i in used])
+        if len(set(dates)) < _FEWEST_DATES:
+            raise InputError(
+                f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
+                f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
+            )
+    files = [members[i].file for i in used]
+    candidates: dict[str, Candidate] = {}
+    for file in files:
+        for candidate in (*headings[file].candidates, *headings[file].families):
+            candidates.setdefault(candidate.key, candidate)
+    functions = in_common(function for file in files for function in headings[file].functions)
+    with Workers(scheduler, processes, len(used)) as workers:
+        reduced = Reduced([places[file] for file in files], options, workers, functions)
+        return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
+
+
+def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
+    """Refuses a recording whose document would have the name of the fleet's, and a file that is there.
+
+    Raises:
+        InputError: as said.
+    """
+    for name in names:
+        if f"{Path(name).stem}.json" == POOLED:
+            raise InputError(f"{name}: its diagnosis would be named {POOLED}, as the fleet's; rename the recording")
+    if out.is_dir():
+        storage.check_writable(out / POOLED, overwrite)
+
+
+def _kind(heading: "Heading") -> tuple[str, int, str]:
+    """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
+    return heading.about["arm"], heading.about["joints"], heading.about["what"]
+
+
+def _reason_unused(heading: "Heading", arm: tuple[str, int, str], over: str | None) -> str:
+    """Why a recording that was diagnosed is not pooled; empty where it is."""
+    own = heading.about
+    if _kind(heading)[:2] != arm[:2]:
+        return f"is of the arm {own['arm']} with {own['joints']} joints, and most are of {arm[0]} with {arm[1]}"
+    if _kind(heading) != arm:
+        return f"has {own['what']}, and most have {arm[2]}; give --torques where all have torques"
+    if over is not None and own["date"] is None:
+        return "has no date; write `date: YYYY-MM-DD` into its sidecar"
+    return ""

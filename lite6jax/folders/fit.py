@@ -1,7 +1,7 @@
 """Files of a folder read and fitted: calibrations together by type of arm, recordings one by one."""
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,12 +21,23 @@ from lite6jax.fitting.calibrations_fit import fit_calibrations
 from lite6jax.fitting.quality import Quality, quality_of_calibration
 from lite6jax.fitting.sampling import SAMPLES
 from lite6jax.fitting.status import Result
+from lite6jax.folders.fleet import Row, Statistics
 from lite6jax.folders.place import kind_of
-from lite6jax.folders.rows import Row, Statistics
 from lite6jax.model import ModelForm
 
 Array = NDArray[np.floating]
 T = TypeVar("T")
+
+
+class _Content(NamedTuple):
+    """What a calibration file holds: the parsed YAML and its rows `(joint, 6)`; nothing of a JSON table."""
+
+    parsed: Any
+    kinematics: Array | None
+
+
+class _NotOneError(InputError):
+    """A file of the right suffix that does not mean to be a calibration."""
 
 
 def fit_files(
@@ -43,58 +54,48 @@ def fit_files(
         a row a file, in their order.
     """
     rows: dict[Path, Row] = {}
-    read: dict[Path, tuple[_Content, str]] = {}
+    remarks: dict[Path, list[str]] = {path: [] for path in files}
+
+    def attempt(path: Path, work: Callable[[], T]) -> T | None:
+        """What comes of the work; None where nothing does, and the row says why."""
+        kind = kind_of(path)
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", InputWarning)
+                done = work()
+        except InputError as error:
+            kind, said = "other" if isinstance(error, _NotOneError) else kind, str(error)
+        except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
+            found = " ".join(f"{type(error).__name__}: {error}".split())
+            said = f"{path}: unexpected {found}; please report it with this file"
+        else:
+            remarks[path] += [str(each.message) for each in caught if issubclass(each.category, InputWarning)]
+            return done
+        rows[path], remarks[path] = Row(path.name, kind, Result.UNREADABLE, as_shown(said)), []
+        return None
+
+    read: dict[Path, _Content] = {}
     for path in files:
-        work = _fit_recording if kind_of(path) == "recording" else _read
-        done, said = _attempt(path, partial(work, path, nominal), as_shown)
-        if isinstance(done, Row):
-            rows[path] = replace(done, message=f"{done.message}; {said}") if said else done
-        else:
-            read[path] = done, said
-    types: dict[str, list[tuple[Path, FactoryCalibration, str]]] = {}
-    for path, near in _recognised({path: content for path, (content, _) in read.items()}, nominal).items():
-        content, said = read[path]
-        work = partial(_calibration, path, content, near, nominal)
-        done, more = _attempt(path, work, as_shown)
-        if isinstance(done, Row):
-            rows[path] = done
-        else:
-            types.setdefault(done.arm.name, []).append((path, done, "; ".join(filter(None, (said, more)))))
+        if kind_of(path) == "recording":
+            if (row := attempt(path, partial(_fit_recording, path, nominal))) is not None:
+                rows[path] = row
+        elif (content := attempt(path, partial(_read, path))) is not None:
+            read[path] = content
+    types: dict[str, dict[Path, FactoryCalibration]] = {}
+    for path, near in _recognise(read, nominal).items():
+        calibration = attempt(path, partial(_calibration, path, read[path], near, nominal))
+        if calibration is not None:
+            types.setdefault(calibration.arm.name, {})[path] = calibration
     for alike in types.values():
-        rows |= zip((path for path, _, _ in alike), _fit_calibrations(alike), strict=True)
+        rows |= _fit_calibrations(alike)
+    for path, said in remarks.items():
+        if said:
+            message = f"{rows[path].message}; {as_shown('; '.join(dict.fromkeys(said)))}"
+            rows[path] = replace(rows[path], message=message)
     return [rows[path] for path in files]
 
 
-class _Content(NamedTuple):
-    """What a calibration file holds: the parsed YAML and its rows `(joint, 6)`; nothing of a JSON table."""
-
-    parsed: Any
-    kinematics: Array | None
-
-
-class _NotOneError(InputError):
-    """A file of the right suffix that does not mean to be a calibration."""
-
-
-def _attempt(path: Path, work: Callable[[], T], as_shown: Callable[[str], str]) -> tuple[T | Row, str]:
-    """What comes of the work, or the row that says why nothing does; and what was remarked on the way."""
-    try:
-        with warnings.catch_warnings(record=True) as remarks:
-            warnings.simplefilter("always", InputWarning)
-            done = work()
-    except _NotOneError as error:
-        return Row(path.name, "other", Result.UNREADABLE, as_shown(str(error))), ""
-    except InputError as error:
-        return Row(path.name, kind_of(path), Result.UNREADABLE, as_shown(str(error))), ""
-    except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
-        found = " ".join(f"{type(error).__name__}: {error}".split())
-        message = as_shown(f"{path}: unexpected {found}; please report it with this file")
-        return Row(path.name, kind_of(path), Result.UNREADABLE, message), ""
-    said = dict.fromkeys(str(remark.message) for remark in remarks if issubclass(remark.category, InputWarning))
-    return done, as_shown("; ".join(said))
-
-
-def _read(path: Path, nominal: Arm | None) -> _Content:
+def _read(path: Path) -> _Content:
     if path.suffix.lower() not in (".yaml", ".yml"):
         return _Content(None, None)
     content = storage.read_yaml(path)
@@ -108,18 +109,17 @@ def _read(path: Path, nominal: Arm | None) -> _Content:
     return _Content(content, entries.kinematics(content["kinematics"], str(path))[0])
 
 
-def _recognised(read: Mapping[Path, _Content], nominal: Arm | None) -> dict[Path, Arm | None]:
+def _recognise(read: Mapping[Path, _Content], nominal: Arm | None) -> dict[Path, Arm | None]:
     """The arm that each calibration is near; None where it takes a closer look."""
     found: dict[Path, Arm | None] = dict.fromkeys(read)
-    by_joints: dict[int, list[tuple[Path, Array]]] = {}
+    by_joints: dict[int, dict[Path, Array]] = {}
     for path, (_, kinematics) in read.items():
         if kinematics is not None:
-            by_joints.setdefault(len(kinematics), []).append((path, kinematics))
+            by_joints.setdefault(len(kinematics), {})[path] = kinematics
     for joints, chains in by_joints.items():
         arms = bundled_of(joints) if nominal is None else [nominal] * (nominal.dof == joints and not nominal.sliding)
         if arms:
-            near = nearest_arms(np.stack([kinematics for _, kinematics in chains]), arms)
-            found |= zip((path for path, _ in chains), near, strict=True)
+            found |= zip(chains, nearest_arms(np.stack([*chains.values()]), arms), strict=True)
     return found
 
 
@@ -129,32 +129,35 @@ def _calibration(path: Path, content: _Content, near: Arm | None, nominal: Arm |
     return read_factory(path, nominal) if content.parsed is None else factory_from(content.parsed, path, nominal)
 
 
-def _fit_calibrations(alike: Sequence[tuple[Path, FactoryCalibration, str]]) -> Iterable[Row]:
-    """Arms of one type in one call."""
-    arm = alike[0][1].arm
+def _fit_calibrations(alike: Mapping[Path, FactoryCalibration]) -> Iterator[tuple[Path, Row]]:
+    """The rows of arms of one type, fitted in one call."""
+    calibrations = list(alike.values())
+    arm = calibrations[0].arm
     form = ModelForm(arm.form)
-    kinematics = np.stack([calibration.kinematics for _, calibration, _ in alike])
-    flanges = np.stack([calibration.T_joint_flange for _, calibration, _ in alike])
+    kinematics = np.stack([calibration.kinematics for calibration in calibrations])
+    flanges = np.stack([calibration.T_joint_flange for calibration in calibrations])
     fitted = fit_calibrations(kinematics, flanges, arm)
-    named = [f"{name}_{unit}" for name, unit in zip(form.names, form.units, strict=True)]
-    for i, (path, _, said) in enumerate(alike):
+    for i, path in enumerate(alike):
         result = Result(int(fitted.result[i]))
         errors = [Statistics(*map(float, part[i])) for part in (fitted.fitted, fitted.checked, fitted.nominal)]
         quality = quality_of_calibration(fitted.checked[i, 1:2])
-        yield Row(
-            file=path.name,
-            kind="calibration",
-            result=result,
-            message=result.message + _qualified(quality) + (f"; {said}" if said else ""),
-            quality=quality.verdict,
-            arm=arm.name,
-            joints=arm.dof,
-            samples=SAMPLES,
-            steps=int(fitted.steps[i]),
-            parameters=tuple(zip(named, fitted.parameters[i].tolist(), strict=True)),
-            fitted=errors[0],
-            checked=errors[1],
-            nominal=errors[2],
+        yield (
+            path,
+            Row(
+                file=path.name,
+                kind="calibration",
+                result=result,
+                message=result.message + _remark(quality),
+                quality=quality.verdict,
+                arm=arm.name,
+                joints=arm.dof,
+                samples=SAMPLES,
+                steps=int(fitted.steps[i]),
+                parameters=_parameters(form, fitted.parameters[i]),
+                fitted=errors[0],
+                checked=errors[1],
+                nominal=errors[2],
+            ),
         )
 
 
@@ -167,27 +170,29 @@ def _fit_recording(path: Path, nominal: Arm | None) -> Row:
     recording = read_source(path, nominal)
     assert isinstance(recording, Recording)
     solution = fit_recording(recording, nominal)
-    form = ModelForm(solution.form.chain)
     faults = f"; data faults: {', '.join(fault.code for fault in solution.faults)}" if solution.faults else ""
     return Row(
         file=path.name,
         kind="recording",
         result=solution.result,
-        message=solution.result.message + _qualified(solution.quality) + faults,
+        message=solution.result.message + _remark(solution.quality) + faults,
         quality=solution.quality.verdict,
         arm=solution.arm.name,
         joints=solution.arm.dof,
         samples=recording.samples,
         steps=solution.steps,
-        parameters=tuple(
-            (f"{name}_{unit}", float(value))
-            for name, unit, value in zip(form.names, form.units, solution.parameters, strict=True)
-        ),
+        parameters=_parameters(ModelForm(solution.form.chain), solution.parameters),
         fitted=Statistics.of(solution.errors),
         checked=Statistics.of(solution.checked),
         nominal=Statistics.of(solution.nominal_errors),
     )
 
 
-def _qualified(quality: Quality) -> str:
+def _parameters(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:
+    """Parameters by their names with the unit."""
+    values = np.asarray(parameters).tolist()
+    return tuple((f"{name}_{unit}", value) for name, unit, value in zip(form.names, form.units, values, strict=True))
+
+
+def _remark(quality: Quality) -> str:
     return "; but the model does not describe the data" if quality.verdict == "bad" else ""

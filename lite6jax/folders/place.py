@@ -1,29 +1,32 @@
-"""A folder of inputs: of this machine, or behind a URL that fsspec reads, such as `s3://bucket/arms`."""
+"""A folder of inputs, of this machine or behind a URL that fsspec reads (`s3://bucket/arms`), and what is in it."""
 
+import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, final
 
 from lite6jax import storage
-from lite6jax.distribution.kept import sha256_of
 from lite6jax.errors import InputError
-from lite6jax.temporaries import temporary_folder
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")
 LOGS = (".mcap", ".bag")
 """The suffixes of files; a recording may be a folder as well."""
+BATCH = 128
+"""Calibrations fitted together, as a whole: so their numbers do not depend on what was done before. A run that is
+killed loses so many for each of its workers."""
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 """Of a path made of a URL, which has lost a slash; one letter before the colon is a drive of Windows."""
 
 
 def kind_of(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
-    return "calibration" if os.path.splitext(name)[1].lower() in CALIBRATIONS else "recording"
+    return "calibration" if _suffix(name) in CALIBRATIONS else "recording"
 
 
 def url_of(path: str | Path) -> str | None:
@@ -33,6 +36,21 @@ def url_of(path: str | Path) -> str | None:
         return None
     scheme, rest = match.groups()
     return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
+
+
+def sha256_of(paths: Sequence[str | Path]) -> bytes:
+    """The SHA-256 of each file, one after the other; of one that cannot be read, as many zeros."""
+    found = []
+    for path in paths:
+        digest = hashlib.sha256()
+        try:
+            with open(path, "rb", buffering=0) as file:  # most are small: what stands around the read is the time
+                while block := file.read(1 << 16):
+                    digest.update(block)
+            found.append(digest.digest())
+        except OSError:
+            found.append(bytes(32))
+    return b"".join(found)
 
 
 @final
@@ -66,7 +84,7 @@ class Place:
         return cls(str(folder), str(Path(folder).absolute()), False)
 
     def names(self) -> list[str]:
-        """The names of its files and folders but hidden ones, in order.
+        """The names of its files and folders but hidden ones, in order; behind a URL those of files only.
 
         Raises:
             InputError: what is behind the URL cannot be read.
@@ -74,12 +92,18 @@ class Place:
         if not self.remote:
             return sorted(name for name in os.listdir(self.root) if not name.startswith("."))
         store, root = _store(self.root)
-        entries = _read(self.root, lambda: store.ls(root, detail=True))
+        try:
+            entries = store.ls(root, detail=True)
+        except FileNotFoundError as error:
+            raise InputError(f"{self.root}: no such folder; check the URL") from error
+        except Exception as error:  # as many kinds as there are stores
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(f"{self.root}: cannot be read ({said}); check the URL, and the access to it") from error
         found = (entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == "file")
         return sorted(name for name in found if name and not name.startswith("."))
 
     def is_file(self, name: str) -> bool:
-        """Whether a name is that of a file; behind a URL nothing else is listed."""
+        """Whether a name is that of a file."""
         return self.remote or os.path.isfile(os.path.join(self.root, name))
 
     def content(self, names: Sequence[str]) -> bytes:
@@ -89,20 +113,21 @@ class Place:
         """
         if self.remote:
             store, root = _store(self.root)
-            stated = (f"{root}/{part}" for name in names for part in _with_sidecar(name))
-            return "\0".join((*names, *(_stated(store, path) for path in stated))).encode(errors="surrogateescape")
+            paths = (f"{root}/{part}" for name in names for part in _file_and_sidecar(name))
+            return "\0".join((*names, *(_stamp(store, path) for path in paths))).encode(errors="surrogateescape")
         found = []
         for name in names:
-            if kind_of(name) == "calibration":
-                found += [os.fsencode(name), b"\0", sha256_of([os.path.join(self.root, name)])]
-                continue
-            path = Path(self.root, name)
-            files = [path] if path.is_file() else sorted(part for part in path.rglob("*") if part.is_file())
-            found += [os.fsencode(name), b"\0", sha256_of([*files, *named_by(path)])]
+            files: list[str | Path] = [os.path.join(self.root, name)]
+            if kind_of(name) == "recording":
+                path = Path(files[0])
+                if path.is_dir():
+                    files = [*sorted(part for part in path.rglob("*") if part.is_file())]
+                files += settings_files(path)
+            found += [os.fsencode(name), b"\0", sha256_of(files)]
         return b"".join(found)
 
     @contextmanager
-    def at_hand(self, names: Sequence[str]) -> Iterator[Path]:
+    def local_folder(self, names: Sequence[str]) -> Iterator[Path]:
         """A folder of this machine with these files, and those that a recording of them takes.
 
         What is behind a URL is copied into a temporary folder; a file that cannot be read is not there.
@@ -110,24 +135,83 @@ class Place:
         if not self.remote:
             yield Path(self.root)
             return
-        with temporary_folder() as folder:
+        with storage.temporary_folder() as folder:
             store, root = _store(self.root)
-            for part in dict.fromkeys(part for name in names for part in _with_sidecar(name)):
-                _copy(store, f"{root}/{part}", folder / part)
-            for name in names:
-                for path in named_by(folder / name):
-                    part = os.path.relpath(path, folder)
-                    if not part.startswith("..") and not path.exists():
-                        _copy(store, f"{root}/{Path(part).as_posix()}", path)
+
+            def copy(part: str) -> None:
+                with suppress(Exception):  # the reader of a file says what is wrong with one that is not there
+                    (folder / part).parent.mkdir(parents=True, exist_ok=True)
+                    store.get_file(f"{root}/{part}", str(folder / part))
+
+            for part in dict.fromkeys(part for name in names for part in _file_and_sidecar(name)):
+                copy(part)
+            for path in (path for name in names for path in settings_files(folder / name)):
+                part = os.path.relpath(path, folder)
+                if not part.startswith("..") and not path.exists():
+                    copy(Path(part).as_posix())
             yield folder
 
-    def as_shown(self, message: str, folder: Path) -> str:
-        """A message on a file of `at_hand` that names it as the user did."""
+    def show(self, message: str, folder: Path) -> str:
+        """A message on a file of `local_folder` that names it as the user did."""
         before = f"{self.shown}/" if self.remote else str(Path(self.shown, "x"))[:-1]
         return message.replace(f"{folder}{os.sep}", before)
 
 
-def named_by(path: Path) -> list[Path]:
+def fleet_names(place: Place, out: Path) -> list[str]:
+    """The calibrations and recordings of a folder; a recording's sidecar belongs to it and is not listed.
+
+    Args:
+        place: the folder; its subfolders are not looked into.
+        out: the table that is to be written, and is no input where one is there.
+
+    Raises:
+        InputError: none is there, the table would replace one of them, or as `Place.names`.
+    """
+    names = [name for name in place.names() if _suffix(name) in CALIBRATIONS + RECORDINGS and place.is_file(name)]
+    if not place.remote and out.name in names and out.parent.resolve() == Path(place.root).resolve():
+        if not _holds_rows(out):
+            raise InputError(f"{out}: is one of the files to be fitted and would be replaced; choose another name")
+        names.remove(out.name)
+    recordings = {os.path.splitext(name)[0] for name in names if kind_of(name) == "recording"}
+    names = [name for name in names if _suffix(name) != ".yaml" or os.path.splitext(name)[0] not in recordings]
+    if not names:
+        accepted = ", ".join(CALIBRATIONS + RECORDINGS)
+        raise InputError(f"{place.shown}: has no calibration or recording ({accepted}); name another folder")
+    return names
+
+
+def recording_names(place: Place) -> list[str]:
+    """The recordings of a folder: files, and folders that hold one.
+
+    Raises:
+        InputError: there are none, or as `Place.names`.
+    """
+    from lite6jax.recordings import recording_file
+
+    kinds = (*RECORDINGS, *LOGS)
+    names = [
+        name
+        for name in place.names()
+        if (_suffix(name) in kinds if place.is_file(name) else recording_file(Path(place.root, name)) is not None)
+    ]
+    # rows of a recording that is not complete yet, or was ended, stand in a file of the same stem
+    names = [name for name in names if _suffix(name) != ".arrows" or f"{Path(name).stem}.parquet" not in names]
+    if not names:
+        raise InputError(f"{place.shown}: has no recording ({', '.join(kinds)}); name another folder")
+    return names
+
+
+def batches_of(names: Sequence[str]) -> list[list[str]]:
+    """The files in their order: calibrations that follow each other `BATCH` by `BATCH`, recordings one by one."""
+    batches: list[list[str]] = []
+    for kind, group in groupby(names, kind_of):
+        files = list(group)
+        size = BATCH if kind == "calibration" else 1
+        batches += [files[first : first + size] for first in range(0, len(files), size)]
+    return batches
+
+
+def settings_files(path: Path) -> list[Path]:
     """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
     if kind_of(path) == "calibration":
         return []
@@ -144,8 +228,23 @@ def named_by(path: Path) -> list[Path]:
     return [sidecar, *(Path(part) for part in (arm, settings.factory_path(path.parent)) if part is not None)]
 
 
-def _with_sidecar(name: str) -> list[str]:
+def _suffix(name: str | Path) -> str:
+    return os.path.splitext(name)[1].lower()
+
+
+def _file_and_sidecar(name: str) -> list[str]:
     return [name] if kind_of(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+
+
+def _holds_rows(path: Path) -> bool:
+    """Whether a Parquet file is what a run wrote, not a recording."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        return {"file", "kind", "result"} <= set(pyarrow.parquet.read_schema(path).names)
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError):
+        return False
 
 
 def _store(url: str) -> tuple[Any, str]:
@@ -167,22 +266,7 @@ def _store(url: str) -> tuple[Any, str]:
     return store, root.rstrip("/")
 
 
-def _read(url: str, read: Callable[[], Any]) -> Any:
-    """What a store answers.
-
-    Raises:
-        InputError: any of the many exceptions by which stores say that they cannot.
-    """
-    try:
-        return read()
-    except FileNotFoundError as error:
-        raise InputError(f"{url}: no such folder; check the URL") from error
-    except Exception as error:
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"{url}: cannot be read ({said}); check the URL, and the access to it") from error
-
-
-def _stated(store: Any, path: str) -> str:
+def _stamp(store: Any, path: str) -> str:
     """The checksum that a store has of a file, or when it was made and its size; empty where there is none."""
     try:
         return str(store.ukey(path))
@@ -190,10 +274,3 @@ def _stated(store: Any, path: str) -> str:
         return ""
     except Exception as error:  # as many kinds as there are stores
         return type(error).__name__
-
-
-def _copy(store: Any, path: str, target: Path) -> None:
-    """Copies a file, if it is there and can be read: its reader says what is wrong with one that is not."""
-    with suppress(Exception):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        store.get_file(path, str(target))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.chains import joint_motion
 from lite6jax.arms.moves import Frame
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
-from lite6jax.distribution.batches import outcomes
+from lite6jax.distribution.batches import Workers
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import Determination, determine
@@ -88,23 +88,21 @@ def refit(
         scheduler: the address of the scheduler of a Dask cluster that computes.
 
     Raises:
-        InputError: joints that the arm does not have; fewer than two refits; or as `outcomes`.
+        InputError: joints that the arm does not have; fewer than two refits; or as `Workers.outcomes`.
     """
     if count < 2:
         raise InputError(f"{count} refits: a spread needs at least 2")
     q = np.asarray(joint_position, float)
     determination = determine(experiment, q)
     batches = -(-count // BATCH)
-    work = outcomes(
-        _refitted,
-        enumerate(_drawn(experiment, q, determination, count, seed)),
-        (experiment, q, determination.free, determination.covariance),
-        died=lambda one: _rows(np.full((1, determination.rank), np.nan), np.full(1, np.inf)),
-        processes=0 if processes is None and scheduler is None else processes,
-        scheduler=scheduler,
-        most=batches,
-    )
-    parts = dict(work)
+    with Workers(scheduler, processes or 0, batches) as workers:
+        work = workers.outcomes(
+            _refitted,
+            enumerate(_drawn(experiment, q, determination, count, seed)),
+            (experiment, q, determination.free, determination.covariance),
+            died=lambda one: _rows(np.full((1, determination.rank), np.nan), np.full(1, np.inf)),
+        )
+        parts = dict(work)
     found = pa.concat_tables([parts[k] for k in range(batches)])
     errors = np.zeros((count, experiment.size))
     errors[:, determination.free] = np.stack(found["errors"].to_pylist())

@@ -21,7 +21,7 @@ from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
-from lite6jax.folders.rows import Row
+from lite6jax.folders.fleet import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan

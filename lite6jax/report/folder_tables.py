@@ -11,7 +11,7 @@ from rich.text import Text
 
 from lite6jax.fitting.status import Result
 from lite6jax.folders.diagnoses import DIAGNOSED
-from lite6jax.folders.rows import Row
+from lite6jax.folders.fleet import Row
 from lite6jax.report.cells import listing, number
 
 _DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_verdict", "torque_rms_Nm", 1.0))

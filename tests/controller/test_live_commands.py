@@ -292,7 +292,7 @@ def test_an_interrupt_keeps_every_row(tmp_path, name, number):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
-def test_a_kill_costs_a_second_at_most_and_temporary_files_go_with_the_next_run(tmp_path, capsys, name):
+def test_a_kill_costs_a_second_at_most(tmp_path, capsys, name):
     out = tmp_path / name
     rows = tmp_path / ("run.arrows" if name == "run.parquet" else name)
     with emulated(path=draw_sines(ARM.joint_limits)) as (_, address):

@@ -11,7 +11,7 @@ from diagnosis.recorded import Made, static_motion
 
 from lite6jax.diagnosis import fold_processes as module
 from lite6jax.diagnosis.fold_processes import FoldProcesses, RemoteWork, at_hand, fold_processes
-from lite6jax.distribution.processes import Processes
+from lite6jax.distribution.workers import Process
 from lite6jax.recordings import write_recording
 from tests.batch_work import folded
 
@@ -73,23 +73,18 @@ def test_what_was_begun_ahead_is_taken_where_it_is_the_same_work(two):
 
 
 def test_processes_that_work_are_ended_at_once(monkeypatch):
-    processes = []
-    begun = Processes._started
-
-    def noted(self):
-        processes.append(begun(self))
-        return processes[-1]
-
-    monkeypatch.setattr(Processes, "_started", noted)
+    started = []
+    monkeypatch.setattr(Process, "_start", lambda self, start=Process._start: started.append(start(self)))
     with FoldProcesses(1) as them:
         them.ahead(how("slow"), FOLDS)
+        (process,) = them._processes._all
         deadline = time.monotonic() + 60
-        while processes[0].batch is None and time.monotonic() < deadline:
+        while process._told is None and time.monotonic() < deadline:
             time.sleep(0.01)
-        ended = processes[0].process.pid
+        ended = process._process.pid
         begins = time.monotonic()
     assert time.monotonic() - begins < 30  # not the minute that the work takes
-    assert len(processes) == 1  # and none in its place
+    assert len(started) == 1  # and none in its place
     with pytest.raises(ProcessLookupError):
         os.kill(ended, 0)
 

@@ -13,8 +13,8 @@ import pytest
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import write_arm
 from lite6jax.cli import main
-from lite6jax.distribution import cluster
-from lite6jax.distribution.batches import outcomes, run_batches
+from lite6jax.distribution import workers as layer
+from lite6jax.distribution.batches import run_batches
 from lite6jax.errors import InputError
 from tests.batch_work import content, dead, reduced, spelled
 from tests.oracles.arms import random_kinematics
@@ -118,26 +118,18 @@ def test_what_a_function_raises_arrives(workers, tmp_path):
 def test_workers_with_another_version_are_refused(workers, tmp_path, monkeypatch):
     monkeypatch.setattr("lite6jax.fitting.version.versions", lambda: ("another",))
     with pytest.raises(InputError, match="a worker of the cluster has another version of lite6jax, of Python or of a"):
-        list(
-            outcomes(
-                spelled,
-                enumerate([["a"]]),
-                (str(tmp_path),),
-                died=dead,
-                scheduler=workers.scheduler_address,
-            )
-        )
+        ran(tmp_path, [["a"]], scheduler=workers.scheduler_address)
 
 
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "ANSWERS_WITHIN", 0.5)
+    monkeypatch.setattr(layer, "ANSWERS_WITHIN", 0.5)
     with pytest.raises(InputError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there; start one by"):
         ran(tmp_path, scheduler="tcp://127.0.0.1:9")
 
 
 def test_a_cluster_without_a_worker_is_one_line(tmp_path, monkeypatch):
     # Only the wait for workers is short: a scheduler on a busy machine answers after more than a second.
-    monkeypatch.setattr(cluster, "WORKERS_WITHIN", 0.2)
+    monkeypatch.setattr(layer, "WORKERS_WITHIN", 0.2)
     with (
         distributed.LocalCluster(
             n_workers=0, dashboard_address=":0", silence_logs="CRITICAL", processes=False, protocol="tcp"

@@ -9,14 +9,14 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
 from lite6jax.cli import main
+from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
 from lite6jax.fitting.calibration_fit import fit_calibration
 from lite6jax.fitting.calibrations_fit import fit_calibrations
 from lite6jax.fitting.solution import Result
-from lite6jax.folders import fit, listing
-from lite6jax.folders.fleet import fit_folder
+from lite6jax.folders import fit, place
+from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, table_of_rows
 from lite6jax.folders.place import Place, url_of
-from lite6jax.folders.rows import Row, Statistics, read_rows, rows_of, table_of_rows, write_rows
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
@@ -46,8 +46,7 @@ def test_rows_are_the_same_from_their_table(tmp_path):
         Row("a.yaml", "calibration", Result.CONVERGED, "naïve", "good", "lite6", 6, 300, 4, (("d1_m", 0.3),), errors),
         Row("b.csv", "recording", Result.UNREADABLE, "no", parameters=(("beta2_rad", -0.1),)),
     ]
-    assert repr(list(rows_of(table_of_rows(rows)))) == repr(rows)
-    path = write_rows(rows, tmp_path / "rows.parquet")
+    path = write_tables([table_of_rows(rows)], tmp_path / "rows.parquet")
     assert repr(list(read_rows(path))) == repr(rows)
     assert [row.parameters for row in read_rows(path, parameters=False)] == [(), ()]
     assert [row.failed for row in rows] == [False, True]
@@ -55,7 +54,7 @@ def test_rows_are_the_same_from_their_table(tmp_path):
 
 def test_processes_and_batches_do_not_change_the_bytes(arms, tmp_path, monkeypatch):
     recording(arms / "run.csv")
-    monkeypatch.setattr(listing, "BATCH", 3)
+    monkeypatch.setattr(place, "BATCH", 3)
     here = fit_folder(arms, tmp_path / "here.parquet", processes=0)
     two = fit_folder(arms, tmp_path / "two.parquet", processes=2)
     assert here.path.read_bytes() == two.path.read_bytes()
@@ -68,7 +67,7 @@ def test_processes_and_batches_do_not_change_the_bytes(arms, tmp_path, monkeypat
 
 
 def test_a_run_goes_on_unless_an_input_differs(arms, tmp_path, monkeypatch):
-    monkeypatch.setattr(listing, "BATCH", 1)
+    monkeypatch.setattr(place, "BATCH", 1)
     run, out = recording(arms / "run.csv"), tmp_path / "fleet.parquet"
     fitted = []
 
@@ -95,16 +94,15 @@ def test_a_run_goes_on_unless_an_input_differs(arms, tmp_path, monkeypatch):
     assert again() == names
     assert again() == []
     assert again(LITE6) == names
-    (arms / "run.yaml").write_text("recording: {factory_calibration: own.yaml}\n")
-    assert again() == ["run.csv"]
-    (arms / "own.yaml").write_text("kinematics: {}\n")
-    assert again() == ["own.yaml", "run.csv"]
-    (arms / "run.yaml").write_text("recording: [\n")
-    assert again() == ["run.csv"]
-    (arms / "arm0.yaml").write_text((arms / "arm0.yaml").read_text() + "\n")
-    assert again() == ["arm0.yaml"]
-    run.write_text(run.read_text() + "\n")
-    assert again() == ["run.csv"]
+    for name, text, differ in (
+        ("run.yaml", "recording: {factory_calibration: own.yaml}\n", ["run.csv"]),
+        ("own.yaml", "kinematics: {}\n", ["own.yaml", "run.csv"]),
+        ("run.yaml", "recording: [\n", ["run.csv"]),
+        ("arm0.yaml", (arms / "arm0.yaml").read_text() + "\n", ["arm0.yaml"]),
+        ("run.csv", run.read_text() + "\n", ["run.csv"]),
+    ):
+        (arms / name).write_text(text)
+        assert again() == differ
 
 
 def test_the_closed_form_is_what_a_fit_finds(arms):
@@ -177,6 +175,9 @@ def test_what_is_behind_a_url_is_fitted_as_a_folder_is(arms, stored, tmp_path):
     ]
     assert shown[0] == shown[1]
     assert f"{stored}/own/arm.yaml: lacks the key 'kinematics'" in rows[1][-2].message
+    before = [Place.of(stored).content(["arm0.yaml"]) for _ in range(2)]
+    fsspec.filesystem("memory").pipe("/fleet/arms/arm0.yaml", b"kinematics: {}")
+    assert before[0] == before[1] != Place.of(stored).content(["arm0.yaml"])
 
 
 def test_the_command_takes_a_url(arms, tmp_path, capsys):
@@ -184,14 +185,6 @@ def test_the_command_takes_a_url(arms, tmp_path, capsys):
     assert main(["fleet", f"file://{arms}", "--out", str(out), "--processes", "1"]) == 0
     assert "2 of 7 files have no usable fit:" in capsys.readouterr().out
     assert next(row for row in read_rows(out) if row.file == "broken.yaml").message.startswith(f"file://{arms}/broken")
-
-
-def test_what_changed_behind_a_url_is_another_input(stored):
-    place = Place.of(stored)
-    before = place.content(["arm0.yaml"])
-    assert place.content(["arm0.yaml"]) == before
-    fsspec.filesystem("memory").pipe("/fleet/arms/arm0.yaml", b"kinematics: {}")
-    assert place.content(["arm0.yaml"]) != before
 
 
 def test_urls_survive_being_paths():

@@ -12,7 +12,7 @@ from typed import flat
 from lite6jax.cli import diagnose_folder as folder_command
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.folders.population import check_document, diagnose_recorded_population
+from lite6jax.folders.diagnoses import check_pooled, pool_folder
 from lite6jax.populations.files import to_bytes
 
 
@@ -37,7 +37,7 @@ def results(tmp_path):
 
 
 def pooled(out, over=None):
-    return diagnose_recorded_population("arms", out, OPTIONS, over, processes=0)
+    return pool_folder("arms", out, OPTIONS, over, processes=0)
 
 
 def test_those_of_the_most_common_type_are_pooled_and_the_others_say_why_not(results):
@@ -74,11 +74,11 @@ def test_too_few_recordings_are_refused_with_the_remedy(results, abouts, over, s
 
 def test_the_document_has_a_name_of_its_own(tmp_path):
     with pytest.raises(InputError, match=r"fleet\.csv: its diagnosis would be named fleet\.json.*rename the recording"):
-        check_document(tmp_path, ["a.csv", "fleet.csv"], False)
+        check_pooled(tmp_path, ["a.csv", "fleet.csv"], False)
     (tmp_path / "fleet.json").write_text("")
     with pytest.raises(InputError, match=r"fleet\.json: exists already"):
-        check_document(tmp_path, ["a.csv"], False)
-    check_document(tmp_path, ["a.csv"], True)
+        check_pooled(tmp_path, ["a.csv"], False)
+    check_pooled(tmp_path, ["a.csv"], True)
 
 
 def test_what_a_fleet_does_not_take_is_one_line(tmp_path, capsys):
@@ -116,7 +116,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("lite6jax.folders.population.diagnose_recorded_population", stopped)
+        patched.setattr("lite6jax.folders.diagnoses.pool_folder", stopped)
         assert main(["diagnose", "--fleet", str(folder), *options]) == 130
     capsys.readouterr()
     with monkeypatch.context() as patched:  # a run that was ended while it pooled diagnoses nothing again

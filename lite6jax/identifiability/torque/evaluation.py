@@ -18,7 +18,7 @@ from lite6jax.identifiability.torque.fourier import Free
 from lite6jax.identifiability.torque.identify import Structure, TorqueIdentification, identify_torques
 
 if TYPE_CHECKING:
-    from lite6jax.distribution.worker import Function
+    from lite6jax.distribution.workers import Function
     from lite6jax.identifiability.torque.planning import MotionRoom
 
 Array = NDArray[np.floating]
