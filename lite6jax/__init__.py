@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     # isort: off
     from lite6jax.arms.arm import Arm as Arm
     from lite6jax.arms.chains import HayatiForm as HayatiForm
-    from lite6jax.arms.convert import (
+    from lite6jax.arms.dh import (
         hayati_to_six_parameter as hayati_to_six_parameter,
         six_parameter_to_hayati as six_parameter_to_hayati,
     )
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "lite6jax.arms.arm": ("Arm",),
     "lite6jax.arms.chains": ("HayatiForm",),
-    "lite6jax.arms.convert": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
+    "lite6jax.arms.dh": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
     "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
     "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),

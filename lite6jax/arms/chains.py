@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from lite6jax.arms import frames
 from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, joint_turn, rotate, rotation_twist, translate, turn
 from lite6jax.deferred import Array, jnp
 from lite6jax.errors import InputError
@@ -176,15 +177,15 @@ class HayatiForm:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; beta replaces its joint's d."""
-        base = self.of_link(-1)
-        links = [
-            f"{name}{i + 1}"
-            for i in range(self.dof)
-            for name in ("theta_off", "d", "a", "b", "alpha")
-            if name in self.of_link(i)
-        ]
-        betas = [f"beta{i + 1}" for i in self.parallel if i >= 0]
-        return (*(f"base_{name}" for name in ("x", "y", "z", "yaw", "roll", "pitch") if name in base), *links, *betas)
+        base = [f"base_{name}" for name in ("x", "y", "z", "yaw", "roll", "pitch") if name in self.of_link(-1)]
+        links = [f"{name}{i + 1}" for i in range(self.dof) for name in LINK[:-1] if name in self.of_link(i)]
+        return (*base, *links, *(f"beta{i + 1}" for i in self.parallel if i >= 0))
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """`(size,)`, where each of `names` stands in `BASE` followed by `LINK` of every joint."""
+        all_names = [*(f"base_{name}" for name in BASE), *(f"{name}{i + 1}" for i in range(self.dof) for name in LINK)]
+        return np.array([all_names.index(name) for name in self.names])
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -279,42 +280,44 @@ class HayatiForm:
         for i in self.parallel:
             if dh[i, 1] != 0:
                 raise InputError(f"joint {i + 1}: d must be 0 there (it has beta instead), not {dh[i, 1]}")
-        keep = np.ones((self.dof, 4), bool)
-        keep[list(self.parallel), 1] = False
-        return np.concatenate([base, dh[keep], beta])
+        return np.concatenate([base, dh[self._in_table], beta])
 
     def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The inverse of `pack`."""
         self._require_table()
-        parameters = self._checked(parameters)
-        keep = np.ones((self.dof, 4), bool)
-        keep[list(self.parallel), 1] = False
+        base, table, beta = np.split(self._checked(parameters), [4, self.size - len(self.parallel)])
         dh = np.zeros((self.dof, 4))
-        end = 4 + int(keep.sum())
-        dh[keep] = parameters[4:end]
-        return parameters[:4], dh, parameters[end:]
+        dh[self._in_table] = table
+        return base, dh, beta
+
+    @property
+    def _in_table(self) -> np.ndarray:
+        """`(joint, 4)`, which numbers of a DH table are parameters: d of a joint with beta is none."""
+        return ~(self.flags[:, None] & (np.arange(4) == 1))
 
     def gather(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
-        """Parameters `(size,)` from those of the base `(6,)`, `BASE`, and of the links `(joint, 6)`, `LINK`.
+        """Parameters `(..., size)` from those of bases `(..., 6)`, `BASE`, and of links `(..., joint, 6)`, `LINK`.
 
         Raises:
             InputError: a wrong shape, or a number that is not zero where the form has no parameter.
         """
         base, links = np.asarray(base, float), np.asarray(links, float)
-        if base.shape != (len(BASE),) or links.shape != (self.dof, 6):
+        if base.shape[-1:] != (len(BASE),) or links.shape[-2:] != (self.dof, len(LINK)):
             raise InputError(f"base {base.shape}, links {links.shape}: this form takes (6,) and ({self.dof}, 6)")
-        given = dict(zip((f"base_{name}" for name in BASE), base, strict=True))
-        given |= {f"{name}{i + 1}": link[k] for i, link in enumerate(links) for k, name in enumerate(LINK)}
-        for name, value in given.items():
-            if value != 0 and name not in self.names:
+        given = np.concatenate([base, links.reshape(*links.shape[:-2], -1)], -1)
+        for place in np.setdiff1d(np.arange(given.shape[-1]), self._places):
+            if np.any(given[..., place]):
+                joint, k = divmod(place - len(BASE), len(LINK))
+                name = f"base_{BASE[place]}" if joint < 0 else f"{LINK[k]}{joint + 1}"
+                value = np.abs(given[..., place]).max()
                 raise InputError(f"{name} is {value:g}, and this form has no such parameter; its are {self.names}")
-        return np.array([given[name] for name in self.names])
+        return given[..., self._places]
 
     def spread(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The inverse of `gather`: base `(6,)` and links `(joint, 6)`, zero where the form has no parameter."""
-        given = dict(zip(self.names, self._checked(parameters), strict=True))
-        links = [[given.get(f"{name}{i + 1}", 0.0) for name in LINK] for i in range(self.dof)]
-        return np.array([given.get(f"base_{name}", 0.0) for name in BASE]), np.array(links)
+        given = np.zeros(len(BASE) + self.dof * len(LINK))
+        given[self._places] = self._checked(parameters)
+        return given[: len(BASE)], given[len(BASE) :].reshape(self.dof, len(LINK))
 
     def _checked(self, parameters: npt.ArrayLike) -> np.ndarray:
         parameters = np.asarray(parameters, float)
@@ -352,32 +355,9 @@ def joint_motion(form: Form, position: npt.ArrayLike) -> Turn:
     return joint_turn(jnp.asarray(position, float), form.sliding)
 
 
-def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """The joint axes at q = 0 as lines in the base frame: points in m and unit directions, `(..., joint, 3)` each.
-
-    Args:
-        kinematics: `(..., joint, 6)`, rows x y z (m) roll pitch yaw (rad).
-    """
-    kinematics = np.asarray(kinematics, float)
-    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(kinematics[..., 3:]), -1, 0) for f in (np.sin, np.cos))
-    rows = [  # Rz(yaw) Ry(pitch) Rx(roll)
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    turns = np.stack([np.stack(row, -1) for row in rows], -2)
-    R, p = np.eye(3), np.zeros(3)
-    points, directions = np.empty((2, *kinematics.shape[:-1], 3))
-    for i in range(kinematics.shape[-2]):
-        p = p + (R @ kinematics[..., i, :3, None])[..., 0]
-        R = R @ turns[..., i, :, :]
-        points[..., i, :], directions[..., i, :] = p, R[..., 2]
-    return points, directions
-
-
 def hayati_form_of(kinematics: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> HayatiForm:
     """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the directions of its axes."""
-    _, directions = joint_axes(kinematics)
+    directions = frames.frames_at_zero(kinematics)[:, :3, Z]
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
     parallel = tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN)))
     if 0 in sliding and np.hypot(*directions[0, :2]) < np.sin(PARALLEL_WITHIN):

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.arms.forms import hayati_of
+from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
 from lite6jax.arms.forward_kinematics import fk
 from lite6jax.arms.moves import joint_rate
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform

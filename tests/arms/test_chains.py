@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import HayatiForm, SixParameterForm, hayati_form_of, joint_axes
+from lite6jax.arms.chains import HayatiForm, SixParameterForm, hayati_form_of
 from lite6jax.arms.forward_kinematics import fk, hayati_fk, six_parameter_fk
-from lite6jax.arms.se3 import rotation_exp, rpy_from_rotation, transform
+from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm, arm_model, predict
 from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
@@ -179,7 +180,8 @@ def test_parallel_pairs_are_found(name, parallel):
 def test_joint_axes_are_the_lines_about_which_the_joints_turn(seed):
     rng = np.random.default_rng(seed)
     kinematics = random_kinematics(rng, 4)
-    points, directions = joint_axes(kinematics)
+    axes = frames.frames_at_zero(kinematics)
+    points, directions = axes[:, :3, 3], axes[:, :3, 2]
     zero = six_parameter_poses(kinematics, np.zeros((1, 4)))[0]
     for i in range(4):
         q = np.zeros((1, 4))
@@ -312,7 +314,7 @@ def test_gauge_directions_of_the_six_parameter_chain(kinematics):
     poses = np.asarray(six_parameter_fk(kinematics, positions))
 
     def origin_row(T):
-        return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
+        return np.concatenate([T[:3, 3], frames.rpy_from_rotation(T[:3, :3])])
 
     def moved(joint, kind, by):
         """Joint's frame slid along or turned about its own axis, and the next joint's origin where it was."""

@@ -4,9 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import HayatiForm, hayati_form_of, joint_axes
-from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati
+from lite6jax.arms.chains import HayatiForm, hayati_form_of
+from lite6jax.arms.dh import hayati_to_six_parameter, six_parameter_to_hayati
 from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
 from lite6jax.errors import InputError
 from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
@@ -46,7 +47,7 @@ def test_conversion_of_any_arm(dof, seed):
     rng = np.random.default_rng(seed)
     kinematics = random_kinematics(rng, dof)
     kinematics[0, 3:5] *= 0.3  # joint 1 within 76 deg of the base's z
-    _, directions = joint_axes(kinematics)
+    directions = frames.frames_at_zero(kinematics)[:, :3, 2]
     sines = np.linalg.norm(np.cross(directions[1:], directions[:-1]), axis=1)
     form = HayatiForm(dof)
     parameters = six_parameter_to_hayati(form, kinematics)
@@ -155,7 +156,8 @@ def test_standard_dh_blows_up_at_115_m_and_changes_sign():
     for sign in (1, -1):
         kinematics = tilted(sign * tilt)
         parameters = six_parameter_to_hayati(standard, kinematics, table)
-        points, directions = joint_axes(kinematics)
+        axes = frames.frames_at_zero(kinematics)
+        points, directions = axes[:, :3, 3], axes[:, :3, 2]
         # from axis 1's normal to axis 3's, along axis 2
         travelled = normal_foot(points, directions, 1, 2) - normal_foot(points, directions, 1, 0)
         np.testing.assert_allclose(parameters[d2], travelled @ directions[1], rtol=1e-9)

@@ -10,8 +10,7 @@ import pytest
 from lite6jax.arms.arm import JOINT_TERMS, Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.arms.files import read_arm
-from lite6jax.arms.forms import convert_file, export_arm, left_out_of
+from lite6jax.arms.files import convert_file, left_out_of, read_arm, write_arm
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics
@@ -120,7 +119,7 @@ def test_an_arm_is_what_mujoco_compiles(tmp_path):
 @pytest.mark.parametrize("name", bundled_arms())
 def test_bundled_arms_survive_the_round_trip(name, tmp_path):
     arm = load_bundled(name)
-    back = read_arm(export_arm(arm, tmp_path / "arm.xml"))
+    back = read_arm(write_mjcf(arm, tmp_path / "arm.xml"))
     assert back.name == name
     np.testing.assert_array_equal(back.joint_limits, arm.joint_limits)
     for field in ("links", "T_joint_flange", "mass", "center_of_mass", "inertia"):
@@ -132,13 +131,13 @@ def test_convert_writes_mjcf_and_says_what_it_leaves_out(tmp_path):
     done = convert_file("lite6", tmp_path / "arm.xml")
     assert (done.form, done.left_out) == ("mjcf", ("the published DH table",))
     assert done.difference < 1e-14
-    rotors = export_arm(random_arm(np.random.default_rng(0), 2), tmp_path / "arm.yaml")
+    rotors = write_arm(random_arm(np.random.default_rng(0), 2), tmp_path / "arm.yaml")
     assert convert_file(rotors, tmp_path / "arm.urdf").left_out == ("rotor inertia",)
     assert convert_file(rotors, tmp_path / "again.xml").left_out == ()
     drives = ["viscous friction", "Coulomb friction", "rotor inertia"]
     assert left_out_of(read_arm(rotors), "vendor") == ["joint limits, masses and inertia", *drives]
     with pytest.raises(InputError, match="the form table holds a chain only; write description, urdf, mjcf"):
-        export_arm(load_bundled("lite6"), tmp_path / "arm.json")
+        convert_file(load_bundled("lite6"), tmp_path / "arm.json")
 
 
 def test_missing_meshes_do_not_matter_where_inertia_is_given(tmp_path):
@@ -167,12 +166,12 @@ ARM = f'<body name="a">{HINGE}{INERTIAL}'
         (f"{ARM}</body>".replace('mass="2"', 'mass="nan"'), None, "has a number that is not finite; correct it"),
         (f"{ARM}</body>".replace("0.05 ", "0.5 "), None, "MuJoCo refuses it (inertia must satisfy A + B >= C"),
         (f"{ARM}</body>", "hand", "has no body 'hand'; the bodies are world, a"),
-        (f'{ARM}</body><body name="b"/>', "b", "no joint moves between the base and 'b'; name another --base"),
+        (f'{ARM}</body><body name="b"/>', "b", "no joint moves between 'world' and 'b'; name another --base"),
         ('<body name="a"/>', None, "no joint moves below 'world'; name another --base"),
         (
             f'{ARM}<site name="s"/><body name="x"/><body name="y" pos="1 0 0"/></body>',
             None,
-            "the chain could end at x, y, s; name one with --tip x, or as arm.xml#x where a file is named",
+            "the chain could end at x (1 joint), y (1 joint), s; name one with --tip x, or as arm.xml#x where",
         ),
     ],
 )

@@ -14,8 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
-from lite6jax.arms.urdf import read_urdf, write_urdf
-from lite6jax.arms.urdf_edit import write_into_urdf
+from lite6jax.arms.urdf import read_urdf, write_into_urdf, write_urdf
 from lite6jax.cli import main
 from lite6jax.errors import InputError, InputWarning
 from tests.oracles.chains import six_parameter_poses

@@ -9,8 +9,7 @@ from arms.test_urdf import heavy, joint, link, write
 
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.arms.urdf import read_urdf
-from lite6jax.arms.urdf_edit import write_into_urdf
+from lite6jax.arms.urdf import read_urdf, write_into_urdf
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose

@@ -1,7 +1,8 @@
-"""The JSON table of DH parameters, read and written without rounding errors.
+"""DH parameters: six-parameter chains as Hayati chains and back, in closed form, and the table of the latter.
 
-The numbers of the table are decimal and those of the program binary. Both conversions, by 1000 and by pi / 180, are
-done on decimals and rounded once, so that reading a table returns the floats that were written.
+The conversion takes the joints' axes as lines. It involves no fit, so that it is an independent check of the fit. The
+numbers of a table are decimal and those of the program binary: both conversions, by 1000 and by pi / 180, are done on
+decimals and rounded once, so that reading a table returns the floats that were written.
 """
 
 import json
@@ -18,10 +19,172 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import checksum, storage
-from lite6jax.arms import convert, entries, frames
-from lite6jax.arms.chains import BASE, PARALLEL_WITHIN, HayatiForm, hayati_form_of
+from lite6jax.arms import entries, frames
+from lite6jax.arms.chains import BASE, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.schema import RepeatedKeyError, unique_keys
+
+Array = NDArray[np.floating]
+Irregular = list[tuple[NDArray[np.bool_], str]]
+
+_UPRIGHT = np.cos(np.deg2rad(85.0))
+_PARALLEL = np.sin(np.deg2rad(30.0))
+"""Sine of the angle of two axes beyond which they are not parallel, whatever a form says."""
+_TIE = -1e-12
+"""Of the cosine of a deviation of 90°: of two opposite directions that one is kept which the formula gives."""
+
+
+def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: ArrayLike | None = None) -> np.ndarray:
+    """The Hayati parameters of a six-parameter chain.
+
+    Each DH row has two solutions, for the two directions of the common normal. The result is the one closest to
+    `nominal`, or without it the one with theta_off within ±90°. Parameters of arms are comparable with the same
+    `nominal` only.
+
+    Args:
+        form: the Hayati form.
+        kinematics: `(joint, 6)`, or many arms `(arm, joint, 6)`; m and rad.
+        nominal: `(size,)`, the parameters that determine the branch.
+
+    Returns:
+        `(size,)` or `(arm, size)`, in the order of `form.names`.
+
+    Raises:
+        InputError: joint 1 is revolute and its axis at right angles to the base's axis `form.first_axis`; axes that are
+            parallel in the form are not in the chain, or the reverse; or parallel axes coincide.
+    """
+    kinematics = np.asarray(kinematics, float)
+    if kinematics.shape[-2:] != (form.dof, 6):
+        raise InputError(f"kinematics of shape {kinematics.shape}: this form takes ({form.dof}, 6)")
+    if not np.isfinite(kinematics).all():
+        raise InputError("kinematics: every number must be finite")
+    parameters, irregular = closed_form(form, kinematics.reshape(-1, form.dof, 6), nominal)
+    for wrong, message in irregular:
+        if wrong.any():
+            raise InputError(("" if kinematics.ndim == 2 else f"kinematics[{np.argmax(wrong)}]: ") + message)
+    return parameters.reshape(*kinematics.shape[:-2], form.size)
+
+
+@np.errstate(all="ignore")  # of what is irregular
+def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None = None) -> tuple[Array, Irregular]:
+    """Parameters `(arm, size)` of chains `(arm, joint, 6)`, closest to `nominal` `(size,)`.
+
+    The DH frame moves from joint to joint along the common normal, or where axes are parallel within its x-y plane.
+
+    Returns:
+        the parameters, meaningless where a chain is irregular; and `(arm,)` which are, with why, for each way to be.
+    """
+    near_base, near = (np.zeros(6), np.zeros((form.dof, 6))) if nominal is None else form.spread(nominal)
+    joints = frames.frames_at_zero(kinematics)
+    base, irregular = _base(form, joints[:, 0], near_base[BASE.index("yaw")])
+    H = frames.transform_from_row(base[:, [BASE.index(name) for name in entries.SIX]]) @ form.T_axes
+    links = np.zeros((len(kinematics), form.dof, len(LINK)))
+    for i, guess in enumerate(near):
+        last, parallel, names = i == form.dof - 1, i in form.parallel, form.of_link(i)
+        to_joint = joints[:, i if last else i + 1]
+        offset = to_joint[:, :3, 3] - H[:, :3, 3]
+        x, u, p = (np.einsum("aji,aj->ia", H[:, :3, :3], v) for v in (to_joint[:, :3, 0], to_joint[:, :3, 2], offset))
+        foot = p - p[2] / u[2] * u  # where the next axis meets this frame's x-y plane
+        if last:
+            theta = _nearest(np.arctan2(x[1], x[0]), guess[0])
+        elif not parallel:
+            theta = _turned(np.arctan2(u[0], -u[1]), guess[0])
+        else:
+            theta = _turned(np.arctan2(foot[1], foot[0]), guess[0]) if "theta_off" in names else np.zeros_like(p[0])
+        c, s = np.cos(theta), np.sin(theta)
+        # in the frame turned by theta u is (sin β, −sin α cos β, cos α cos β); β is zero where axes are not parallel
+        across, sine = c * u[0] + s * u[1], s * u[0] - c * u[1]
+        at = foot if parallel else p
+        opposite = nominal is None and parallel and not last
+        found = {
+            "theta_off": theta,
+            "d": p[2] if last else p[2] + u[2] * (c * p[1] - s * p[0]) / sine,
+            "a": c * at[0] + s * at[1],
+            "b": c * at[1] - s * at[0],
+            "alpha": _nearest(np.arctan2(sine, u[2]), np.where(u[2] < 0, np.pi, 0.0) if opposite else guess[4]),
+            "beta": np.arctan2(across, np.hypot(sine, u[2])),
+        }
+        if last and "b" not in names:
+            names = ("theta_off", "d")  # a frame about the same axis
+        for name in names:
+            links[:, i, LINK.index(name)] = found[name]
+        if not last:
+            irregular += _irregular_pair(form, i, np.hypot(u[0], u[1]), np.hypot(foot[0], foot[1]))
+        along, beyond = _link_transforms(links[:, i])
+        H = H @ along @ beyond
+    return form.gather(base, links), irregular
+
+
+def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> Irregular:
+    """Of the axes of joints i and i + 1: the sine of their angle, and the distance of the second where parallel."""
+    pair = f"joints {i + 1} and {i + 2}: their axes"
+    if i not in form.parallel:
+        return [(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")]
+    found: Irregular = [
+        (sine > _PARALLEL, f"{pair} are not parallel as this form expects; check the arm's model"),
+    ]
+    if "theta_off" in form.of_link(i):
+        message = f"{pair} coincide, so the two joints are indistinguishable; remove one"
+        found.append((distance < 1e-4, message))
+    return found
+
+
+def _base(form: HayatiForm, joint: Array, near_yaw: float) -> tuple[Array, Irregular]:
+    """The bases `(arm, 6)`, `BASE`, that lead to frames of joint 1 `(arm, 4, 4)`."""
+    names, k, u = form.of_link(-1), form.first_axis, joint[:, :3, 2].T
+    found: dict[str, Array] = {}
+    irregular: Irregular = []
+    if 0 not in form.sliding:
+        message = f"joint 1: its axis is at right angles to the base's {'xyz'[k]}, along which this form draws it;"
+        irregular.append((np.abs(u[k]) < _UPRIGHT, f"{message} check the arm's model"))
+        found |= zip("xyz", joint[:, :3, 3].T - joint[:, k, 3] / u[k] * u, strict=True)
+    if 0 in form.sliding and "yaw" in names:  # Rz(yaw) Rx(roll) takes z to u
+        yaw = _turned(np.arctan2(u[0], -u[1]), near_yaw)
+        found |= {"yaw": yaw, "roll": np.arctan2(np.sin(yaw) * u[0] - np.cos(yaw) * u[1], u[2])}
+    elif k == 0:  # Rz(yaw) Ry(pitch) takes x to u
+        found |= {"yaw": np.arctan2(u[1], u[0]), "pitch": -np.arcsin(u[2])}
+    elif k == 1:  # Rz(yaw) Rx(roll) takes y to u
+        found |= {"yaw": np.arctan2(-u[0], u[1]), "roll": np.arcsin(u[2])}
+    else:  # Ry(pitch) Rx(roll) takes z to u
+        found |= {"pitch": np.arctan2(u[0], u[2]), "roll": -np.arcsin(u[1])}
+    nothing = np.zeros(len(joint))
+    return np.stack([found[name] if name in names else nothing for name in BASE], 1), irregular
+
+
+def _turned(angle: Array, near: Array | float) -> Array:
+    """The angle of a line's direction or of its opposite, by whole turns, whichever is nearest to `near`."""
+    return _nearest(np.where(np.cos(angle - near) < _TIE, angle + np.pi, angle), near)
+
+
+def _nearest(angle: Array, near: Array | float) -> Array:
+    return angle + 2 * np.pi * np.round((near - angle) / (2 * np.pi))
+
+
+def _link_transforms(links: Array) -> tuple[Array, Array]:
+    """Of links `(..., 6)`, `LINK`: Rz(theta_off) Tz(d), and Tx(a) Ty(b) Rx(alpha) Ry(beta), `(..., 4, 4)` each."""
+    theta, d, a, b, alpha, beta = np.moveaxis(links, -1, 0)
+    o = np.zeros_like(theta)
+    rows = [(o, o, d, o, o, theta), (a, b, o, alpha, o, o), (o, o, o, o, beta, o)]
+    along, across, tilt = frames.transform_from_row(np.stack([np.stack(row, -1) for row in rows]))
+    return along, across @ tilt
+
+
+def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """The six-parameter chain of Hayati parameters, exactly.
+
+    Args:
+        form: the Hayati form.
+        parameters: `(size,)` m and rad, in the order of `form.names`.
+
+    Returns:
+        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha, or a and b: a
+        six-parameter chain ends at the last joint and does not contain them.
+    """
+    base, links = form.spread(parameters)
+    along, beyond = _link_transforms(links)
+    before = frames.transform_from_row(base[[BASE.index(name) for name in entries.SIX]]) @ form.T_axes
+    return frames.row_from_transform(np.concatenate([[before], beyond[:-1]]) @ along), beyond[-1]
+
 
 UNITS = "mm and deg"
 _MILLIMETRES, _METRES = ("mm", "millimetres", "millimeters"), ("m", "metres", "meters")
@@ -97,49 +260,43 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit", checksum.KEY)
     entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
-    read = _Units.of(content["units"], f"{path}: units")
-    rows = content["dh"]
+    read, rows = _Units.of(content["units"], f"{path}: units"), content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
     said = entries.convention(content.get("convention"), f"{path}: convention")
     if betas and said == entries.MODIFIED:
         raise InputError(f"{path}: {next(iter(betas))} is of standard DH, and convention says modified; keep one")
     sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == PRISMATIC)
-    base, first = _base(content, path, 0 in sliding, read)
-    links = np.array([
-        _dh_row(row, f"{path}: dh row {i + 1}", i + 1, bool(sliding), read) for i, row in enumerate(rows)
-    ])  # fmt: skip
+    base, first = _table_base(content, path, 0 in sliding, read)
+    links = np.array([_table_row(row, f"{path}: dh row {i}", i, bool(sliding), read) for i, row in enumerate(rows, 1)])
     for key, joint in betas.items():
         if joint >= len(rows):
-            given = f"{len(rows)} row{'s' * (len(rows) != 1)}"
             raise InputError(
-                f"{path}: {key} is for a joint that no other follows: dh has {given}; give one row per joint, or"
-                " remove it"
+                f"{path}: {key} is for a joint that no other follows: dh has {len(rows)} row{'s' * (len(rows) != 1)};"
+                " give one row per joint, or remove it"
             )
         if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
-    parallel = tuple(sorted(joint - 1 for joint in betas.values()))
-    links[list(parallel), 5] = [
-        read.angle(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel
-    ]
-    if (said or convention) == entries.MODIFIED:
-        form, parameters = _of_modified(base, links, sliding, path)
-    else:
-        if 0 in sliding and np.cos(base[5]) * np.cos(base[4]) > np.cos(PARALLEL_WITHIN):
-            parallel = (-1, *parallel)
-        form = HayatiForm(len(rows), parallel, sliding, first)
-        try:
+        links[joint - 1, 5] = read.angle(content[key], f"{path}: {key}")
+    try:
+        if (said or convention) == entries.MODIFIED:
+            form, parameters = _modified_table(base, links, sliding)
+        else:
+            parallel = sorted(joint - 1 for joint in betas.values())
+            if 0 in sliding and np.cos(base[5]) * np.cos(base[4]) > np.cos(PARALLEL_WITHIN):
+                parallel.insert(0, -1)
+            form = HayatiForm(len(rows), tuple(parallel), sliding, first)
             parameters = form.gather(base, links)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
     checksum.verify(content, path)
     sure = betas or sliding or checksum.KEY in content  # what only the standard form has, and what was written here
     return HayatiTable(form, np.asarray(parameters, np.float64), said or (entries.STANDARD if sure else None))
 
 
-def _base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Units") -> tuple[list[float], int]:
-    """`chains.BASE`, and the axis of the base along which joint 1's is drawn; `slides` says whether it is prismatic."""
+def _table_base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Units") -> tuple[list[float], int]:
+    """`BASE`, and the axis of the base along which joint 1's is drawn; `slides` says whether it is prismatic."""
     base = entries.mapping(content.get("base", dict.fromkeys(entries.SIX, Decimal(0))), f"{path}: base", entries.SIX)
     axis = content.get("first_axis", "z")
     if axis not in ("x", "y", "z") or (slides and axis != "z"):
@@ -156,21 +313,15 @@ def _base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Un
     return [values[key] for key in BASE], first
 
 
-def _of_modified(
-    base: list[float], links: NDArray[np.float64], sliding: tuple[int, ...], path: str | Path
-) -> tuple[HayatiForm, NDArray[np.float64]]:
+def _modified_table(base: list[float], links: Array, sliding: tuple[int, ...]) -> tuple[HayatiForm, Array]:
     """A table of modified DH in Hayati's form."""
     if sliding:
-        raise InputError(f"{path}: modified DH with a prismatic joint; write the arm as a description or URDF")
+        raise InputError("modified DH with a prismatic joint; write the arm as a description or URDF")
     chain, _ = frames.links_from_dh(links[:, [0, 1, 2, 4]], entries.MODIFIED)
-    given = dict(zip(BASE, base, strict=True))
-    chain[0] = frames.transform_from_row([given[key] for key in entries.SIX]) @ chain[0]
-    kinematics = np.array([frames.row_from_transform(link) for link in chain])
+    chain[0] = frames.transform_from_row([base[BASE.index(key)] for key in entries.SIX]) @ chain[0]
+    kinematics = frames.row_from_transform(chain)
     form = hayati_form_of(kinematics)
-    try:
-        return form, convert.six_parameter_to_hayati(form, kinematics)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return form, six_parameter_to_hayati(form, kinematics)
 
 
 def is_table(content: Any) -> bool:
@@ -201,28 +352,26 @@ def write_table(
     if values.shape != (form.size,) or not np.isfinite(values).all():
         raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
     (x, y, z, yaw, pitch, roll), links = form.spread(values)
-    rows = [
-        f'    {{"joint": {i + 1}, {kind}"theta_off": {degrees(theta)}, "d": {millimetres(d)}, "a": {millimetres(a)},'
-        f'{across} "alpha": {degrees(alpha)}}}'
-        for i, (theta, d, a, b, alpha, _) in enumerate(links)
-        for kind in (f'"type": "{PRISMATIC}", ' if i in form.sliding else "",)
-        for across in (f' "b": {millimetres(b)},' if form.sliding else "",)
-    ]
-    lines = [
-        "{",
-        f'  "units": "{UNITS}",',
-        *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}",']),
+    rows = []
+    for i, (theta, d, a, b, alpha, _) in enumerate(links):
+        kind = f'"type": "{PRISMATIC}", ' if i in form.sliding else ""
+        across = f' "b": {millimetres(b)},' if form.sliding else ""
+        rows.append(
+            f'    {{"joint": {i + 1}, {kind}"theta_off": {degrees(theta)}, "d": {millimetres(d)},'
+            f' "a": {millimetres(a)},{across} "alpha": {degrees(alpha)}}}'
+        )
+    parts = [
+        f'  "units": "{UNITS}"',
+        *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}"']),
         f'  "base": {{"x": {millimetres(x)}, "y": {millimetres(y)}, "z": {millimetres(z)},'
-        f' "roll": {degrees(roll)}, "pitch": {degrees(pitch)}, "yaw": {degrees(yaw)}}},',
-        '  "dh": [',
-        ",\n".join(rows),
-        "  ]" + "".join(f',\n  "beta_joint{i + 1}": {degrees(links[i, 5])}' for i in form.parallel if i >= 0),
+        f' "roll": {degrees(roll)}, "pitch": {degrees(pitch)}, "yaw": {degrees(yaw)}}}',
+        '  "dh": [\n' + ",\n".join(rows) + "\n  ]",
+        *(f'  "beta_joint{i + 1}": {degrees(links[i, 5])}' for i in form.parallel if i >= 0),
+        *([] if fit is None else [f'  "fit": {json.dumps(dict(fit), allow_nan=False)}']),
     ]
-    if fit is not None:
-        lines[-1] += f',\n  "fit": {json.dumps(dict(fit), allow_nan=False)}'
-    content = _parse("\n".join([*lines, "}"]), path)
-    lines[-1] += f',\n  "{checksum.KEY}": "{checksum.checksum_of(content)}"'
-    return storage.write_atomically(path, "\n".join([*lines, "}"]) + "\n", overwrite)
+    content = _parse("{" + ",".join(parts) + "}", path)
+    parts.append(f'  "{checksum.KEY}": "{checksum.checksum_of(content)}"')
+    return storage.write_atomically(path, "{\n" + ",\n".join(parts) + "\n}\n", overwrite)
 
 
 def millimetres(length: float) -> str:
@@ -264,8 +413,8 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     return content
 
 
-def _dh_row(value: Any, where: str, joint: int, slides: bool, read: "_Units") -> list[float]:
-    """`chains.LINK`, beta zero; `slides` says whether the chain has a prismatic joint."""
+def _table_row(value: Any, where: str, joint: int, slides: bool, read: "_Units") -> list[float]:
+    """`LINK`, beta zero; `slides` says whether the chain has a prismatic joint."""
     optional = ("type", "b") if slides else ("type",)
     row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"), optional)
     if (kind := row.get("type", entries.TYPES[0])) not in entries.TYPES:
