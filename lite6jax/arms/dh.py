@@ -9,7 +9,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
@@ -187,21 +187,25 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
 
 
 UNITS = "mm and deg"
-_MILLIMETRES, _METRES = ("mm", "millimetres", "millimeters"), ("m", "metres", "meters")
-_DEGREES, _RADIANS = ("deg", "degrees", "°"), ("rad", "radians")
-PRISMATIC = entries.TYPES[1]
 SIZE_LIMIT = 1 << 20
-
 FIT = ("result", "quality", "checked_position_rms_m")
 """Of the fit that a table is from: how it ended, whether it describes its data, its error on data not fitted."""
 LENGTH_LIMIT = 1e4
 """m; beyond the common normal of any axes whose angle is known: what counts is where they lead the flange."""
 ANGLE_LIMIT = 4 * math.pi
 """rad; no table counts more turns than two."""
-
+_PRISMATIC = entries.TYPES[1]
+_LENGTHS = ("x", "y", "z", "d", "a", "b")
+_UNITS = (
+    {"mm": ("mm", "millimetres", "millimeters"), "m": ("m", "metres", "meters")},
+    {"deg": ("deg", "degrees", "°"), "rad": ("rad", "radians")},
+)
+"""Words for the units of lengths and of angles."""
 _EXACT = Context(prec=60)
 _DEGREE = _EXACT.divide(Decimal("3.14159265358979323846264338327950288419716939937510582097494459"), Decimal(180))
 _BETA = re.compile(r"beta_joint([1-9][0-9]?)")
+_Read = Callable[[str, Any, str], float]
+"""The number of a key, in m or rad, of a value at a place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,26 +224,19 @@ class HayatiTable:
 
 
 def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
-    """A table of the form
+    """A table of DH parameters, in JSON or in YAML with the same keys.
 
     ```json
-    {"units": "mm and deg",
-     "convention": "standard",
+    {"units": "mm and deg", "convention": "standard",
      "base": {"x": 0.0, "y": 0.0, "z": 0.0, "roll": 0.0, "pitch": 0.0, "yaw": 0.0},
      "dh": [{"joint": 1, "theta_off": 0.0, "d": 243.3, "a": 0.0, "alpha": -90.0}],
      "beta_joint2": 0.0}
     ```
 
-    with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
-    next (Hayati's form, with d zero); `units` are mm or m and deg or rad. With `"convention": "modified"` the rows are
-    Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d) with the alpha and a before the joint, and there is no beta; the
-    result is the same chain in Hayati's form. YAML with the same keys is read too.
-
-    Of the base, all zero where not given, the shift along z and yaw are zero, because d and theta_off of joint 1
-    represent them; with `"first_axis": "y"` those along and about y, as `HayatiForm` has it. A row with
-    `"type": "prismatic"` is of a prismatic joint; then rows have `b` where `HayatiForm` has, and the base's yaw is not
-    zero where such a joint is the first. A table that is from a fit may have `fit` with the keys `FIT`, and one that
-    was written here has a `checksum`.
+    `units` are mm or m, and deg or rad. `dh` has one row per joint, and `beta_jointK` is of a joint that is nominally
+    parallel to the next, whose d is zero. With `"convention": "modified"` the rows are Craig's, and there is no beta.
+    Of the base, zero where not given, nothing is along and about `first_axis`, z where not given. A row of a prismatic
+    joint has `"type": "prismatic"`, and rows then have `b`. A table of a fit may have `fit` with the keys `FIT`.
 
     Args:
         path: the file.
@@ -260,13 +257,13 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit", checksum.KEY)
     entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
-    read, rows = _Units.of(content["units"], f"{path}: units"), content["dh"]
+    read, rows = _reader(content["units"], f"{path}: units"), content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
     said = entries.convention(content.get("convention"), f"{path}: convention")
     if betas and said == entries.MODIFIED:
         raise InputError(f"{path}: {next(iter(betas))} is of standard DH, and convention says modified; keep one")
-    sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == PRISMATIC)
+    sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == _PRISMATIC)
     base, first = _table_base(content, path, 0 in sliding, read)
     links = np.array([_table_row(row, f"{path}: dh row {i}", i, bool(sliding), read) for i, row in enumerate(rows, 1)])
     for key, joint in betas.items():
@@ -277,7 +274,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
             )
         if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
-        links[joint - 1, 5] = read.angle(content[key], f"{path}: {key}")
+        links[joint - 1, 5] = read(key, content[key], str(path))
     try:
         if (said or convention) == entries.MODIFIED:
             form, parameters = _modified_table(base, links, sliding)
@@ -295,7 +292,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     return HayatiTable(form, np.asarray(parameters, np.float64), said or (entries.STANDARD if sure else None))
 
 
-def _table_base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Units") -> tuple[list[float], int]:
+def _table_base(content: Mapping[str, Any], path: str | Path, slides: bool, read: _Read) -> tuple[list[float], int]:
     """`BASE`, and the axis of the base along which joint 1's is drawn; `slides` says whether it is prismatic."""
     base = entries.mapping(content.get("base", dict.fromkeys(entries.SIX, Decimal(0))), f"{path}: base", entries.SIX)
     axis = content.get("first_axis", "z")
@@ -309,8 +306,7 @@ def _table_base(content: Mapping[str, Any], path: str | Path, slides: bool, read
             raise InputError(
                 f"{path}: base: {key} is not zero, which this form has no place for; add it to {instead} of joint 1"
             )
-    values = {key: (read.length if key in "xyz" else read.angle)(base[key], f"{path}: base: {key}") for key in BASE}
-    return [values[key] for key in BASE], first
+    return [read(key, base[key], f"{path}: base") for key in BASE], first
 
 
 def _modified_table(base: list[float], links: Array, sliding: tuple[int, ...]) -> tuple[HayatiForm, Array]:
@@ -351,22 +347,21 @@ def write_table(
     values = np.asarray(parameters, np.float64)
     if values.shape != (form.size,) or not np.isfinite(values).all():
         raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
-    (x, y, z, yaw, pitch, roll), links = form.spread(values)
+    base, links = form.spread(values)
+    shown = [name for name in LINK[:-1] if form.sliding or name != "b"]
     rows = []
-    for i, (theta, d, a, b, alpha, _) in enumerate(links):
-        kind = f'"type": "{PRISMATIC}", ' if i in form.sliding else ""
-        across = f' "b": {millimetres(b)},' if form.sliding else ""
-        rows.append(
-            f'    {{"joint": {i + 1}, {kind}"theta_off": {degrees(theta)}, "d": {millimetres(d)},'
-            f' "a": {millimetres(a)},{across} "alpha": {degrees(alpha)}}}'
-        )
+    for i, link in enumerate(links):
+        kind = f'"type": "{_PRISMATIC}", ' if i in form.sliding else ""
+        numbers = _written({name: link[LINK.index(name)] for name in shown})
+        rows.append(f'    {{"joint": {i + 1}, {kind}{numbers}}}')
+    by_name = {name: base[BASE.index(name)] for name in entries.SIX}
+    betas = {f"beta_joint{i + 1}": links[i, 5] for i in form.parallel if i >= 0}
     parts = [
         f'  "units": "{UNITS}"',
         *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}"']),
-        f'  "base": {{"x": {millimetres(x)}, "y": {millimetres(y)}, "z": {millimetres(z)},'
-        f' "roll": {degrees(roll)}, "pitch": {degrees(pitch)}, "yaw": {degrees(yaw)}}}',
+        f'  "base": {{{_written(by_name)}}}',
         '  "dh": [\n' + ",\n".join(rows) + "\n  ]",
-        *(f'  "beta_joint{i + 1}": {degrees(links[i, 5])}' for i in form.parallel if i >= 0),
+        *(f"  {_written({name: beta})}" for name, beta in betas.items()),
         *([] if fit is None else [f'  "fit": {json.dumps(dict(fit), allow_nan=False)}']),
     ]
     content = _parse("{" + ",".join(parts) + "}", path)
@@ -374,17 +369,23 @@ def write_table(
     return storage.write_atomically(path, "{\n" + ",\n".join(parts) + "\n}\n", overwrite)
 
 
-def millimetres(length: float) -> str:
-    """The decimal of a length in mm that is read as exactly this float of metres."""
-    return _plain(Decimal(repr(float(length))).scaleb(3, _EXACT))
+def _written(numbers: Mapping[str, float]) -> str:
+    """Entries of JSON, in mm and degrees, that are read as exactly these floats of m and rad."""
+    return ", ".join(
+        f'"{name}": {_plain(_millimetres(value) if name in _LENGTHS else _degrees(value))}'
+        for name, value in numbers.items()
+    )
 
 
-def degrees(angle: float) -> str:
-    """The shortest decimal of an angle in degrees that is read as exactly this float of radians."""
-    angle = float(angle)
-    exact = _EXACT.divide(Decimal(angle), _DEGREE)
-    candidates = (_plain(Context(prec=digits).create_decimal(exact)) for digits in range(15, 40))
-    return next(text for text in candidates if float(_EXACT.multiply(Decimal(text), _DEGREE)) == angle)
+def _millimetres(length: float) -> Decimal:
+    return Decimal(repr(float(length))).scaleb(3, _EXACT)
+
+
+def _degrees(angle: float) -> Decimal:
+    """The shortest decimal that is read as this float of radians."""
+    exact = _EXACT.divide(Decimal(float(angle)), _DEGREE)
+    candidates = (Context(prec=digits).create_decimal(exact) for digits in range(15, 40))
+    return next(each for each in candidates if float(_EXACT.multiply(each, _DEGREE)) == angle)
 
 
 def _plain(value: Decimal) -> str:
@@ -413,7 +414,7 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     return content
 
 
-def _table_row(value: Any, where: str, joint: int, slides: bool, read: "_Units") -> list[float]:
+def _table_row(value: Any, where: str, joint: int, slides: bool, read: _Read) -> list[float]:
     """`LINK`, beta zero; `slides` says whether the chain has a prismatic joint."""
     optional = ("type", "b") if slides else ("type",)
     row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"), optional)
@@ -421,14 +422,7 @@ def _table_row(value: Any, where: str, joint: int, slides: bool, read: "_Units")
         raise InputError(f"{where}: type is {str(kind)[:40]!r}; write {' or '.join(entries.TYPES)}")
     if _decimal(row["joint"], f"{where}: joint") != joint:
         raise InputError(f"{where}: is for joint {row['joint']}; list the joints in order, 1, 2, …")
-    return [
-        read.angle(row["theta_off"], f"{where}: theta_off"),
-        read.length(row["d"], f"{where}: d"),
-        read.length(row["a"], f"{where}: a"),
-        read.length(row.get("b", Decimal(0)), f"{where}: b"),
-        read.angle(row["alpha"], f"{where}: alpha"),
-        0.0,
-    ]
+    return [*(read(key, row.get(key, Decimal(0)), where) for key in LINK[:-1]), 0.0]
 
 
 def _decimal(value: Any, where: str) -> Decimal:
@@ -441,37 +435,27 @@ def _decimal(value: Any, where: str) -> Decimal:
     return value
 
 
-@dataclass(frozen=True)
-class _Units:
-    """How the numbers of a table are read."""
+def _reader(units: Any, where: str) -> _Read:
+    """How the numbers of a table are read, by words such as `mm and deg`, `mm,deg` or `m, rad`."""
+    words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", units.strip().lower()) if isinstance(units, str) else []
+    lengths, angles = ([unit for word in words for unit, of in _UNITS[kind].items() if word in of] for kind in (0, 1))
+    if (len(words), len(lengths), len(angles)) != (2, 1, 1):
+        raise InputError(f"{where} is {str(units)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")
+    millimetres, degrees = lengths == ["mm"], angles == ["deg"]
 
-    millimetres: bool
-    degrees: bool
-
-    @classmethod
-    def of(cls, said: Any, where: str) -> "_Units":
-        """By words such as `mm and deg`, `mm,deg` or `m, rad`."""
-        words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", said.strip().lower()) if isinstance(said, str) else []
-        lengths = [word for word in words if word in (*_MILLIMETRES, *_METRES)]
-        angles = [word for word in words if word in (*_DEGREES, *_RADIANS)]
-        if (len(words), len(lengths), len(angles)) != (2, 1, 1):
-            raise InputError(f"{where} is {str(said)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")
-        return cls(lengths[0] in _MILLIMETRES, angles[0] in _DEGREES)
-
-    def length(self, value: Any, where: str) -> float:
-        """m."""
-        length = float(_decimal(value, where).scaleb(-3 if self.millimetres else 0, _EXACT))
-        if abs(length) > LENGTH_LIMIT:
-            raise InputError(f"{where} is {length:.6g} m, longer than any arm's link; correct it")
-        return length
-
-    def angle(self, value: Any, where: str) -> float:
-        """rad."""
-        given = _decimal(value, where)
-        angle = float(_EXACT.multiply(given, _DEGREE) if self.degrees else given)
+    def read(key: str, value: Any, where: str) -> float:
+        given, place = _decimal(value, f"{where}: {key}"), f"{where}: {key}"
+        if key in _LENGTHS:
+            length = float(given.scaleb(-3 if millimetres else 0, _EXACT))
+            if abs(length) > LENGTH_LIMIT:
+                raise InputError(f"{place} is {length:.6g} m, longer than any arm's link; correct it")
+            return length
+        angle = float(_EXACT.multiply(given, _DEGREE) if degrees else given)
         if abs(angle) > ANGLE_LIMIT:
-            raise InputError(f"{where} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
+            raise InputError(f"{place} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
         return angle
+
+    return read
 
 
 def _check_fit(value: Any, where: str) -> None:

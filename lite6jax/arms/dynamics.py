@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import inertia, se3
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.moves import joint_turn
+from lite6jax.arms.se3 import joint_turn
 from lite6jax.errors import InputError
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")

@@ -12,8 +12,8 @@ from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.description import arm_from_description, read_description, write_arm
-from lite6jax.arms.dh import HayatiTable, is_table, read_table, write_table
+from lite6jax.arms.description import arm_from_description, write_arm
+from lite6jax.arms.dh import is_table, write_table
 from lite6jax.arms.factory import (
     DEVIATIONS,
     FactoryCalibration,
@@ -26,22 +26,6 @@ from lite6jax.arms.factory import (
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
 from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, read_urdf, write_into_urdf, write_urdf
 from lite6jax.errors import InputError
-
-__all__ = [
-    "FactoryCalibration",
-    "HayatiTable",
-    "read_arm",
-    "read_description",
-    "read_factory",
-    "read_mjcf",
-    "read_table",
-    "read_urdf",
-    "write_arm",
-    "write_factory",
-    "write_mjcf",
-    "write_table",
-    "write_urdf",
-]
 
 FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description"]
 
@@ -152,6 +136,7 @@ def convert_file(
     nominal: Arm | None = None,
     overwrite: bool = False,
     left_out: tuple[str, ...] = (),
+    into: str | Path | None = None,
 ) -> Conversion:
     """Writes an arm, or what a file in any form holds of one, in another form, and reads it back.
 
@@ -160,22 +145,34 @@ def convert_file(
         target: the file to write.
         form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
             the description of any other arm.
-        nominal: the nominal arm of a calibration; None for the recognised one. By its axes a table is parameterised:
-            the chain of an arm alone has a form of chains only beside it.
+        nominal: the nominal arm of a calibration, by whose axes a table is parameterised; None for the recognised one,
+            or for that of `into`. Without one an arm cannot be written in a form of its chain alone.
         overwrite: whether the target may be replaced.
         left_out: what the arm itself has no place for, a phrase each.
+        into: a URDF with the names, meshes and limits of what is written, as `write_into_urdf` has it; its chain is
+            named as in `read_arm`. What follows its last joint stays where the source is an arm.
 
     Raises:
         InputError: as the readers and writers; a suffix of another form; a flange that the form cannot represent.
     """
     target = Path(target)
     calibrated = not isinstance(source, Arm) and is_calibration(source)
-    form = form or form_of(target, calibrated)
+    if into is not None and target.suffix.lower() not in SUFFIXES["urdf"]:
+        raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
+    form = "urdf" if into is not None else form or form_of(target, calibrated)
     if target.suffix.lower() not in SUFFIXES[form]:
         raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
     storage.check_writable(target, overwrite)
+    if into is not None and calibrated:
+        nominal = nominal or read_arm(into)
     arm, reference = (source, nominal) if isinstance(source, Arm) else _read(source, nominal, calibrated)
     name = arm.name if isinstance(source, Arm) else source
+    if into is not None:
+        file, *chain = base_and_tip(str(into))
+        further = write_into_urdf(arm, file, target, *chain, overwrite, with_flange=not isinstance(source, Arm))
+        again = read_urdf(target, *chain)
+        written = replace(arm, T_joint_flange=again.T_joint_flange) if isinstance(source, Arm) else arm
+        return Conversion(target, form, arm, (*left_out, *further), _distance(written, again))
     if form in WHOLE_ARM:
         WHOLE_ARM[form](arm, target, overwrite)
         again = read_arm(target)
@@ -195,42 +192,6 @@ def convert_file(
         again = calibrated_arm(read_factory(target, reference))
     phrases = (*left_out, *left_out_of(arm, form, calibrated))
     return Conversion(target, form, arm, phrases, _distance(arm, again))
-
-
-def export_into(
-    arm: Arm | str | Path,
-    robot: str | Path,
-    target: str | Path,
-    overwrite: bool = False,
-    left_out: tuple[str, ...] = (),
-    with_flange: bool = True,
-    nominal: Arm | None = None,
-) -> Conversion:
-    """As `write_into_urdf`, read back.
-
-    Args:
-        arm: what it does not know stays as the file has it; or the file that it is read from.
-        robot: an existing URDF; `robot.urdf#tool0` names the tip link where it has several, `robot.urdf#torso:tool0`
-            the base link too.
-        target: the file to write.
-        overwrite: whether the target may be replaced.
-        left_out: what the arm itself has no place for, a phrase each.
-        with_flange: whether what follows the last joint changes.
-        nominal: the nominal arm of a calibration; None for that of `robot`.
-
-    Raises:
-        InputError: as `write_into_urdf` and the readers; a target of another suffix.
-    """
-    if Path(target).suffix.lower() not in SUFFIXES["urdf"]:
-        raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
-    file, base, tip = base_and_tip(str(robot))
-    if not isinstance(arm, Arm):
-        calibrated = is_calibration(arm)
-        arm, _ = _read(arm, (nominal or read_arm(robot)) if calibrated else nominal, calibrated)
-    path, further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange)
-    again = read_urdf(path, base, tip)
-    written = arm if with_flange else replace(arm, T_joint_flange=again.T_joint_flange)
-    return Conversion(path, "urdf", arm, (*left_out, *further), _distance(written, again))
 
 
 def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:

@@ -23,13 +23,9 @@ IDENTITY = np.eye(4)
 _LONGEST_FINGER = 4
 """Joints: longer branches are arms."""
 _SHOWN = 6
-_JAW_JOINT = re.compile(
-    r"^(?!.*(?:roll|yaw|pitch|rotat|wrist|arm|base)).*(?:grip|jaw|finger|claw|pinch)", re.IGNORECASE
-)
-_JAW_LINK = re.compile(r"jaw|finger|claw", re.IGNORECASE)
-_TOOL = re.compile(
-    r"(?:^|[_\W])(?:tool\d?|tcp|eef?|end_?effector|tip|flange|gripper_frame|grasp)(?:$|[_\W])", re.IGNORECASE
-)
+_JAW_JOINT = re.compile(r"^(?!.*(?:roll|yaw|pitch|rotat|wrist|arm|base)).*(?:grip|jaw|finger|claw|pinch)", re.I)
+_JAW_LINK = re.compile(r"jaw|finger|claw", re.I)
+_TOOL = re.compile(r"(?:^|[_\W])(?:tool\d?|tcp|eef?|end_?effector|tip|flange|gripper_frame|grasp)(?:$|[_\W])", re.I)
 """Names of what a gripper moves, of its joints, and of frames of the tool."""
 
 
@@ -59,7 +55,7 @@ class Joint:
 
 
 class Tree(NamedTuple):
-    """The chain chosen in a tree.
+    """A tree, and the chain chosen in it.
 
     Attributes:
         joints: all joints, in the order of the file.
@@ -78,7 +74,7 @@ class Tree(NamedTuple):
     @property
     def moving(self) -> list[Joint]:
         """The joints of the chain that are not fixed."""
-        return [joint for joint in self.chain if joint.kind != "fixed"]
+        return _moving(self.chain)
 
 
 def find_chain(
@@ -88,7 +84,7 @@ def find_chain(
     base: str | None,
     tip: str | None,
     what: tuple[str, str] = ("link", "links"),
-    frames_beside: tuple[str, ...] = (),
+    beside: tuple[str, ...] = (),
 ) -> Tree:
     """The chain from `base` to `tip` of a tree; None for the only root or the only end.
 
@@ -96,10 +92,9 @@ def find_chain(
         path: the file, for messages.
         joints: all of them, each with another child.
         links: what the file says of each link, by name.
-        base: the name of a link, or None.
-        tip: likewise.
+        base, tip: the names of links, or None.
         what: one link in the words of the file, and several.
-        frames_beside: further names that a tip may have.
+        beside: further names that a tip may have.
 
     Raises:
         InputError: no such link, no joint that moves, several roots or ends.
@@ -117,13 +112,12 @@ def find_chain(
             found = ", ".join(roots) or "none: the joints form a loop"
             raise InputError(f"{path}: has not one root {what[0]} ({found}); name one with --base")
         base = roots[0]
-    named = tip is not None
-    end = tip if tip is not None else _only_end(path, base, links, above, frames_beside)
+    end = _only_end(path, base, links, above, beside) if tip is None else tip
     chain = _path(base, end, above)
     if chain is None:
         raise InputError(f"{path}: {end!r} is not below {base!r}; name another --base or --tip")
     tree = Tree(joints, links, base, end, chain)
-    if not named and (remark := _jaw(path, tree)):
+    if tip is None and (remark := _jaw(path, tree)):
         warnings.warn(remark, InputWarning, stacklevel=4)
     return tree
 
@@ -139,68 +133,72 @@ def _path(base: str, tip: str, above: Mapping[str, Joint]) -> list[Joint] | None
     return found[::-1]
 
 
+def _moving(chain: list[Joint]) -> list[Joint]:
+    return [joint for joint in chain if joint.kind != "fixed"]
+
+
 def _only_end(
     path: str | Path, base: str, links: Mapping[str, Any], above: Mapping[str, Joint], beside: tuple[str, ...]
 ) -> str:
     parents = {joint.parent for joint in above.values()}
     chains = {leaf: _path(base, leaf, above) or [] for leaf in links if leaf not in parents}
-    moving = {leaf: [joint.name for joint in chain if joint.kind != "fixed"] for leaf, chain in chains.items()}
+    moving = {leaf: [joint.name for joint in _moving(chain)] for leaf, chain in chains.items()}
     longest = max(moving.values(), key=len, default=[])
     if not longest:
         raise InputError(f"{path}: no joint moves below {base!r}; name another --base")
     # A branch without a moving joint (a sensor's frame, a mesh) is no candidate, unless the chain ends there.
     candidates = [leaf for leaf, names in moving.items() if names == longest or names != longest[: len(names)]]
-    poses = [_fixed_tail(chains[leaf]) for leaf in candidates]
+    tails = []
+    for leaf in candidates:
+        tail = IDENTITY
+        for joint in chains[leaf]:
+            tail = tail @ frames.transform_from_row(joint.row) if joint.kind == "fixed" else IDENTITY
+        tails.append(tail)
     same_chain = all(moving[leaf] == longest for leaf in candidates)
-    if same_chain and all(np.allclose(pose, poses[0], rtol=0, atol=1e-12) for pose in poses):
+    if same_chain and np.allclose(tails, tails[0], rtol=0, atol=1e-12):
         return candidates[0]
-    raise InputError(f"{path}: {_ends(path, base, {leaf: chains[leaf] for leaf in candidates}, above, beside)}")
-
-
-def _fixed_tail(chain: list[Joint]) -> Array:
-    T = IDENTITY
-    for joint in chain:
-        T = T @ frames.transform_from_row(joint.row) if joint.kind == "fixed" else IDENTITY
-    return T
+    chains = {leaf: _moving(chains[leaf]) for leaf in candidates}
+    raise InputError(f"{path}: {_ends(Path(path).name, base, chains, above, beside)}")
 
 
 def _ends(
-    path: str | Path,
-    base: str,
-    chains: Mapping[str, list[Joint]],
-    above: Mapping[str, Joint],
-    beside: tuple[str, ...],
+    file: str, base: str, chains: Mapping[str, list[Joint]], above: Mapping[str, Joint], beside: tuple[str, ...]
 ) -> str:
-    """Where the chain could end, and what to write for the likeliest: an arm before its gripper, or the longest."""
-    moving = {leaf: [joint for joint in chain if joint.kind != "fixed"] for leaf, chain in chains.items()}
+    """Where the chain could end, and what to write for the likeliest: an arm before its gripper, or the longest.
+
+    Args:
+        file: the name of the file.
+        base: the link at which chains begin.
+        chains: of each link that could be the end, the joints that move.
+        above: of each link the joint that moves it.
+        beside: further names.
+    """
     # for each joint, "" for the base, the joints that move next, and how many move from each of them on
     onwards: dict[str, dict[str, int]] = {}
-    for joints in moving.values():
+    for joints in chains.values():
         for i, joint in enumerate(joints):
             following = onwards.setdefault(joints[i - 1].name if i else "", {})
             following[joint.name] = max(following.get(joint.name, 0), len(joints) - i)
     hands: dict[str, int] = {}
-    for joints in moving.values():
+    for joints in chains.values():
         for i, joint in enumerate(joints[1:], 1):
             fingers = onwards[joints[i - 1].name].values()
             if len(fingers) > 1 and max(fingers) <= min(_LONGEST_FINGER, i - 1):
                 hands.setdefault(joint.parent, i)
-    ends = {leaf: len(joints) for leaf, joints in moving.items()}
+    ends = {leaf: len(joints) for leaf, joints in chains.items()}
     last = max(ends, key=lambda leaf: ends[leaf])
-    best = next((joint.parent for joint in chains[last] if joint.parent in hands), last)
+    best = next((joint.parent for joint in _path(base, last, above) or [] if joint.parent in hands), last)
     order = {best: (hands | ends)[best]} | hands | ends
     listed = [f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN]]
-    file = Path(path).name
     text = (
         f"the chain could end at {', '.join([*listed, *beside])}; name one with --tip {best}, or as {file}#{best}"
         " where a file is named"
     )
-    chain = [joint for joint in _path(base, best, above) or [] if joint.kind != "fixed"]
+    chain = _moving(_path(base, best, above) or [])
     starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
     if not starts:
         return text
-    without = ", ".join(joint.name for joint in chain[: starts[-1]])
-    start = chain[starts[-1]].parent
+    without, start = ", ".join(joint.name for joint in chain[: starts[-1]]), chain[starts[-1]].parent
     return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
 
 
@@ -211,8 +209,7 @@ def _jaw(path: str | Path, tree: Tree) -> str:
     while arm and (arm[-1].refused or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
         arm.pop()
     named = len(arm) < len(moving)
-    if not named:
-        arm.pop()
+    arm = arm if named else arm[:-1]
     if not arm:
         return ""
     first = moving[len(arm)]
@@ -268,7 +265,7 @@ def arm_of_chain(
 
     Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
     `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every position of
-    a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia; links on
+    a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia. Links on
     moving joints beside the chain are omitted. Inertia that is zero throughout is unknown.
 
     Args:
@@ -285,7 +282,7 @@ def arm_of_chain(
     Warns:
         InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
     """
-    rows, moving, before = [], [], IDENTITY
+    rows, moving, before = [], tree.moving, IDENTITY
     for place, joint in enumerate(tree.chain):
         T = frames.transform_from_row(joint.row)
         if joint.kind == "fixed":
@@ -296,9 +293,8 @@ def arm_of_chain(
         R = axis_frame(joint.axis)
         exact = np.array_equal(before, IDENTITY) and np.array_equal(R, IDENTITY)
         rows.append(joint.row if exact else frames.row_from_transform(before @ T @ R))
-        moving.append(joint)
         before = R.T
-    if not moving:
+    if not rows:
         raise InputError(f"{path}: no joint moves between {tree.base!r} and {tree.tip!r}; name another --base or --tip")
     fields = _inertial(path, tree, body_of) | dict(drives)
     try:
@@ -319,17 +315,13 @@ def arm_of_chain(
 
 def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     """What to write for the longer chain beside the joint at a place of this one."""
-    before, after = (
-        [joint for joint in part if joint.kind != "fixed"] for part in (tree.chain[:place], tree.chain[place + 1 :])
-    )
-    joint, file = tree.chain[place], Path(path).name
+    joint, before, after = tree.chain[place], _moving(tree.chain[:place]), _moving(tree.chain[place + 1 :])
+    option, chain = f"--tip {joint.parent}", joint.parent
     if len(after) > len(before) or not before:
-        return (
-            f"name a chain without it with --base {joint.child}, or as {file}#{joint.child}:{tree.tip} where a file is"
-            " named"
-        )
-    base = f"{tree.base}:" if tree.base in {each.child for each in tree.joints} else ""
-    return f"name a chain without it with --tip {joint.parent}, or as {file}#{base}{joint.parent} where a file is named"
+        option, chain = f"--base {joint.child}", f"{joint.child}:{tree.tip}"
+    elif tree.base in {each.child for each in tree.joints}:
+        chain = f"{tree.base}:{joint.parent}"
+    return f"name a chain without it with {option}, or as {Path(path).name}#{chain} where a file is named"
 
 
 def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], inertia.Body | None]) -> dict[str, Array]:

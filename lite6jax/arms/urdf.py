@@ -293,24 +293,23 @@ def write_into_urdf(
     tip: str | None = None,
     overwrite: bool = False,
     with_flange: bool = True,
-) -> tuple[Path, tuple[str, ...]]:
+) -> list[str]:
     """Writes a URDF in which the joints of a chain have the origins, inertia and drives of an arm.
 
-    Names, axes, limits with efforts and velocities, meshes, other chains and comments stay. What follows the last joint
-    changes in the last fixed joint. Where the arm has inertia, that of each link contains the links fixed to it, whose
-    own is removed.
+    Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
+    does not know. What follows the last joint changes in the last fixed joint. Where the arm has inertia, that of each
+    link contains the links fixed to it, whose own is removed.
 
     Args:
-        arm: the arm; what it does not know stays as the file has it.
+        arm: the arm.
         robot: the file to read.
         path: the file to write.
-        base: the link whose frame is the base; None for the root.
-        tip: the link whose frame is the flange; None for the end of the only chain.
+        base, tip: as of `read_urdf`.
         overwrite: whether the target may be replaced.
         with_flange: whether what follows the last joint changes.
 
     Returns:
-        the path, and what the file has no place for, a phrase each.
+        what the file has no place for, a phrase each.
 
     Raises:
         InputError: as `read_urdf`; another number of joints; joint frames that stand elsewhere by design, to which the
@@ -357,7 +356,8 @@ def write_into_urdf(
                 _set_body(tree.links[joint.child], inertia.moved(body, axis_frame(joint.axis)))
     left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
-    return _write(root, path, overwrite), tuple(left_out)
+    _write(root, path, overwrite)
+    return left_out
 
 
 def _same_bodies(arm: Arm, old: Arm) -> bool:

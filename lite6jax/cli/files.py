@@ -63,7 +63,7 @@ class Convert:
         check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
-        from lite6jax.arms.files import convert_file, export_into, with_chain
+        from lite6jax.arms.files import convert_file, with_chain
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
@@ -73,10 +73,7 @@ class Convert:
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             arm, left_out, nominal = self._diagnosed(source, nominal)
-        if self.into is not None:
-            done = export_into(arm or source, self.into, self.target, self.force, left_out, arm is None, nominal)
-        else:
-            done = convert_file(arm or source, self.target, self.to, nominal, self.force, left_out)
+        done = convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
             from lite6jax.report import documents
 

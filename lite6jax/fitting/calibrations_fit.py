@@ -9,10 +9,9 @@ from jax import Array
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, joint_motion
+from lite6jax.arms.chains import SixParameterForm, joint_motion, six_parameter_fk
 from lite6jax.arms.dh import closed_form
-from lite6jax.arms.forward_kinematics import six_parameter_fk
-from lite6jax.arms.moves import Frame
+from lite6jax.arms.se3 import Frame
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.residual import predict_frames

@@ -11,17 +11,11 @@ from hypothesis import strategies as st
 
 from lite6jax.arms.arm import JOINT_TERMS, Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.files import (
-    read_arm,
-    read_description,
-    read_factory,
-    read_table,
-    write_arm,
-    write_factory,
-    write_table,
-)
-from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
+from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
+from lite6jax.arms.description import read_description, write_arm
+from lite6jax.arms.dh import read_table, write_table
+from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, InputWarning
 from tests.oracles.arms import random_kinematics
 

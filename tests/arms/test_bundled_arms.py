@@ -8,7 +8,7 @@ import yaml
 
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
-from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
+from lite6jax.arms.chains import hayati_fk, six_parameter_fk
 from lite6jax.arms.urdf import write_urdf
 from lite6jax.errors import InputError
 from tests.oracles.arms import LITE6_TABLE

@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import HayatiForm, hayati_form_of
+from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, six_parameter_fk
 from lite6jax.arms.dh import hayati_to_six_parameter, six_parameter_to_hayati
-from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
 from lite6jax.errors import InputError
 from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses

@@ -13,8 +13,8 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.dh import six_parameter_to_hayati
-from lite6jax.arms.files import read_arm, read_factory, read_table, read_urdf, write_arm, write_table, write_urdf
+from lite6jax.arms.dh import read_table, six_parameter_to_hayati, write_table
+from lite6jax.arms.files import read_arm, read_factory, read_urdf, write_arm, write_urdf
 from lite6jax.errors import InputError, InputWarning
 from tests.arms.test_urdf import joint, link, write
 from tests.oracles.arms import perturbed

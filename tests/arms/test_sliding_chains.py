@@ -9,22 +9,27 @@ import pinocchio as pin
 import pytest
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import BASE, HayatiForm, SixParameterForm, hayati_form_of, joint_motion
+from lite6jax.arms.chains import (
+    BASE,
+    HayatiForm,
+    SixParameterForm,
+    hayati_fk,
+    hayati_form_of,
+    joint_motion,
+    six_parameter_fk,
+)
 from lite6jax.arms.description import read_description
-from lite6jax.arms.dh import hayati_to_six_parameter, six_parameter_to_hayati
+from lite6jax.arms.dh import hayati_to_six_parameter, read_table, six_parameter_to_hayati
 from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters, regressor
 from lite6jax.arms.files import (
     convert_file,
-    export_into,
     read_arm,
     read_mjcf,
-    read_table,
     read_urdf,
     write_arm,
     write_mjcf,
     write_urdf,
 )
-from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import Observations, identification_jacobian, residuals

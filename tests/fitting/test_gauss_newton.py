@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.fitting.residual import (
     Observations,
     Robust,
