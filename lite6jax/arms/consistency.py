@@ -15,13 +15,11 @@ from scipy.linalg import block_diag
 
 from lite6jax.arms import inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import BaseParameters, link_parameters
+from lite6jax.arms.dynamics import BaseParameters
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
-GYRATION = 0.05
-"""m; the radius of gyration that a reference link has about every axis where the arm does not say its inertia."""
 THIN = 1e-6
 """Of the largest: what the eigenvalues of a reference link's pseudo-inertia have at least, a point mass included."""
 NEAR = 1e-4
@@ -57,7 +55,7 @@ def consistent_links(
     Args:
         base: of the arm's chain.
         values: (base,) the base parameters.
-        reference: (joint, 10) inertial parameters of links that are bodies, such as `reference_links(arm)`.
+        reference: (joint, 10) inertial parameters of links that are bodies, such as `bodies_near` gives.
         covariance: (base, base) of `values`, positive definite; None for one in which every combination is determined
             equally well, relative to what the reference links make of it.
 
@@ -72,7 +70,7 @@ def consistent_links(
             f" with {base.size} base parameters; give ({base.size},) and ({joints}, 10)"
         )
     if not is_consistent(reference):
-        raise InputError("the reference links are no bodies; give such as reference_links(arm)")
+        raise InputError("the reference links are no bodies; give such as bodies_near gives")
     # in coordinates in which every reference link's pseudo-inertia is the identity
     roots = np.linalg.cholesky(pseudo_inertia(reference))
     to_parameters: Array = _block_diagonal([_parameters_of(root @ _SYMMETRIC @ root.T).T for root in roots])
@@ -99,20 +97,6 @@ def consistent_links(
     change = base.values(parameters) - values
     chi_square = 0.0 if exact else float(np.sum((whitened @ change) ** 2))
     return ConsistentLinks(parameters, exact, change, chi_square)
-
-
-def reference_links(arm: Arm) -> Array:
-    """(joint, 10) inertial parameters of links as the arm declares them, made bodies where it says too little.
-
-    A link without an inertia tensor has the radius of gyration `GYRATION`; without masses each is a kilogram at
-    its joint.
-    """
-    if arm.mass is None or arm.center_of_mass is None:
-        arm = replace(arm, mass=np.ones(arm.dof), center_of_mass=np.zeros((arm.dof, 3)))
-    if arm.inertia is None:
-        mass = np.asarray(arm.mass)
-        arm = replace(arm, inertia=(mass * GYRATION**2)[:, None, None] * np.eye(3))
-    return bodies_near(link_parameters(arm))
 
 
 def bodies_near(parameters: ArrayLike) -> Array:

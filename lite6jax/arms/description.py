@@ -49,22 +49,15 @@ def read_description(path: str | Path) -> Arm:
                spring: {stiffness_Nm_per_rad: 2.0, rest_rad: 0.0}}
     dh:
       joint1: {theta_off_rad: 0.0, d_m: 0.2433, a_m: 0.0, alpha_rad: 0.0}  # the published table, if any
-    flange: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0}  # after the last joint
+    flange: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0}  # after the last joint, or three rows of four
     source: where the numbers are from
     ```
 
-    `name` and `kinematics` are required; where `kinematics` is not given, the chain is that of `dh`, standard or with
-    `convention: modified` Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d).
-
-    A joint with `type: prismatic` beside its x … yaw moves along its z; the limits are then `joint_limits`, in m for
-    prismatic joints and rad for others, and in `dynamics` its keys are `viscous_N_s_per_m`, `coulomb_N`,
-    `rotor_mass_kg`, `stiffness_N_per_m` and `rest_m`, the rotor's mass being its inertia times the square of its turns
-    per metre, rad²/m².
-
-    A link's centre of mass is in the frame after its joint's motion; its inertia (ixx iyy izz ixy ixz iyz, the products
-    with the tensor's sign) is about the centre of mass in that frame's axes, and given for all links or none. Friction,
-    rotor inertia, reflected to the joint, and springs are zero where only another joint has them. `flange` may also be
-    three rows of four numbers.
+    `name` and `kinematics` are required. Without `kinematics` the chain is that of `dh`, with `convention: modified` in
+    Craig's convention. A joint with `type: prismatic` moves along its z: limits are then `joint_limits`, and its keys
+    have the units of `joint_unit`. A link's centre of mass is in the frame after its joint's motion. Its inertia (ixx
+    iyy izz ixy ixz iyz) is about the centre of mass in that frame's axes, and given for all links or none. Friction,
+    rotor inertia and springs are zero where only another joint has them.
 
     Raises:
         InputError: as `storage.read_yaml`; a key missing or unknown, a value that is not a number, degrees for radians,

@@ -30,8 +30,6 @@ PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 # Of a link, what is kept before what is grouped with it: mz, Iyy and m are then grouped with parameters of the same
 # link and of the previous one, as by Gautier and Khalil.
 _PREFERENCE = [PARAMETERS.index(name) for name in ("Izz", "Ixx", "Ixy", "Ixz", "Iyz", "mx", "my", "mz", "Iyy", "m")]
-_LENGTHS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-"""The power of m in each parameter's unit, kg m^power."""
 
 INDEPENDENT = 1e-7
 """Of the longest column's norm: what a column must leave after the projection on those before it. A first axis that
@@ -308,35 +306,9 @@ class BaseParameters:
         """The number of base parameters: 36 for six joints in general, 43 for seven."""
         return len(self.independent)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Each combination, such as `Ixx2 − Iyy2 + 0.04 m² m3`: the parameter's name with the link's number."""
-        return tuple(self._name(row, int(own)) for row, own in zip(self.grouping, self.independent, strict=True))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """`kg`, `kg m` or `kg m²` of each."""
-        return tuple(("kg", "kg m", "kg m²")[_LENGTHS[own % 10]] for own in self.independent)
-
     def values(self, parameters: npt.ArrayLike) -> NDArray[np.floating]:
         """(base,) the combinations' values for links' parameters (joint, 10)."""
         return self.grouping @ np.asarray(parameters, float).ravel()
-
-    def _name(self, row: NDArray[np.floating], own: int) -> str:
-        name = parameter_name(own)
-        for place in np.flatnonzero(row):
-            if place == own:
-                continue
-            power = _LENGTHS[own % 10] - _LENGTHS[place % 10]
-            size = f"{abs(row[place]):.4g}" + {0: "", 1: " m", 2: " m²", -1: " /m", -2: " /m²"}[int(power)]
-            factor = "" if size == "1" else f"{size} "
-            name += f" {'+' if row[place] > 0 else '−'} {factor}{parameter_name(int(place))}"
-        return name
-
-
-def parameter_name(place: int) -> str:
-    """The name of one inertial parameter in `link_parameters(arm).ravel()`, such as `Ixx2` for link 2."""
-    return f"{PARAMETERS[place % 10]}{place // 10 + 1}"
 
 
 def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> BaseParameters:

@@ -130,10 +130,9 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
             else "the point that was measured (what follows the last joint stays as it is)"
         )
     limits = model.joint_limits if nominal is None else nominal.joint_limits
-    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=_rigid(tip), sliding=model.sliding)
+    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=tip, sliding=model.sliding)
     if alone and nominal is not None and nominal.dof == arm.dof:
-        bodies = {field: getattr(nominal, field) for field in ("mass", "center_of_mass", "inertia")}
-        arm = replace(arm, **bodies)
+        arm = replace(arm, mass=nominal.mass, center_of_mass=nominal.center_of_mass, inertia=nominal.inertia)
     return arm, tuple(left_out)
 
 
@@ -142,13 +141,6 @@ def _displaced(twist: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
     return T
-
-
-def _rigid(T: Array) -> Array:
-    """A transform with an exact last row."""
-    out = np.array(T, float)
-    out[3] = [0.0, 0.0, 0.0, 1.0]
-    return out
 
 
 def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
