@@ -214,7 +214,9 @@ class Arm:
         """
         published = None
         if self.dh is not None and not self.dh[list(self.form.parallel), 1].any():
-            published = self.form.pack(np.zeros(4), self.dh, np.zeros(len(self.form.parallel)))
+            links = np.zeros((self.dof, len(chains.LINK)))
+            links[:, chains.DH_COLUMNS] = self.dh
+            published = self.form.pack(np.zeros(len(chains.BASE)), links)
             if self._dh_distance <= _DH_EXACT:
                 return published
         return six_parameter_to_hayati(self.form, self.kinematics, published)

@@ -210,10 +210,8 @@ class HayatiForm:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
-        return tuple(
-            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "base_z", "d", "a", "b") else "rad"
-            for name in self.names
-        )
+        lengths = ("x", "y", "z", "d", "a", "b")
+        return tuple("m" if n.removeprefix("base_").rstrip("0123456789") in lengths else "rad" for n in self.names)
 
     @cached_property
     def walking_order(self) -> np.ndarray:
@@ -282,40 +280,7 @@ class HayatiForm:
         d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, frame.y, 0.0))
         return frame, (about_z, d_or_beta, along_x, about_x)
 
-    def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
-        """Parameters `(size,)` from the base `(4,)`, DH table `(joint, 4)` and one beta per parallel joint.
-
-        The base is in the order of `names`: x, y, roll, pitch where joint 1's axis is along z.
-
-        Raises:
-            InputError: a wrong shape, a non-zero d at a parallel joint, or a form with prismatic joints.
-        """
-        self._require_table()
-        base, dh, beta = np.asarray(base, float), np.asarray(dh, float), np.asarray(beta, float)
-        if base.shape != (4,) or dh.shape != (self.dof, 4) or beta.shape != (len(self.parallel),):
-            raise InputError(
-                f"base {base.shape}, dh {dh.shape}, beta {beta.shape}: "
-                f"this form takes (4,), ({self.dof}, 4) and ({len(self.parallel)},)"
-            )
-        for i in self.parallel:
-            if dh[i, 1] != 0:
-                raise InputError(f"joint {i + 1}: d must be 0 there (it has beta instead), not {dh[i, 1]}")
-        return np.concatenate([base, dh[self._in_table], beta])
-
-    def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse of `pack`."""
-        self._require_table()
-        base, table, beta = np.split(self._checked(parameters), [4, self.size - len(self.parallel)])
-        dh = np.zeros((self.dof, 4))
-        dh[self._in_table] = table
-        return base, dh, beta
-
-    @property
-    def _in_table(self) -> np.ndarray:
-        """`(joint, 4)`, which numbers of a DH table are parameters: d of a joint with beta is none."""
-        return ~(self.flags[:, None] & (np.arange(4) == 1))
-
-    def gather(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
+    def pack(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
         """Parameters `(..., size)` from those of bases `(..., 6)`, `BASE`, and of links `(..., joint, 6)`, `LINK`.
 
         Raises:
@@ -333,27 +298,22 @@ class HayatiForm:
                 raise InputError(f"{name} is {value:g}, and this form has no such parameter; its are {self.names}")
         return given[..., self._places]
 
-    def spread(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of `gather`: base `(6,)` and links `(joint, 6)`, zero where the form has no parameter."""
-        given = np.zeros(len(BASE) + self.dof * len(LINK))
-        given[self._places] = self._checked(parameters)
-        return given[: len(BASE)], given[len(BASE) :].reshape(self.dof, len(LINK))
-
-    def _checked(self, parameters: npt.ArrayLike) -> np.ndarray:
+    def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of `pack` for `(size,)`: base `(6,)` and links `(joint, 6)`, zero where there is no parameter."""
         parameters = np.asarray(parameters, float)
         if parameters.shape != (self.size,):
             raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
-        return parameters
-
-    def _require_table(self) -> None:
-        if self.sliding:
-            raise InputError("a DH table has no place for the link after a prismatic joint; use gather and spread")
+        given = np.zeros(len(BASE) + self.dof * len(LINK))
+        given[self._places] = parameters
+        return given[: len(BASE)], given[len(BASE) :].reshape(self.dof, len(LINK))
 
 
 BASE = ("x", "y", "z", "yaw", "pitch", "roll")
 """The parameters of any base, in order of application."""
 LINK = ("theta_off", "d", "a", "b", "alpha", "beta")
 """The parameters of any link, in order of application."""
+DH_COLUMNS = [0, 1, 2, 4]
+"""The columns of `LINK` that a DH table has: theta_off d a alpha."""
 
 
 def _require_joints(joints: tuple[int, ...], what: str, first: int, last: int) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import checksum, storage
 from lite6jax.arms import entries, frames
-from lite6jax.arms.chains import BASE, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
+from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.schema import RepeatedKeyError, unique_keys
 
@@ -74,7 +74,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
     Returns:
         the parameters, meaningless where a chain is irregular; and `(arm,)` which are, with why, for each way to be.
     """
-    near_base, near = (np.zeros(6), np.zeros((form.dof, 6))) if nominal is None else form.spread(nominal)
+    near_base, near = (np.zeros(6), np.zeros((form.dof, 6))) if nominal is None else form.unpack(nominal)
     joints = frames.frames_at_zero(kinematics)
     base, irregular = _base(form, joints[:, 0], near_base[BASE.index("yaw")])
     H = frames.transform_from_row(base[:, [BASE.index(name) for name in entries.SIX]]) @ form.T_axes
@@ -112,7 +112,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
             irregular += _irregular_pair(form, i, np.hypot(u[0], u[1]), np.hypot(foot[0], foot[1]))
         along, beyond = _link_transforms(links[:, i])
         H = H @ along @ beyond
-    return form.gather(base, links), irregular
+    return form.pack(base, links), irregular
 
 
 def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> Irregular:
@@ -180,7 +180,7 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
         kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha, or a and b: a
         six-parameter chain ends at the last joint and does not contain them.
     """
-    base, links = form.spread(parameters)
+    base, links = form.unpack(parameters)
     along, beyond = _link_transforms(links)
     before = frames.transform_from_row(base[[BASE.index(name) for name in entries.SIX]]) @ form.T_axes
     return frames.row_from_transform(np.concatenate([[before], beyond[:-1]]) @ along), beyond[-1]
@@ -283,7 +283,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
             if 0 in sliding and np.cos(base[5]) * np.cos(base[4]) > np.cos(PARALLEL_WITHIN):
                 parallel.insert(0, -1)
             form = HayatiForm(len(rows), tuple(parallel), sliding, first)
-            parameters = form.gather(base, links)
+            parameters = form.pack(base, links)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
@@ -313,7 +313,7 @@ def _modified_table(base: list[float], links: Array, sliding: tuple[int, ...]) -
     """A table of modified DH in Hayati's form."""
     if sliding:
         raise InputError("modified DH with a prismatic joint; write the arm as a description or URDF")
-    chain, _ = frames.links_from_dh(links[:, [0, 1, 2, 4]], entries.MODIFIED)
+    chain, _ = frames.links_from_dh(links[:, DH_COLUMNS], entries.MODIFIED)
     chain[0] = frames.transform_from_row([base[BASE.index(key)] for key in entries.SIX]) @ chain[0]
     kinematics = frames.row_from_transform(chain)
     form = hayati_form_of(kinematics)
@@ -347,7 +347,7 @@ def write_table(
     values = np.asarray(parameters, np.float64)
     if values.shape != (form.size,) or not np.isfinite(values).all():
         raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
-    base, links = form.spread(values)
+    base, links = form.unpack(values)
     shown = [name for name in LINK[:-1] if form.sliding or name != "b"]
     rows = []
     for i, link in enumerate(links):

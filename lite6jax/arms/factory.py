@@ -15,6 +15,7 @@ from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of, maker_of
+from lite6jax.arms.chains import DH_COLUMNS
 from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read_table, six_parameter_to_hayati
 from lite6jax.errors import InputError, InputWarning
 
@@ -310,8 +311,8 @@ def _published_dh(arm: Arm) -> Array | None:
         return None
     if arm.dh is not None:
         return arm.dh
-    base, dh, beta = arm.form.unpack(arm.hayati)
-    return dh if np.abs([*base, *beta]).max() < 1e-6 else None
+    base, links = arm.form.unpack(arm.hayati)
+    return links[:, DH_COLUMNS] if max(np.abs(base).max(), np.abs(links[:, 5]).max()) < 1e-6 else None
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:

@@ -34,15 +34,10 @@ UNLIMITED = 1000.0
 would take its magnitude as the limit."""
 SPRINGS_LEFT_OUT = "springs, but for Gazebo's extension <gazebo reference=…>"
 """What a URDF has no place for, of an arm with springs."""
-_DRIVES = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "friction",
-    "spring_stiffness": "spring_stiffness",
-    "spring_rest": "spring_reference",
-}
-"""The attributes of a joint's <dynamics> by the fields of `Arm`. URDF has no springs: older versions wrote them there
-too, and now they are Gazebo's extensions (`_SPRINGS`), which other programs ignore."""
-_SPRINGS = {"spring_stiffness": "springStiffness", "spring_reference": "springReference"}
+_DYNAMICS = {"viscous_friction": "damping", "coulomb_friction": "friction"}
+"""The attributes of a joint's <dynamics> by the fields of `Arm`."""
+_SPRINGS = {"spring_stiffness": "springStiffness", "spring_rest": "springReference"}
+"""URDF has no springs: the elements of Gazebo's extension of a joint, which other programs ignore."""
 _FAR = (0.02, 0.1)
 """m and rad, by which no joint of an arm deviates from its design."""
 _SAME = 1e-12
@@ -173,15 +168,15 @@ def _drives(path: str | Path, robot: ET.Element, moving: list[Joint]) -> dict[st
     said, elements = [], _joint_elements(robot)
     for joint in moving:
         entry = elements[joint.child].find("dynamics")
-        given = {} if entry is None else dict(entry.attrib)
+        given = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
         for extension in _extensions(robot, elements[joint.child]):
-            given |= {key: e.text or "" for key, tag in _SPRINGS.items() for e in extension.findall(tag)}
+            given |= {field: e.text for field, tag in _SPRINGS.items() for e in extension.findall(tag)}
         said.append(given)
     fields: dict[str, Array] = {}
-    for field, key in _DRIVES.items():
-        if any(key in given for given in said):
+    for field, key in (_DYNAMICS | _SPRINGS).items():
+        if any(given.get(field) is not None for given in said):
             where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in moving]
-            fields[field] = np.array([scalar(each.get(key) or "0", at) for each, at in zip(said, where, strict=True)])
+            fields[field] = np.array([scalar(each.get(field) or "0", at) for each, at in zip(said, where, strict=True)])
     if "spring_stiffness" in fields:
         fields.setdefault("spring_rest", np.zeros(len(moving)))
     else:
@@ -398,20 +393,17 @@ def _set_body(link: ET.Element, body: inertia.Body) -> None:
 
 def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
     """Writes friction and spring of an arm's joint `i`, from 0; what the arm does not know stays."""
-    known = {
-        key: repr(float(values[i])) for field, key in _DRIVES.items() if (values := getattr(arm, field)) is not None
-    }
-    entry = joint.find("dynamics")
-    for key, value in known.items():
-        if key not in _SPRINGS:
+    entry, own = joint.find("dynamics"), _extensions(robot, joint)
+    for field, key in (_DYNAMICS | _SPRINGS).items():
+        if (values := getattr(arm, field)) is None:
+            continue
+        value = repr(float(values[i]))
+        if field in _DYNAMICS:
             entry = ET.SubElement(joint, "dynamics") if entry is None else entry
             entry.set(key, value)
             continue
-        if entry is not None:
-            entry.attrib.pop(key, None)
-        own = _extensions(robot, joint)
-        spring = next((found for e in own if (found := e.find(_SPRINGS[key])) is not None), None)
+        spring = next((found for e in own if (found := e.find(key)) is not None), None)
         if spring is None:
-            parent = own[-1] if own else ET.SubElement(robot, "gazebo", reference=joint.get("name", ""))
-            spring = ET.SubElement(parent, _SPRINGS[key])
+            own = own or [ET.SubElement(robot, "gazebo", reference=joint.get("name", ""))]
+            spring = ET.SubElement(own[-1], key)
         spring.text = value

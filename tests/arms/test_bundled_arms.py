@@ -11,7 +11,7 @@ from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.chains import hayati_fk, six_parameter_fk
 from lite6jax.arms.urdf import write_urdf
 from lite6jax.errors import InputError
-from tests.oracles.arms import LITE6_TABLE
+from tests.oracles.arms import LITE6_TABLE, table_of_parameters
 from tests.oracles.chains import hayati_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
 
@@ -97,7 +97,7 @@ def test_hayati_nominal_is_the_same_chain_on_the_published_branch(name):
     assert arm.dh is not None
     q = joint_positions(arm)
     np.testing.assert_allclose(hayati_fk(arm.form, arm.hayati, q), six_parameter_fk(arm.kinematics, q), atol=1e-12)
-    base, dh, beta = (np.asarray(part) for part in arm.form.unpack(arm.hayati))
+    base, dh, beta = (np.asarray(part) for part in table_of_parameters(arm.form, arm.hayati))
     np.testing.assert_allclose(dh, arm.dh, atol=1e-4)
     np.testing.assert_allclose(np.concatenate([base, beta]), 0, atol=1e-4)
     if name != "lite6_ros":

@@ -12,7 +12,14 @@ from lite6jax.arms.chains import HayatiForm, SixParameterForm, fk, hayati_fk, ha
 from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm, arm_model, predict
-from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
+from tests.oracles.arms import (
+    LITE6_DH,
+    parameters_of_table,
+    perturbed,
+    random_kinematics,
+    random_positions,
+    table_of_parameters,
+)
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.pinocchio_arm import pinocchio_poses
 from tests.oracles.transforms import origin_transform, rotate, shift
@@ -41,13 +48,13 @@ def test_hayati_chain_agrees_with_the_product_of_matrices(form, seed):
     dh[list(form.parallel), 1] = 0
     betas = rng.uniform(-1, 1, len(form.parallel))
     positions = random_positions(rng, 3, form.dof)
-    poses = hayati_fk(form, form.pack(base, dh, betas), positions)
+    poses = hayati_fk(form, parameters_of_table(form, base, dh, betas), positions)
     expected = hayati_poses(base, dh, dict(zip(form.parallel, betas, strict=True)), positions)
     np.testing.assert_allclose(poses, expected, atol=5 * EXACT)
 
 
 def test_zero_pose_of_the_seed():
-    parameters = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
+    parameters = parameters_of_table(LITE6, np.zeros(4), LITE6_DH, [0.0])
     for T in (
         hayati_fk(LITE6, parameters, np.zeros(6)),
         six_parameter_fk(load_bundled("lite6").kinematics, np.zeros(6)),
@@ -99,7 +106,7 @@ def test_lite6_parameters_stand_in_the_seeds_order():
     del expected[9]
     assert LITE6.units == tuple(expected)
     # the seed's own packing: x = [base, table without d2, beta2]
-    parameters = LITE6.pack([1, 2, 3, 4], LITE6_DH, [5])
+    parameters = parameters_of_table(LITE6, [1, 2, 3, 4], LITE6_DH, [5])
     np.testing.assert_array_equal(parameters, [1, 2, 3, 4, *np.delete(LITE6_DH.ravel(), 5), 5])
 
 
@@ -115,8 +122,8 @@ def test_names_units_and_packing_of_other_arms(dof, parallel):
         *(f"d{i + 1}" for i in range(dof) if i not in parallel),
     }
     parameters = np.arange(form.size) + 1.0
-    base, dh, beta = form.unpack(parameters)
-    np.testing.assert_array_equal(form.pack(base, dh, beta), parameters)
+    base, dh, beta = table_of_parameters(form, parameters)
+    np.testing.assert_array_equal(parameters_of_table(form, base, dh, beta), parameters)
     by_name = dict(zip(form.names, parameters, strict=True))
     for i in range(dof):
         row = [
@@ -191,6 +198,7 @@ def test_joint_axes_are_the_lines_about_which_the_joints_turn(seed):
         np.testing.assert_allclose(motion[:3, :3], about, atol=EXACT)
 
 
+ABSENT = f"this form has no such parameter; its are {LITE6.names}"
 REFUSED = [
     (lambda: HayatiForm(6, (5,)), "parallel joints (5,): give each once, in order, from 0 to 4"),
     (lambda: HayatiForm(6, first_axis=3), "first_axis joints (3,): give each once, in order, from 0 to 2"),
@@ -201,19 +209,9 @@ REFUSED = [
     (lambda: HayatiForm(6, (2, 1)), "parallel joints (2, 1): give each once, in order, from 0 to 4"),
     (lambda: HayatiForm(6, (1, 1)), "parallel joints (1, 1): give each once, in order, from 0 to 4"),
     (lambda: HayatiForm(6, (-1,)), "parallel joints (-1,): give each once, in order, from 0 to 4"),
-    (
-        lambda: LITE6.pack(np.zeros(3), LITE6_DH, [0]),
-        "base (3,), dh (6, 4), beta (1,): this form takes (4,), (6, 4) and (1,)",
-    ),
-    (
-        lambda: LITE6.pack(np.zeros(4), LITE6_DH),
-        "base (4,), dh (6, 4), beta (0,): this form takes (4,), (6, 4) and (1,)",
-    ),
-    (
-        lambda: LITE6.pack(np.zeros(4), LITE6_DH + 0.5, [0]),
-        "joint 2: d must be 0 there (it has beta instead), not 0.5",
-    ),
-    (lambda: LITE6.unpack(np.zeros(27)), "parameters of shape (27,): this form takes (28,)"),
+    (lambda: LITE6.pack(np.zeros(4), np.zeros((6, 6))), "base (4,), links (6, 6): this form takes (6,) and (6, 6)"),
+    (lambda: parameters_of_table(LITE6, np.zeros(4), LITE6_DH + 0.5, [0]), f"d2 is 0.5, and {ABSENT}"),
+    (lambda: table_of_parameters(LITE6, np.zeros(27)), "parameters of shape (27,): this form takes (28,)"),
 ]
 
 
@@ -267,7 +265,7 @@ def test_the_base_leads_to_joint_1_along_any_of_its_axes(axis, seed):
         np.eye(4),
     )
     base = shift(x, y, z) @ rotate("z", yaw) @ rotate("y", pitch) @ rotate("x", roll) @ turned[axis]
-    _, dh, betas = form.unpack(parameters)
+    _, dh, betas = table_of_parameters(form, parameters)
     expected = base @ hayati_poses(np.zeros(4), dh, {1: betas[0]}, positions)
     np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=EXACT)
 
@@ -296,13 +294,14 @@ def test_ranks_at_the_nominal_lite6_are_26_28_and_30():
     # geometry keeps (the test of the gauge directions finds its 26 there, in twists)
     nominal = arm_model(kinematics.ravel())
     assert rank(sensitivity(ModelForm(SixParameterForm(6)), nominal, positions)) == 25
-    hayati = arm_model(LITE6.pack(np.zeros(4), LITE6_DH, [0]))
+    hayati = arm_model(parameters_of_table(LITE6, np.zeros(4), LITE6_DH, [0]))
     assert rank(sensitivity(ModelForm(LITE6), hayati, positions)) == 28
     assert rank(sensitivity(ModelForm(LITE6, tool=True), hayati, positions)) == 30
     assert rank(sensitivity(ModelForm(LITE6, frame=True, tool=True), hayati, positions)) == 30
     # standard DH loses one where axes are parallel: d2 and d3 do the same
     standard = HayatiForm(6)
-    assert rank(sensitivity(ModelForm(standard), arm_model(standard.pack(np.zeros(4), LITE6_DH)), positions)) == 27
+    by_table = arm_model(parameters_of_table(standard, np.zeros(4), LITE6_DH))
+    assert rank(sensitivity(ModelForm(standard), by_table, positions)) == 27
 
 
 @pytest.mark.parametrize(

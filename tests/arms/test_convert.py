@@ -9,12 +9,19 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, six_parameter_fk
 from lite6jax.arms.dh import hayati_to_six_parameter, six_parameter_to_hayati
 from lite6jax.errors import InputError
-from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
+from tests.oracles.arms import (
+    LITE6_DH,
+    parameters_of_table,
+    perturbed,
+    random_kinematics,
+    random_positions,
+    table_of_parameters,
+)
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.transforms import rotate, shift
 
 LITE6 = HayatiForm(6, (1,))
-NOMINAL = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
+NOMINAL = parameters_of_table(LITE6, np.zeros(4), LITE6_DH, [0.0])
 KINEMATICS = load_bundled("lite6").kinematics
 named = pytest.mark.parametrize("name", ["lite6", "ur10", "xarm7", "xarm5"])
 seeds = st.integers(0, 2**32 - 1)
@@ -26,7 +33,7 @@ def test_conversion_reproduces_the_chain_and_stays_by_nominal(name, seed, size):
     arm, rng = load_bundled(name), np.random.default_rng(seed)
     form = hayati_form_of(arm.kinematics)
     kinematics = perturbed(rng, arm.kinematics, size)
-    nominal = form.pack(np.zeros(4), arm.dh, np.zeros(len(form.parallel)))
+    nominal = parameters_of_table(form, np.zeros(4), arm.dh, np.zeros(len(form.parallel)))
     parameters = six_parameter_to_hayati(form, kinematics, nominal)
     positions = random_positions(rng, 8, arm.dof)
     expected = six_parameter_poses(kinematics, positions)
@@ -50,7 +57,7 @@ def test_conversion_of_any_arm(dof, seed):
     sines = np.linalg.norm(np.cross(directions[1:], directions[:-1]), axis=1)
     form = HayatiForm(dof)
     parameters = six_parameter_to_hayati(form, kinematics)
-    theta = form.unpack(parameters)[1][:-1, 0]
+    theta = table_of_parameters(form, parameters)[1][:-1, 0]
     assert np.all(np.abs(theta) <= np.pi / 2 + 1e-15)
     positions = random_positions(rng, 5, dof)
     expected = six_parameter_poses(kinematics, positions)
@@ -93,7 +100,7 @@ def test_inverse_needs_only_a_flange_transform(name, seed):
     expected = hayati_fk(form, parameters, positions)
     np.testing.assert_allclose(six_parameter_poses(kinematics, positions) @ T_joint_flange, expected, atol=1e-13)
     # the flange transform is the last joint's a and alpha
-    a, alpha = form.unpack(parameters)[1][-1, 2:]
+    a, alpha = table_of_parameters(form, parameters)[1][-1, 2:]
     np.testing.assert_allclose(T_joint_flange, shift(a, 0, 0) @ rotate("x", alpha), atol=1e-15)
     # and back: without it, the parameters come again
     without = parameters.copy()
@@ -135,7 +142,8 @@ def test_branch_follows_nominal_over_whole_turns_and_the_other_normal():
 
 def tilted(beta):
     """The nominal Lite 6 whose joint 3 is tilted against joint 2, in the plane of both."""
-    kinematics, T_joint_flange = hayati_to_six_parameter(LITE6, LITE6.pack(np.zeros(4), LITE6_DH, [beta]))
+    parameters = parameters_of_table(LITE6, np.zeros(4), LITE6_DH, [beta])
+    kinematics, T_joint_flange = hayati_to_six_parameter(LITE6, parameters)
     np.testing.assert_allclose(T_joint_flange, np.eye(4), atol=1e-15)
     return kinematics
 
@@ -150,7 +158,7 @@ def normal_foot(points, directions, i, j):
 def test_standard_dh_blows_up_at_115_m_and_changes_sign():
     standard, tilt = HayatiForm(6), np.deg2rad(0.1)
     d2, d3 = standard.names.index("d2"), standard.names.index("d3")
-    table = standard.pack(np.zeros(4), LITE6_DH)
+    table = parameters_of_table(standard, np.zeros(4), LITE6_DH)
     positions = random_positions(np.random.default_rng(1), 5, 6)
     for sign in (1, -1):
         kinematics = tilted(sign * tilt)

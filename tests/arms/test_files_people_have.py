@@ -17,7 +17,7 @@ from lite6jax.arms.dh import read_table, six_parameter_to_hayati, write_table
 from lite6jax.arms.files import read_arm, read_factory, read_urdf, write_arm, write_urdf
 from lite6jax.errors import InputError, InputWarning
 from tests.arms.test_urdf import joint, link, write
-from tests.oracles.arms import perturbed
+from tests.oracles.arms import parameters_of_table, perturbed, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import rotate, shift
 
@@ -36,7 +36,8 @@ def individual(name, seed=0):
     rows = perturbed(np.random.default_rng(seed), arm.kinematics)
     rows[0, 3:5] = 0.0  # the controller's base is on joint 1's axis
     rows[0, :2] = 0.0
-    _, dh, _ = STANDARD.unpack(six_parameter_to_hayati(STANDARD, rows, STANDARD.pack(np.zeros(4), arm.dh)))
+    nominal = parameters_of_table(STANDARD, np.zeros(4), arm.dh)
+    _, dh, _ = table_of_parameters(STANDARD, six_parameter_to_hayati(STANDARD, rows, nominal))
     assert np.abs(dh[:, 1]).max() > 5  # metres
     return arm, rows, dh
 

@@ -485,18 +485,14 @@ def test_a_written_arm_is_whole_for_gazebo_and_moveit(tmp_path):
     assert "world" not in write_urdf(chain, tmp_path / "chain.urdf").read_text()
 
 
-def test_springs_are_read_as_gazebo_and_as_older_versions_write_them(tmp_path):
-    old = '<dynamics spring_stiffness="2.5" spring_reference="0.1"/>'
-    path = write(tmp_path, *TWO, joint("j", "base", "a", extra=old))
-    new = "<gazebo reference='j'><springStiffness>2.5</springStiffness><springReference>0.1</springReference></gazebo>"
-    for file in (path, write(tmp_path, *TWO, joint("j", "base", "a"), new)):
-        arm = read_urdf(file)
-        assert (arm.spring_stiffness.tolist(), arm.spring_rest.tolist()) == ([2.5], [0.1])
-    path = write(tmp_path, *TWO, joint("j", "base", "a", extra=old))
+def test_springs_are_read_and_written_as_gazebo_has_them(tmp_path):
+    spring = "<gazebo reference='j'><springStiffness>2.5</springStiffness></gazebo>"
+    path = write(tmp_path, *TWO, joint("j", "base", "a"), spring)
+    arm = read_urdf(path)
+    assert (arm.spring_stiffness.tolist(), arm.spring_rest.tolist()) == ([2.5], [0])
     write_into_urdf(replace(arm, spring_rest=np.array([0.2])), path, tmp_path / "new.urdf")
-    again = (tmp_path / "new.urdf").read_text()
-    assert "spring_reference" not in again
-    assert read_urdf(tmp_path / "new.urdf").spring_rest.tolist() == [0.2]
-    path = write(tmp_path, *TWO, joint("j", "base", "a"), new.replace("2.5", "much"))
-    with pytest.raises(InputError, match="joint 'j': dynamics: spring_stiffness has 'much', which is not a number"):
+    again = read_urdf(tmp_path / "new.urdf")
+    assert (again.spring_stiffness.tolist(), again.spring_rest.tolist()) == ([2.5], [0.2])
+    path = write(tmp_path, *TWO, joint("j", "base", "a"), spring.replace("2.5", "much"))
+    with pytest.raises(InputError, match="joint 'j': dynamics: springStiffness has 'much', which is not a number"):
         read_urdf(path)
