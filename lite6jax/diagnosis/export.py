@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.consistency import bodies_near, consistent_links, is_consistent, with_link_parameters
-from lite6jax.arms.dynamics import base_parameters
+from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, with_link_parameters
 from lite6jax.diagnosis.document import SCHEMAS, model_from_document, parsed_document
 from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, torque_model_from_document
 from lite6jax.domains.pose.predict import DiagnosedArm
@@ -55,7 +54,7 @@ def read_diagnosed_arm(
     """The arm of a diagnosis: of poses its chain, of torques its friction, rotors, springs and links, of both all.
 
     Links are bodies: of all that have the base parameters found, those nearest to what was estimated (see
-    `arms.consistency`).
+    `arms.dynamics`).
 
     Args:
         path: what `diagnose` wrote.

@@ -11,7 +11,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm, fk, hayati_fk, hayati_form_of, six_parameter_fk
 from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.errors import InputError
-from lite6jax.model import ArmModel, ModelForm, arm_model, predict
+from lite6jax.model import ModelForm, arm_model, predict
 from tests.oracles.arms import (
     LITE6_DH,
     parameters_of_table,
@@ -354,12 +354,6 @@ def test_gauge_directions_of_the_six_parameter_chain(kinematics):
     np.testing.assert_allclose(J @ directions.T, 0, atol=1e-14)
     assert rank(J) == 26
     assert np.linalg.matrix_rank(directions) == 10
-
-
-def test_arm_model_is_a_pytree_of_three_leaves():
-    model = arm_model(np.zeros(28))
-    assert isinstance(model, ArmModel)
-    assert [leaf.shape for leaf in jax.tree.leaves(model)] == [(28,), (4, 4), (4, 4)]
 
 
 def test_chains_refuse_numbers_of_another_shape():

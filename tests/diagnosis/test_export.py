@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from domains.torque.moved import GRAVITY, motion_of, setup_of
 
-from lite6jax.arms.consistency import is_consistent
-from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters
+from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, is_consistent, link_parameters
 from lite6jax.arms.files import convert_file, read_arm
 from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
