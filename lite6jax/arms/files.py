@@ -168,9 +168,9 @@ def convert_file(
     arm, reference = (source, nominal) if isinstance(source, Arm) else _read(source, nominal, calibrated)
     name = arm.name if isinstance(source, Arm) else source
     if into is not None:
-        file, *chain = base_and_tip(str(into))
-        further = write_into_urdf(arm, file, target, *chain, overwrite, with_flange=not isinstance(source, Arm))
-        again = read_urdf(target, *chain)
+        file, base, tip = base_and_tip(str(into))
+        further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange=not isinstance(source, Arm))
+        again = read_urdf(target, base, tip)
         written = replace(arm, T_joint_flange=again.T_joint_flange) if isinstance(source, Arm) else arm
         return Conversion(target, form, arm, (*left_out, *further), _distance(written, again))
     if form in WHOLE_ARM:

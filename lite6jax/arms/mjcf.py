@@ -71,7 +71,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
         if parent != body:
             joints.append(_fixed(parent, body, T))
     sites = {model.site(s).name: s for s in range(model.nsite)}
-    if tip in sites and tip not in links:
+    if tip is not None and tip in sites and tip not in links:
         s = sites[tip]
         joints.append(_fixed(bodies[model.site_bodyid[s]], tip, _pose(model.site_pos[s], model.site_quat[s])))
         links[tip] = None
@@ -116,7 +116,7 @@ def _fixed(parent: str, child: str, T: Array) -> Joint:
     return Joint("", "fixed", parent, child, frames.row_from_transform(T), np.array([0.0, 0.0, 1.0]), (0.0, 0.0))
 
 
-def _warn_of_forces(path: str | Path, model: Any, joints: Array, bodies: list[int]) -> None:
+def _warn_of_forces(path: str | Path, model: Any, joints: NDArray[np.integer], bodies: list[int]) -> None:
     sprung = [model.joint(joint).name for joint in joints if np.any(np.ravel(model.jnt_stiffness[joint])[1:])]
     floating = [model.body(body).name for body in bodies if model.body_gravcomp[body]]
     for what, names in (
