@@ -8,6 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typed import refusal
 
 from lite6jax.arms.arm import JOINT_TERMS, Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
@@ -22,14 +23,6 @@ from tests.oracles.arms import random_kinematics
 REAL = Path(__file__).resolve().parents[2] / "../shared/real"
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-
-
-def refusal(read, *args, **kwargs):
-    """The whole line with which a call refuses."""
-    with pytest.raises(InputError) as error:
-        read(*args, **kwargs)
-    assert "\n" not in str(error.value)
-    return str(error.value)
 
 
 def vendor(rows):

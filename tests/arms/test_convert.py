@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from typed import refusal
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
@@ -228,9 +229,7 @@ REFUSED = [
 @pytest.mark.parametrize(("form", "kinematics", "message"), REFUSED)
 @pytest.mark.parametrize("nominal", [False, True])
 def test_refusals(form, kinematics, message, nominal):
-    with pytest.raises(InputError) as error:
-        six_parameter_to_hayati(form, kinematics, np.zeros(form.size) if nominal else None)
-    assert str(error.value) == message
+    assert refusal(six_parameter_to_hayati, form, kinematics, np.zeros(form.size) if nominal else None) == message
 
 
 def test_every_arm_of_many_is_examined():

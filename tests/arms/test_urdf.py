@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typed import refusal
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -157,9 +158,7 @@ def test_the_tip_can_be_named_in_the_path(tmp_path):
         f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); name one with --tip ft_frame, or as "
         "arm.urdf#ft_frame where a file is named"
     )
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value) == message
+    assert refusal(read_urdf, path) == message
     np.testing.assert_array_equal(read_arm(f"{path}#tool0").T_joint_flange, np.eye(4))
     np.testing.assert_allclose(read_arm(f"{path}#ft_frame").T_joint_flange[1, 1], -1)
 
@@ -181,12 +180,9 @@ def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
         read_urdf(path, tip="right")
     with pytest.raises(InputError, match="'hand' is not below 'left'; name another --base or --tip"):
         read_urdf(path, base="left", tip="hand")
-    with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
-        read_urdf(path, tip="nose")
-    with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
-        read_urdf(path, base="nose")
-    with pytest.raises(InputError, match="no joint moves below 'left'; name another --base"):
-        read_urdf(path, base="left")
+    assert "has no link 'nose'; the links are base, a, hand, left, right" in refusal(read_urdf, path, tip="nose")
+    assert "has no link 'nose'; the links are base, a, hand, left, right" in refusal(read_urdf, path, base="nose")
+    assert "no joint moves below 'left'; name another --base" in refusal(read_urdf, path, base="left")
     with pytest.raises(InputError, match="no joint moves between 'a' and 'a'; name another --base or --tip"):
         read_urdf(path, base="a", tip="a")
 
@@ -244,9 +240,7 @@ def tiago():
 
 def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
     path = write(tmp_path, *panda(), name="panda.urdf")
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value) == (
+    assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at panda_hand (7 joints), panda_leftfinger (8 joints), panda_rightfinger (8 "
         "joints); name one with --tip panda_hand, or as panda.urdf#panda_hand where a file is named"
     )
@@ -262,9 +256,7 @@ def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
 
 def test_a_tree_with_a_torso_names_the_arm_with_and_without_it(tmp_path):
     path = write(tmp_path, *tiago(), name="tiago.urdf")
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value) == (
+    assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at gripper_link (8 joints), wheel_left_link (1 joint), wheel_right_link (1 "
         "joint), xtion_link (3 joints), gripper_left_finger_link (9 joints), gripper_right_finger_link (9 joints); "
         "name one with --tip gripper_link, or as tiago.urdf#gripper_link where a file is named; without "
@@ -306,11 +298,9 @@ TWO = [link("base"), link("a")]
 )
 def test_refusals_name_the_place_and_the_remedy(parts, message, tmp_path):
     path = write(tmp_path, *parts)
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value).startswith(f"{path}: ")
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
+    said = refusal(read_urdf, path)
+    assert said.startswith(f"{path}: ")
+    assert message in said
 
 
 @pytest.mark.parametrize(
@@ -330,11 +320,9 @@ def test_refusals_name_the_place_and_the_remedy(parts, message, tmp_path):
 def test_not_a_urdf(text, message, tmp_path):
     path = tmp_path / "other.xacro"
     path.write_text(text)
-    with pytest.raises(InputError) as error:
-        read_arm(path)
-    assert str(error.value).startswith(f"{path}: ")
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
+    said = refusal(read_arm, path)
+    assert said.startswith(f"{path}: ")
+    assert message in said
 
 
 def test_an_expanded_xacro_may_keep_its_namespace(tmp_path):
@@ -346,17 +334,14 @@ def test_an_expanded_xacro_may_keep_its_namespace(tmp_path):
 def test_deep_nesting_and_large_files_are_refused_or_harmless(tmp_path):
     path = tmp_path / "deep.urdf"
     path.write_text("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>")
-    with pytest.raises(InputError, match="has not one root link"):
-        read_urdf(path)
+    assert "has not one root link" in refusal(read_urdf, path)
     path.write_text("<robot>" + " " * (1 << 23) + "</robot>")
-    with pytest.raises(InputError, match="larger than 8388608 bytes"):
-        read_urdf(path)
+    assert "larger than 8388608 bytes" in refusal(read_urdf, path)
 
 
 def test_an_existing_file_is_kept(tmp_path):
     path = write_urdf(load_bundled("lite6"), tmp_path / "arm.urdf")
-    with pytest.raises(InputError, match="exists already"):
-        write_urdf(load_bundled("ur5"), path)
+    assert "exists already" in refusal(write_urdf, load_bundled("ur5"), path)
     write_urdf(load_bundled("ur5"), path, overwrite=True)
     assert read_urdf(path).name == "ur5"
 
@@ -420,19 +405,15 @@ def test_an_impossible_tensor_is_left_out_with_a_warning(tmp_path):
 )
 def test_a_spoilt_inertial_names_the_link(part, message, tmp_path):
     path = write(tmp_path, link("base"), part, joint("j", "base", "a"))
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value) == f"{path}: {message}"
+    assert refusal(read_urdf, path) == f"{path}: {message}"
 
 
 def test_spoilt_friction_names_the_joint(tmp_path):
     path = write(tmp_path, *TWO, joint("j", "base", "a", extra='<dynamics damping="much"/>'))
-    with pytest.raises(InputError) as error:
-        read_urdf(path)
-    assert str(error.value) == f"{path}: joint 'j': dynamics: damping has 'much', which is not a number; correct it"
+    message = "joint 'j': dynamics: damping has 'much', which is not a number; correct it"
+    assert refusal(read_urdf, path) == f"{path}: {message}"
     path = write(tmp_path, *TWO, joint("j", "base", "a", extra='<dynamics friction="-1"/>'))
-    with pytest.raises(InputError, match="joint1's Coulomb friction is negative; correct it"):
-        read_urdf(path)
+    assert "joint1's Coulomb friction is negative; correct it" in refusal(read_urdf, path)
 
 
 def test_a_written_arm_is_whole_for_gazebo_and_moveit(tmp_path):
@@ -464,8 +445,7 @@ def test_springs_are_read_and_written_as_gazebo_has_them(tmp_path):
     again = read_urdf(tmp_path / "new.urdf")
     assert (again.spring_stiffness.tolist(), again.spring_rest.tolist()) == ([2.5], [0.2])
     path = write(tmp_path, *TWO, joint("j", "base", "a"), spring.replace("2.5", "much"))
-    with pytest.raises(InputError, match="joint 'j': dynamics: springStiffness has 'much', which is not a number"):
-        read_urdf(path)
+    assert "joint 'j': dynamics: springStiffness has 'much', which is not a number" in refusal(read_urdf, path)
 
 
 # --- an existing file with other numbers ---
