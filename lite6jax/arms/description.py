@@ -193,13 +193,13 @@ def _chain_of_table(value: Any, convention: str, where: str) -> tuple[Array, dic
     """The chain of a DH table, and the fields of `Arm` that follow from it."""
     dh = _dh(value, where, len(value) if isinstance(value, Mapping) and value else 1)
     links, after = frames.links_from_dh(dh, convention)
-    if not entries.within_reach(links):
+    if not entries.is_reachable(links):
         raise InputError(
             f"{where}: dh leads the flange farther than {entries.LENGTH_LIMIT:g} m from the base, so it seems to be in"
             " millimetres or degrees; write metres and radians"
         )
     if np.abs(links[:, :3, 3]).max() > entries.LENGTH_LIMIT:
-        links = frames.aligned(links)
+        links = frames.align_frames(links)
     fields: dict[str, Any] = {} if np.array_equal(after, np.eye(4)) else {"T_joint_flange": after}
     if convention == entries.STANDARD and not fields:
         fields["dh"] = dh
@@ -228,7 +228,7 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     joints = [f"joint{i + 1}" for i in range(arm.dof)]
     content: dict[str, Any] = {"name": arm.name} | ({"source": arm.source} if arm.source else {})
     content["kinematics"] = {
-        joint: ({"type": entries.TYPES[1]} if slides else {}) | _keyed(entries.SIX, row)
+        joint: ({"type": entries.TYPES[1]} if slides else {}) | _row_mapping(entries.SIX, row)
         for joint, slides, row in zip(joints, arm.slides, arm.kinematics, strict=True)
     }
     content["joint_limits" if arm.sliding else "joint_limits_rad"] = arm.joint_limits.tolist()
@@ -241,11 +241,11 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     drives = {joint: _drive(arm, i) for i, joint in enumerate(joints)}
     content |= {"dynamics": drives} if any(drives.values()) else {}
     if arm.dh is not None:
-        content["dh"] = {joint: _keyed(DH, row) for joint, row in zip(joints, arm.dh, strict=True)}
+        content["dh"] = {joint: _row_mapping(DH, row) for joint, row in zip(joints, arm.dh, strict=True)}
     if not np.array_equal(arm.T_joint_flange, np.eye(4)):
         row = frames.row_from_transform(arm.T_joint_flange)
         exact = np.array_equal(frames.transform_from_row(row), arm.T_joint_flange)
-        content["flange"] = _keyed(entries.SIX, row) if exact else arm.T_joint_flange[:3].tolist()
+        content["flange"] = _row_mapping(entries.SIX, row) if exact else arm.T_joint_flange[:3].tolist()
     return entries.write_yaml(content, path, overwrite, flow=None)
 
 
@@ -262,5 +262,5 @@ def _drive(arm: Arm, i: int) -> dict[str, Any]:
     return known
 
 
-def _keyed(keys: tuple[str, ...], values: Array) -> dict[str, float]:
+def _row_mapping(keys: tuple[str, ...], values: Array) -> dict[str, float]:
     return dict(zip(keys, values.tolist(), strict=True))

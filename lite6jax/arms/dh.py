@@ -86,11 +86,12 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
         x, u, p = (np.einsum("aji,aj->ia", H[:, :3, :3], v) for v in (to_joint[:, :3, 0], to_joint[:, :3, 2], offset))
         foot = p - p[2] / u[2] * u  # where the next axis meets this frame's x-y plane
         if last:
-            theta = _nearest(np.arctan2(x[1], x[0]), guess[0])
-        elif not parallel:
-            theta = _turned(np.arctan2(u[0], -u[1]), guess[0])
+            theta = _nearest_turn(np.arctan2(x[1], x[0]), guess[0])
+        elif "theta_off" in names:
+            normal = foot if parallel else (-u[1], u[0])
+            theta = _nearest_direction(np.arctan2(normal[1], normal[0]), guess[0])
         else:
-            theta = _turned(np.arctan2(foot[1], foot[0]), guess[0]) if "theta_off" in names else np.zeros_like(p[0])
+            theta = np.zeros_like(p[0])
         c, s = np.cos(theta), np.sin(theta)
         # in the frame turned by theta u is (sin β, −sin α cos β, cos α cos β); β is zero where axes are not parallel
         across, sine = c * u[0] + s * u[1], s * u[0] - c * u[1]
@@ -101,7 +102,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
             "d": p[2] if last else p[2] + u[2] * (c * p[1] - s * p[0]) / sine,
             "a": c * at[0] + s * at[1],
             "b": c * at[1] - s * at[0],
-            "alpha": _nearest(np.arctan2(sine, u[2]), np.where(u[2] < 0, np.pi, 0.0) if opposite else guess[4]),
+            "alpha": _nearest_turn(np.arctan2(sine, u[2]), np.where(u[2] < 0, np.pi, 0.0) if opposite else guess[4]),
             "beta": np.arctan2(across, np.hypot(sine, u[2])),
         }
         if last and "b" not in names:
@@ -120,9 +121,7 @@ def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> I
     pair = f"joints {i + 1} and {i + 2}: their axes"
     if i not in form.parallel:
         return [(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")]
-    found: Irregular = [
-        (sine > _PARALLEL, f"{pair} are not parallel as this form expects; check the arm's model"),
-    ]
+    found = [(sine > _PARALLEL, f"{pair} are not parallel as this form expects; check the arm's model")]
     if "theta_off" in form.of_link(i):
         message = f"{pair} coincide, so the two joints are indistinguishable; remove one"
         found.append((distance < 1e-4, message))
@@ -139,7 +138,7 @@ def _base(form: HayatiForm, joint: Array, near_yaw: float) -> tuple[Array, Irreg
         irregular.append((np.abs(u[k]) < _UPRIGHT, f"{message} check the arm's model"))
         found |= zip("xyz", joint[:, :3, 3].T - joint[:, k, 3] / u[k] * u, strict=True)
     if 0 in form.sliding and "yaw" in names:  # Rz(yaw) Rx(roll) takes z to u
-        yaw = _turned(np.arctan2(u[0], -u[1]), near_yaw)
+        yaw = _nearest_direction(np.arctan2(u[0], -u[1]), near_yaw)
         found |= {"yaw": yaw, "roll": np.arctan2(np.sin(yaw) * u[0] - np.cos(yaw) * u[1], u[2])}
     elif k == 0:  # Rz(yaw) Ry(pitch) takes x to u
         found |= {"yaw": np.arctan2(u[1], u[0]), "pitch": -np.arcsin(u[2])}
@@ -151,12 +150,12 @@ def _base(form: HayatiForm, joint: Array, near_yaw: float) -> tuple[Array, Irreg
     return np.stack([found[name] if name in names else nothing for name in BASE], 1), irregular
 
 
-def _turned(angle: Array, near: Array | float) -> Array:
+def _nearest_direction(angle: Array, near: Array | float) -> Array:
     """The angle of a line's direction or of its opposite, by whole turns, whichever is nearest to `near`."""
-    return _nearest(np.where(np.cos(angle - near) < _TIE, angle + np.pi, angle), near)
+    return _nearest_turn(np.where(np.cos(angle - near) < _TIE, angle + np.pi, angle), near)
 
 
-def _nearest(angle: Array, near: Array | float) -> Array:
+def _nearest_turn(angle: Array, near: Array | float) -> Array:
     return angle + 2 * np.pi * np.round((near - angle) / (2 * np.pi))
 
 
@@ -352,16 +351,16 @@ def write_table(
     rows = []
     for i, link in enumerate(links):
         kind = f'"type": "{_PRISMATIC}", ' if i in form.sliding else ""
-        numbers = _written({name: link[LINK.index(name)] for name in shown})
+        numbers = _json_entries({name: link[LINK.index(name)] for name in shown})
         rows.append(f'    {{"joint": {i + 1}, {kind}{numbers}}}')
     by_name = {name: base[BASE.index(name)] for name in entries.SIX}
     betas = {f"beta_joint{i + 1}": links[i, 5] for i in form.parallel if i >= 0}
     parts = [
         f'  "units": "{UNITS}"',
         *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}"']),
-        f'  "base": {{{_written(by_name)}}}',
+        f'  "base": {{{_json_entries(by_name)}}}',
         '  "dh": [\n' + ",\n".join(rows) + "\n  ]",
-        *(f"  {_written({name: beta})}" for name, beta in betas.items()),
+        *(f"  {_json_entries({name: beta})}" for name, beta in betas.items()),
         *([] if fit is None else [f'  "fit": {json.dumps(dict(fit), allow_nan=False)}']),
     ]
     content = _parse("{" + ",".join(parts) + "}", path)
@@ -369,7 +368,7 @@ def write_table(
     return storage.write_atomically(path, "{\n" + ",\n".join(parts) + "\n}\n", overwrite)
 
 
-def _written(numbers: Mapping[str, float]) -> str:
+def _json_entries(numbers: Mapping[str, float]) -> str:
     """Entries of JSON, in mm and degrees, that are read as exactly these floats of m and rad."""
     return ", ".join(
         f'"{name}": {_plain(_millimetres(value) if name in _LENGTHS else _degrees(value))}'

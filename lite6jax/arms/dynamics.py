@@ -447,7 +447,7 @@ def bodies_near(parameters: npt.ArrayLike) -> Numbers:
     return _parameters_of((vectors * np.maximum(scale, least)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
-def with_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
+def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
     """The arm with the masses, centres of mass and inertia tensors of these links, (joint, 10).
 
     Raises:

@@ -127,7 +127,7 @@ def _require_short(row: Sequence[float], where: str) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
-def within_reach(links: Array, limit: float = LENGTH_LIMIT) -> bool:
+def is_reachable(links: Array, limit: float = LENGTH_LIMIT) -> bool:
     """Whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base: single long links may cancel.
 
     They do along axes that are nearly parallel, whose common normal is far away.
@@ -188,7 +188,7 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
             raise InputError(f"{where}: {name}: type is {str(kind)[:40]!r}; write {' or '.join(TYPES)}")
         sliding += [i] if kind == TYPES[1] else []
     table = np.array(rows)
-    if np.abs(table[:, :3]).max() > LENGTH_LIMIT and not within_reach(frames.transform_from_row(table)):
+    if np.abs(table[:, :3]).max() > LENGTH_LIMIT and not is_reachable(frames.transform_from_row(table)):
         for row, name in zip(rows, names, strict=True):
             _require_short(row, f"{where}: {name}")
     return table, names, tuple(sliding)

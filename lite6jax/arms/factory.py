@@ -89,7 +89,7 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     if table.convention is None:
         _require_standard(kinematics, after, path, arm)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
-    return _aligned(_recognised(kinematics, names, after, table.form.sliding, path, arm))
+    return _align(_recognise(kinematics, names, after, table.form.sliding, path, arm))
 
 
 def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
@@ -105,8 +105,8 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
     """
     content = entries.mapping(content, f"{path}:", ("kinematics",))
     kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
-    found = _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-    return _aligned(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+    found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:
@@ -133,7 +133,7 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
         parameters = six_parameter_to_hayati(arm.form, calibration.kinematics, arm.hayati)
     except InputError as error:
         raise InputError(f"{calibration.source}: {error}") from error
-    beyond, described = beyond_flange(calibration.T_joint_flange, arm)
+    beyond, described = flange_offset(calibration.T_joint_flange, arm)
     if not described:
         return parameters
     if arm.sliding:
@@ -152,7 +152,7 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
     return parameters
 
 
-def beyond_flange(T_joint_flange: Array, nominal: Arm) -> tuple[Array, str]:
+def flange_offset(T_joint_flange: Array, nominal: Arm) -> tuple[Array, str]:
     """What a flange (4, 4) has beyond the nominal one, and that in words, which are empty where it is the same."""
     beyond = T_joint_flange @ np.linalg.inv(nominal.T_joint_flange)
     if np.abs(beyond - np.eye(4)).max() <= _SAME:
@@ -189,7 +189,7 @@ def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Ar
         )
 
 
-def _recognised(
+def _recognise(
     kinematics: Array,
     names: Sequence[str],
     T_joint_flange: Array,
@@ -215,7 +215,7 @@ def _recognised(
     return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
 
 
-def _aligned(found: FactoryCalibration) -> FactoryCalibration:
+def _align(found: FactoryCalibration) -> FactoryCalibration:
     """The same chain with its frames where the nominal arm has them, along the joints' axes.
 
     Raises:
@@ -225,12 +225,12 @@ def _aligned(found: FactoryCalibration) -> FactoryCalibration:
     own = np.array_equal(arm.kinematics, found.kinematics)
     if own and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
         return found
-    if not entries.within_reach(links, REACH_LIMIT):
+    if not entries.is_reachable(links, REACH_LIMIT):
         raise InputError(
             f"{found.source}: its flange goes farther than {REACH_LIMIT:g} m from the base, farther than any"
             " arm's; correct its lengths or their unit"
         )
-    kinematics = frames.row_from_transform(frames.aligned(links, None if own else arm.links))
+    kinematics = frames.row_from_transform(frames.align_frames(links, None if own else arm.links))
     return replace(found, kinematics=kinematics, arm=replace(arm, kinematics=kinematics) if own else arm)
 
 
@@ -276,7 +276,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
             )
     model, links, after = chosen
     kinematics = frames.row_from_transform(links)
-    return _aligned(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
+    return _align(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
 
 
 def _deviations(path: str | Path) -> Array:

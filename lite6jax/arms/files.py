@@ -17,8 +17,8 @@ from lite6jax.arms.dh import is_table, write_table
 from lite6jax.arms.factory import (
     DEVIATIONS,
     FactoryCalibration,
-    beyond_flange,
     calibrated_arm,
+    flange_offset,
     hayati_of,
     read_factory,
     write_factory,
@@ -94,7 +94,7 @@ def base_and_tip(name: str) -> tuple[str, str | None, str | None]:
     return file, base or None, tip or None
 
 
-def with_chain(name: str, base: str | None, tip: str | None) -> str:
+def name_chain(name: str, base: str | None, tip: str | None) -> str:
     """The name of an arm's file with the base and the tip in it, as `base_and_tip` takes it apart.
 
     Raises:
@@ -182,7 +182,7 @@ def convert_file(
         if form == "table":
             parameters = hayati_of(FactoryCalibration(arm.kinematics, reference, arm.T_joint_flange, str(name)))
             write_table(reference.form, parameters, target, overwrite)
-        elif beyond := beyond_flange(arm.T_joint_flange, reference)[1]:
+        elif beyond := flange_offset(arm.T_joint_flange, reference)[1]:
             raise InputError(
                 f"{target}: a six-parameter file ends at joint {arm.dof} and cannot hold what follows it in {name}"
                 f" ({beyond}); write a .json table, a .urdf or --to description"
@@ -190,11 +190,11 @@ def convert_file(
         else:
             write_factory(arm.kinematics, target, form, overwrite)
         again = calibrated_arm(read_factory(target, reference))
-    phrases = (*left_out, *left_out_of(arm, form, calibrated))
+    phrases = (*left_out, *omissions(arm, form, calibrated))
     return Conversion(target, form, arm, phrases, _distance(arm, again))
 
 
-def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
+def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
     phrases = []
     if form not in WHOLE_ARM and not calibrated:

@@ -183,7 +183,7 @@ def links_from_dh(dh: ArrayLike, convention: str = "standard") -> tuple[Array, A
     return np.concatenate([along[:1], across[:-1] @ along[1:]]), across[-1]
 
 
-def aligned(links: Array, nominal: Array | None = None) -> Array:
+def align_frames(links: Array, nominal: Array | None = None) -> Array:
     """The same chain with each joint's frame, but the last one's, moved along and turned about the joint's own axis.
 
     Where a frame stands on its axis is free. It goes where the nominal chain has it: standard DH of axes that are

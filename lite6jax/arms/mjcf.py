@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.trees import SIZE_LIMIT, Joint, arm_of_chain, axis_frame, find_chain, joined
+from lite6jax.arms.trees import SIZE_LIMIT, Joint, arm_of_chain, axis_frame, find_chain, format_numbers
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
@@ -95,7 +95,7 @@ def _body(model: Any, b: int) -> inertia.Body | None:
     if model.body_mass[b] <= 0 and not moments.any():
         return None
     body = inertia.Body(float(model.body_mass[b]), np.zeros(3), moments)
-    return inertia.moved(body, _pose(model.body_ipos[b], model.body_iquat[b]))
+    return inertia.transform_body(body, _pose(model.body_ipos[b], model.body_iquat[b]))
 
 
 def _joint(model: Any, j: int, parent: str, child: str, T: Array) -> Joint:
@@ -197,11 +197,15 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     parent = ET.SubElement(root, "worldbody")
     for i, row in enumerate(arm.kinematics):
         parent = _add_body(parent, f"link{i + 1}", row)
-        link = {"mass": joined(arm.mass[i : i + 1]), "pos": joined(arm.center_of_mass[i])}
-        ET.SubElement(parent, "inertial", link, fullinertia=joined(inertia.six_entries(arm.inertia[i])))
+        link = {"mass": format_numbers(arm.mass[i : i + 1]), "pos": format_numbers(arm.center_of_mass[i])}
+        ET.SubElement(parent, "inertial", link, fullinertia=format_numbers(inertia.six_entries(arm.inertia[i])))
         drive = {key: values for field, key in _DRIVES.items() if (values := getattr(arm, field)) is not None}
-        given = {key: joined(values[i : i + 1]) for key, values in drive.items()}
-        joint = {"type": "slide" if arm.slides[i] else "hinge", "axis": "0 0 1", "range": joined(arm.joint_limits[i])}
+        given = {key: format_numbers(values[i : i + 1]) for key, values in drive.items()}
+        joint = {
+            "type": "slide" if arm.slides[i] else "hinge",
+            "axis": "0 0 1",
+            "range": format_numbers(arm.joint_limits[i]),
+        }
         ET.SubElement(parent, "joint", joint | given, name=f"joint{i + 1}")
     _add_body(parent, "flange", frames.row_from_transform(arm.T_joint_flange))
     ET.indent(root)
@@ -209,4 +213,4 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 
 def _add_body(parent: ET.Element, name: str, row: Array) -> ET.Element:
-    return ET.SubElement(parent, "body", name=name, pos=joined(row[:3]), euler=joined(row[3:]))
+    return ET.SubElement(parent, "body", name=name, pos=format_numbers(row[:3]), euler=format_numbers(row[3:]))

@@ -74,7 +74,7 @@ class Tree(NamedTuple):
     @property
     def moving(self) -> list[Joint]:
         """The joints of the chain that are not fixed."""
-        return _moving(self.chain)
+        return _movable(self.chain)
 
 
 def find_chain(
@@ -133,7 +133,7 @@ def _path(base: str, tip: str, above: Mapping[str, Joint]) -> list[Joint] | None
     return found[::-1]
 
 
-def _moving(chain: list[Joint]) -> list[Joint]:
+def _movable(chain: list[Joint]) -> list[Joint]:
     return [joint for joint in chain if joint.kind != "fixed"]
 
 
@@ -142,7 +142,7 @@ def _only_end(
 ) -> str:
     parents = {joint.parent for joint in above.values()}
     chains = {leaf: _path(base, leaf, above) or [] for leaf in links if leaf not in parents}
-    moving = {leaf: [joint.name for joint in _moving(chain)] for leaf, chain in chains.items()}
+    moving = {leaf: [joint.name for joint in _movable(chain)] for leaf, chain in chains.items()}
     longest = max(moving.values(), key=len, default=[])
     if not longest:
         raise InputError(f"{path}: no joint moves below {base!r}; name another --base")
@@ -157,7 +157,7 @@ def _only_end(
     same_chain = all(moving[leaf] == longest for leaf in candidates)
     if same_chain and np.allclose(tails, tails[0], rtol=0, atol=1e-12):
         return candidates[0]
-    chains = {leaf: _moving(chains[leaf]) for leaf in candidates}
+    chains = {leaf: _movable(chains[leaf]) for leaf in candidates}
     raise InputError(f"{path}: {_ends(Path(path).name, base, chains, above, beside)}")
 
 
@@ -194,7 +194,7 @@ def _ends(
         f"the chain could end at {', '.join([*listed, *beside])}; name one with --tip {best}, or as {file}#{best}"
         " where a file is named"
     )
-    chain = _moving(_path(base, best, above) or [])
+    chain = _movable(_path(base, best, above) or [])
     starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
     if not starts:
         return text
@@ -213,7 +213,7 @@ def _jaw(path: str | Path, tree: Tree) -> str:
     if not arm:
         return ""
     first = moving[len(arm)]
-    beside = [name for name, _ in fixed_to(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
+    beside = [name for name, _ in rigid_links(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
     if not beside and not named:
         return ""
     likely, file = (beside or [first.parent])[0], Path(path).name
@@ -224,7 +224,7 @@ def _jaw(path: str | Path, tree: Tree) -> str:
     )
 
 
-def fixed_to(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
+def rigid_links(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
     """A link and every link fixed to it, by name, each with its pose (4, 4) in the frame of the first."""
     below: dict[str, list[Joint]] = {}
     for joint in joints:
@@ -315,7 +315,7 @@ def arm_of_chain(
 
 def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     """What to write for the longer chain beside the joint at a place of this one."""
-    joint, before, after = tree.chain[place], _moving(tree.chain[:place]), _moving(tree.chain[place + 1 :])
+    joint, before, after = tree.chain[place], _movable(tree.chain[:place]), _movable(tree.chain[place + 1 :])
     option, chain = f"--tip {joint.parent}", joint.parent
     if len(after) > len(before) or not before:
         option, chain = f"--base {joint.child}", f"{joint.child}:{tree.tip}"
@@ -328,15 +328,15 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], inertia.Bod
     """The fields of `Arm` that say what each moved link is with every link fixed to it."""
     fixed = [
         [
-            inertia.moved(body, axis_frame(joint.axis).T @ T)
-            for name, T in fixed_to(joint.child, tree.joints)
+            inertia.transform_body(body, axis_frame(joint.axis).T @ T)
+            for name, T in rigid_links(joint.child, tree.joints)
             if (body := body_of(name)) is not None
         ]
         for joint in tree.moving
     ]
     if not any(fixed):
         return {}
-    links, known = [inertia.lumped(bodies) for bodies in fixed], True
+    links, known = [inertia.lump(bodies) for bodies in fixed], True
     for joint, bodies, link in zip(tree.moving, fixed, links, strict=True):
         if wrong := next(filter(None, (inertia.defect(body.inertia) for body in (*bodies, link))), ""):
             known = False
@@ -359,6 +359,6 @@ def link_body(arm: Arm, i: int) -> inertia.Body | None:
     return inertia.Body(float(arm.mass[i]), arm.center_of_mass[i], tensor)
 
 
-def joined(values: Array) -> str:
+def format_numbers(values: Array) -> str:
     """Numbers as an attribute of XML has them, exactly."""
     return " ".join(repr(float(value)) for value in values)

@@ -19,9 +19,9 @@ from lite6jax.arms.trees import (
     arm_of_chain,
     axis_frame,
     find_chain,
-    fixed_to,
-    joined,
+    format_numbers,
     link_body,
+    rigid_links,
 )
 from lite6jax.errors import InputError
 
@@ -88,13 +88,13 @@ def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tre
         entry = element.find("inertia")
         six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in inertia.SIX]
         body = inertia.Body(kg, np.zeros(3), inertia.tensor(six))
-        return inertia.moved(body, frames.transform_from_row(origin(element, where)))
+        return inertia.transform_body(body, frames.transform_from_row(origin(element, where)))
 
     arm = arm_of_chain(path, tree, robot.get("name", ""), "URDF", body_of, _drives(path, robot, tree.moving))
     return arm, tree, robot
 
 
-def carried_links(
+def links_of_chain(
     path: str | Path, base: str | None = None, tip: str | None = None
 ) -> list[tuple[int, ET.Element, Array]]:
     """Every link that is fixed to the base or to a link of the chain of `read_urdf`, with its pose.
@@ -109,7 +109,9 @@ def carried_links(
     _, tree, _ = _read(path, base, tip)
     roots = [(0, tree.base, IDENTITY)]
     roots += [(i, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(tree.moving, 1)]
-    return [(number, tree.links[name], R @ T) for number, root, R in roots for name, T in fixed_to(root, tree.joints)]
+    return [
+        (number, tree.links[name], R @ T) for number, root, R in roots for name, T in rigid_links(root, tree.joints)
+    ]
 
 
 def _parse(path: str | Path) -> ET.Element:
@@ -344,11 +346,11 @@ def write_into_urdf(
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
     if arm.mass is not None and arm.inertia is not None and not _same_bodies(arm, old):
         for i, joint in enumerate(tree.moving):
-            for name, _ in fixed_to(joint.child, tree.joints):
+            for name, _ in rigid_links(joint.child, tree.joints):
                 for entry in tree.links[name].findall("inertial"):
                     tree.links[name].remove(entry)
             if (body := link_body(arm, i)) is not None:
-                _set_body(tree.links[joint.child], inertia.moved(body, axis_frame(joint.axis)))
+                _set_body(tree.links[joint.child], inertia.transform_body(body, axis_frame(joint.axis)))
     left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
     _write(root, path, overwrite)
@@ -367,7 +369,7 @@ def _write(robot: ET.Element, path: str | Path, overwrite: bool) -> Path:
 
 def _add_joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, row: Array) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    ET.SubElement(joint, "origin", xyz=joined(row[:3]), rpy=joined(row[3:]))
+    ET.SubElement(joint, "origin", xyz=format_numbers(row[:3]), rpy=format_numbers(row[3:]))
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     return joint
@@ -378,14 +380,14 @@ def _set_origin(joint: ET.Element, T: Array) -> None:
     if entry is None:
         entry = ET.SubElement(joint, "origin")
     row = frames.row_from_transform(T)
-    entry.set("xyz", joined(row[:3]))
-    entry.set("rpy", joined(row[3:]))
+    entry.set("xyz", format_numbers(row[:3]))
+    entry.set("rpy", format_numbers(row[3:]))
 
 
 def _set_body(link: ET.Element, body: inertia.Body) -> None:
     """Says what a link without an inertial element is."""
     element = ET.SubElement(link, "inertial")
-    ET.SubElement(element, "origin", xyz=joined(body.center), rpy="0.0 0.0 0.0")
+    ET.SubElement(element, "origin", xyz=format_numbers(body.center), rpy="0.0 0.0 0.0")
     ET.SubElement(element, "mass", value=repr(float(body.mass)))
     six = zip(inertia.SIX, inertia.six_entries(body.inertia), strict=True)
     ET.SubElement(element, "inertia", {key: repr(float(value)) for key, value in six})

@@ -63,11 +63,11 @@ class Convert:
         check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
-        from lite6jax.arms.files import convert_file, with_chain
+        from lite6jax.arms.files import convert_file, name_chain
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
-        source = with_chain(self.source, self.base, self.tip)
+        source = name_chain(self.source, self.base, self.tip)
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, with_link_parameters
+from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.diagnosis.document import SCHEMAS, model_from_document, parsed_document
 from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, torque_model_from_document
 from lite6jax.domains.pose.predict import DiagnosedArm
@@ -221,8 +221,8 @@ def _none(numbers: np.ndarray) -> np.ndarray:
 
 def _with_bodies(arm: Arm, links: np.ndarray, gravity: np.ndarray) -> tuple[Arm, list[str]]:
     if is_consistent(links):
-        return with_link_parameters(arm, links), []
+        return set_link_parameters(arm, links), []
     base = base_parameters(arm.kinematics, gravity, arm.sliding)
     found = consistent_links(base, base.values(links), bodies_near(links))
     phrases = [] if found.exact else ["inertial numbers that no bodies have"]
-    return with_link_parameters(arm, found.parameters), phrases
+    return set_link_parameters(arm, found.parameters), phrases

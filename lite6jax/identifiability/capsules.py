@@ -93,7 +93,7 @@ def urdf_capsules(
         if not chains or np.abs(chains[0] - chains[1]).max() > _SAME_ARM:
             raise InputError(f"{path}: is of another arm than {arm.name}; give its own URDF, or name the tip")
     capsules: list[Capsule] = []
-    for link, element, T in urdf.carried_links(path, base, tip):
+    for link, element, T in urdf.links_of_chain(path, base, tip):
         name = element.get("name", "")
         for collision in element.findall("collision"):
             where = f"{path}: link {name!r}: collision"

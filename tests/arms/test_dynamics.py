@@ -180,7 +180,7 @@ def test_base_parameters_are_kept_where_bodies_have_them(joints):
         found = dynamics.consistent_links(base, values, reference)
         assert (found.exact, found.chi_square) == (True, 0.0)
         np.testing.assert_allclose(base.values(found.parameters), values, rtol=0, atol=1e-9)
-        arm = dynamics.with_link_parameters(Arm("a", kinematics), found.parameters)
+        arm = dynamics.set_link_parameters(Arm("a", kinematics), found.parameters)
         assert are_bodies(arm)
         motion = rng.normal(0, 2, (3, joints, 10))
         torques = [
@@ -191,7 +191,7 @@ def test_base_parameters_are_kept_where_bodies_have_them(joints):
 
 
 def bodies_of(parameters):
-    arm = dynamics.with_link_parameters(Arm("a", np.zeros((len(parameters), 6))), parameters)
+    arm = dynamics.set_link_parameters(Arm("a", np.zeros((len(parameters), 6))), parameters)
     return arm.mass, arm.center_of_mass, arm.inertia
 
 
@@ -205,7 +205,7 @@ def test_a_least_squares_solution_that_is_no_body_becomes_one():
     found = dynamics.consistent_links(base, base.values(shortest), start)
     assert found.exact
     np.testing.assert_allclose(base.values(found.parameters), values, rtol=0, atol=1e-9)
-    assert are_bodies(dynamics.with_link_parameters(arm, found.parameters))
+    assert are_bodies(dynamics.set_link_parameters(arm, found.parameters))
 
 
 def test_the_reference_itself_is_the_nearest_to_itself():
@@ -214,7 +214,7 @@ def test_the_reference_itself_is_the_nearest_to_itself():
     reference = dynamics.link_parameters(arm)
     found = dynamics.consistent_links(base, base.values(reference), reference)
     np.testing.assert_allclose(found.parameters, reference, rtol=1e-9, atol=1e-12)
-    again = dynamics.with_link_parameters(arm, found.parameters)
+    again = dynamics.set_link_parameters(arm, found.parameters)
     for field in ("mass", "center_of_mass", "inertia"):
         np.testing.assert_allclose(getattr(again, field), getattr(arm, field), rtol=1e-9, atol=1e-12)
 
@@ -268,7 +268,7 @@ def test_links_that_are_no_bodies_become_such_nearby():
     points = Arm("points", np.zeros((1, 6)), mass=[2], center_of_mass=[[0.1, 0, 0]], inertia=np.zeros((1, 3, 3)))
     for links in (np.zeros((2, 10)), dynamics.link_parameters(points), dynamics.link_parameters(load_bundled("xarm7"))):
         assert dynamics.is_consistent(dynamics.bodies_near(links))
-    found = dynamics.with_link_parameters(points, dynamics.bodies_near(dynamics.link_parameters(points)))
+    found = dynamics.set_link_parameters(points, dynamics.bodies_near(dynamics.link_parameters(points)))
     np.testing.assert_allclose(found.mass, 2, rtol=1e-4)
     np.testing.assert_allclose(found.center_of_mass, [[0.1, 0, 0]], atol=1e-4)
     arm = load_bundled("lite6")
@@ -291,7 +291,7 @@ def test_what_does_not_fit_is_refused():
             "the covariance has the shape (3, 3); it must be (36, 36)",
         ),
         (
-            lambda: dynamics.with_link_parameters(arm, -links),
+            lambda: dynamics.set_link_parameters(arm, -links),
             "arm 'lite6': these links are no bodies; take such as consistent_links gives",
         ),
     ):

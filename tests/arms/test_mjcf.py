@@ -11,7 +11,7 @@ from typed import refusal
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.arms.files import convert_file, left_out_of, read_arm, write_arm
+from lite6jax.arms.files import convert_file, omissions, read_arm, write_arm
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics
@@ -126,7 +126,7 @@ def test_convert_writes_mjcf_and_says_what_it_leaves_out(tmp_path):
     assert convert_file(rotors, tmp_path / "arm.urdf").left_out == ("rotor inertia",)
     assert convert_file(rotors, tmp_path / "again.xml").left_out == ()
     drives = ["viscous friction", "Coulomb friction", "rotor inertia"]
-    assert left_out_of(read_arm(rotors), "vendor") == ["joint limits, masses and inertia", *drives]
+    assert omissions(read_arm(rotors), "vendor") == ["joint limits, masses and inertia", *drives]
     with pytest.raises(InputError, match="the form table holds a chain only; write description, urdf, mjcf"):
         convert_file(load_bundled("lite6"), tmp_path / "arm.json")
 

@@ -73,7 +73,7 @@ def test_every_reader_and_writer_agrees_with_pinocchio(described, tmp_path):
         "urdf": write_urdf(arm, tmp_path / "arm.urdf"),
         "mjcf": write_mjcf(arm, tmp_path / "arm.xml"),
         "yaml": write_arm(arm, tmp_path / "arm.yaml"),
-        "into": export_into(replace(arm, kinematics=perturbed(arm)), path, tmp_path / "into.urdf").path,
+        "into": convert_file(replace(arm, kinematics=perturbed(arm)), tmp_path / "into.urdf", into=path).path,
     }
     for form, file in written.items():
         back = read_arm(file)
