@@ -27,7 +27,7 @@ SCHEMA = pa.schema(
             "seed index rows": pa.int64(),
             "kind engine arm inertial source noise edge fault sha256 error verdict": TEXT,
             "sealed detected found exact exact_in_set top_site top_named top_in_set": FLAG,
-            "wrong_name fault_found honest": FLAG,
+            "wrong_name fault_found absurd honest": FLAG,
             "seconds planned_size before_Nm after_Nm unseen_Nm bound_Nm": NUMBER,
             "faults false": pa.list_(TEXT),
             "hidden": pa.list_(_HIDDEN),

@@ -133,6 +133,17 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
     return Hidden(name, "clock", {"offset_s": side})
 
 
+def usual(view: View, hidden: Sequence[Hidden]) -> list[dict[str, Any]]:
+    """What is not hidden but there, as all arms have it: without its threshold, its bound and its rivals."""
+    said = []
+    for effect in hidden:
+        added = view.torques((effect,)) - view.torques(())
+        numbers = {"parameters": dict(effect.values), "fixed": {}, "bound": {}, "size": None, "seen": None}
+        moved = float(np.sqrt(np.mean(added**2)))
+        said.append({"effect": effect.name, "site": effect.site, "moved_Nm": moved, "rival": None} | numbers)
+    return said
+
+
 def described(view: View, hidden: Sequence[Hidden]) -> list[dict[str, Any]]:
     """What is hidden, with its size in thresholds beside all the rest, its bound and its nearest rival."""
     named = all(effect.name not in FAMILIES for effect in hidden)

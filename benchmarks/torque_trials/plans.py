@@ -18,9 +18,14 @@ SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
 OUTSIDE_SIZES = (4.0, 8.0, 20.0)
 EDGES = ("short", "slow", "two ripples", "resting joints")
 """What makes it hard to name an effect that the catalogue has."""
-COLUMNS = ("swapped_torques", "reversed_torque")
-FAULTS = ("contact", "contact", *COLUMNS)
-"""What is wrong with a faulty recording: an event, or the columns of the file."""
+DATA_FAULTS = (
+    *("swapped_torques", "reversed_torque", "swapped_columns", "reversed_positions", "reversed_joint", "joint_zero"),
+    *("wrong_torque_constant", "torque_unit", "no_gravity", "wrong_gravity", "joint_turns", "velocity_bias"),
+    *("estimated_torque", "joint_zero"),
+)
+"""What is wrong with the file, under the names that the library has for it."""
+FAULTS = ("contact", *DATA_FAULTS)
+"""What is wrong with a faulty recording: an event, or the file."""
 SINGLE = tuple(NAMED)
 NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy velocities")
 AUTOCORRELATION = 0.9
@@ -122,7 +127,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     effects, sizes = _effects(kind, edge, seed, ordinal, rng, SEALED if sealed else OPEN)
     inertial = str(rng.choice(["declared", "uncertain", "unknown"], p=[0.6, 0.15, 0.25]))
     fault = _turn(seed, 30, ordinal, FAULTS) if kind == "faulty" else ""
-    if set(effects) & set(MASSES) or fault in COLUMNS:
+    if set(effects) & set(MASSES) or fault in DATA_FAULTS:
         inertial = "declared"
     rate = float(rng.choice(RATES))
     seconds = float(np.exp(rng.uniform(np.log(10), np.log(60))))

@@ -8,9 +8,10 @@ import yaml
 from benchmarks.campaigns.columns import csv_text
 from benchmarks.concealed.chain import Array
 from benchmarks.torque_trials.arms import Arm, arm_text
+from benchmarks.torque_trials.faults import Spoiled
 from benchmarks.torque_trials.motion import Motion
 from benchmarks.torque_trials.physics import Setup
-from benchmarks.torque_trials.plans import AUTOCORRELATION, COLUMNS, Plan
+from benchmarks.torque_trials.plans import AUTOCORRELATION, Plan
 
 _JOINT_NOISE, _VELOCITY_NOISE, _NOISY = 2e-5, 1e-3, 2e-2
 """rad, and rad/s as a rule and where velocities are noisy: one standard deviation."""
@@ -36,8 +37,8 @@ def declared_arm(plan: Plan, rng: np.random.Generator, arm: Arm) -> Arm:
 
 def measure(
     plan: Plan, rng: np.random.Generator, motion: Motion, exerted: Array, noise: Array
-) -> tuple[Array, Array, Array, list[int]]:
-    """Joints, velocities and torques as they are read, and the rows (from 0) of a contact.
+) -> tuple[Array, Array, Array]:
+    """Joints, velocities and torques as they are read.
 
     Args:
         plan: of the trial.
@@ -57,44 +58,12 @@ def measure(
         case "outliers":
             hit = rng.random(shape) < _OUTLIERS
             draws += hit * rng.choice([-1.0, 1.0], shape) * rng.uniform(8, 30, shape)
-    torque, rows = exerted + noise * draws, []
-    if plan.fault == "contact":
-        torque, rows = _touched(plan, rng, torque, noise)
     quick = _NOISY if plan.noise == "noisy velocities" else _VELOCITY_NOISE
     return (
         motion.q + rng.normal(0, _JOINT_NOISE, shape),
         motion.dq + rng.normal(0, quick, shape),
-        torque,
-        rows,
+        exerted + noise * draws,
     )
-
-
-def _touched(plan: Plan, rng: np.random.Generator, torque: Array, noise: Array) -> tuple[Array, list[int]]:
-    """Someone pushes a link once: all joints before it feel it."""
-    samples, dof = torque.shape
-    length = round(rng.uniform(0.3, 1.0) * plan.rate)
-    first = int(rng.integers(samples // 5, 4 * samples // 5 - length))
-    last = int(rng.integers(2, dof + 1))
-    push = rng.uniform(15, 40) * noise * rng.choice([-1.0, 1.0], dof) * rng.uniform(0.3, 1.0, dof)
-    push[last:] = 0.0
-    shape = np.sin(np.pi * (np.arange(length) + 0.5) / length)
-    pushed = torque.copy()
-    pushed[first : first + length] += shape[:, None] * push
-    return pushed, list(range(first, first + length))
-
-
-def misplaced(plan: Plan, rng: np.random.Generator, torque: Array, noise: Array) -> tuple[Array, list[int]]:
-    """Torques with the columns of two joints exchanged or that of one reversed, and these joints, from 1.
-
-    They are of the half of the joints whose torques are largest beside their noise: of others nobody could tell.
-    """
-    if plan.fault not in COLUMNS:
-        return torque, []
-    told = np.argsort(-np.std(torque, axis=0) / noise)[: max(2, torque.shape[1] // 2)]
-    joints = np.sort(rng.choice(told, 2 if plan.fault == "swapped_torques" else 1, replace=False))
-    wrong = torque.copy()
-    wrong[:, joints] = torque[:, joints[::-1]] if len(joints) == 2 else -torque[:, joints]
-    return wrong, [int(joint) + 1 for joint in joints]
 
 
 def files_of(
@@ -103,7 +72,7 @@ def files_of(
     setup: Setup,
     told: Arm,
     motion: Motion,
-    read: tuple[Array, Array, Array],
+    read: Spoiled,
     unseen: Motion,
 ) -> dict[str, str]:
     """What the diagnosis is given, and the motion that is to be predicted.
@@ -114,10 +83,10 @@ def files_of(
         setup: the arm where it stands.
         told: the arm as it is described.
         motion: of the recording.
-        read: joints, velocities and torques as they are read.
+        read: what is read of it.
         unseen: the other motion.
     """
-    q, dq, torque = read
+    torque = read.torque
     said: dict[str, Any] = {
         "arm": "arm.yaml",
         "joint_source": "measured",
@@ -125,13 +94,15 @@ def files_of(
         "torque_source": "current" if plan.source == "current" else "measured",
         "joint_noise_rad": _JOINT_NOISE,
         "payload_com_m": [float(v) for v in setup.payload_center],
-        "gravity_m_per_s2": [float(v) for v in setup.gravity],
+        "gravity_m_per_s2": [float(v) for v in read.gravity],
     }
     if rng.random() < 0.8:
         said["torque_noise_Nm"] = [float(v) for v in setup.arm.noise]
     if plan.inertial != "declared":
         said["inertial"] = UNCERTAIN if plan.inertial == "uncertain" else "unknown"
-    columns = _columns(motion, q, dq)
+    if plan.fault == "estimated_torque":
+        del said["torque_source"]
+    columns = _columns(motion, read.q, read.dq, read.turns)
     joints = range(1, torque.shape[1] + 1)
     if plan.source == "current":
         constants = np.round(rng.uniform(2.0, 12.0, torque.shape[1]), 3)
@@ -147,9 +118,12 @@ def files_of(
     }
 
 
-def _columns(motion: Motion, q: Array, dq: Array) -> dict[str, Array]:
+def _columns(motion: Motion, q: Array, dq: Array, turns: bool = False) -> dict[str, Array]:
     joints = range(1, q.shape[1] + 1)
-    columns = {"time_s": motion.time} | {f"q{i}_rad": q[:, i - 1] for i in joints}
+    places = {f"q{i}_rad": q[:, i - 1] for i in joints}
+    if turns:
+        places = {f"q{i}_deg": np.rad2deg(np.mod(q[:, i - 1], 2 * np.pi)) for i in joints}
+    columns = {"time_s": motion.time} | places
     columns |= {f"dq{i}_rad_per_s": dq[:, i - 1] for i in joints}
     columns |= {f"temp{i}_degC": motion.temperature[:, i - 1] for i in joints}
     return columns | {"payload_kg": motion.payload}

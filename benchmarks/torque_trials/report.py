@@ -11,7 +11,7 @@ from benchmarks.campaigns.tables import Cells, Section
 from benchmarks.concealed.scores import distinguishable, numbers, share_found, singles
 from benchmarks.torque_trials import scores
 from benchmarks.torque_trials.outside import FAMILIES
-from benchmarks.torque_trials.plans import EDGES, NOISES, SINGLE, SIZES
+from benchmarks.torque_trials.plans import EDGES, FAULTS, NOISES, SINGLE, SIZES
 
 _SINGLE = ("trials", "something detected", "found, effect and site", "right site", "right name", "in the set")
 _FAULTS = {"outliers": ("torque_spikes",)}
@@ -32,7 +32,7 @@ def sections(rows: Sequence[Row]) -> Iterator[Section]:
             ("family", "trials", "something detected", "at its joint", "unnamed, by its driver", "wrong name"),
             _outside(rows),
         ),
-        ("Contacts", ("trials", "found", "nothing else found"), _contacts(rows)),
+        ("Something wrong", ("fault", "trials", "said", "an absurd inertia", "nothing else found"), _faulty(rows)),
         ("Numbers, from four thresholds on", ("", "within their 95 % interval"), _numbers(rows)),
         (
             "Unseen motion",
@@ -122,12 +122,20 @@ def _outside(rows: Sequence[Row]) -> Cells:
     ]
 
 
-def _contacts(rows: Sequence[Row]) -> Cells:
-    touched = [row for row in rows if row["fault"]]
-    if not touched:
-        return []
-    nothing = share(not row["detected"] for row in touched)
-    return [(str(len(touched)), short(share(row["fault_found"] for row in touched)), short(nothing))]
+def _faulty(rows: Sequence[Row]) -> Cells:
+    faulty = [row for row in rows if row["fault"]]
+    groups = [(fault, [row for row in faulty if row["fault"] == fault]) for fault in sorted(set(FAULTS))]
+    cells = [
+        (
+            label,
+            str(len(found)),
+            *(short(share(row[key] for row in found)) for key in ("fault_found", "absurd")),
+            short(share(not row["false"] for row in found)),
+        )
+        for label, found in groups
+        if found
+    ]
+    return cells
 
 
 def _numbers(rows: Sequence[Row]) -> Cells:
@@ -204,6 +212,8 @@ def _hidden_lines(effect: Row, seen: Row) -> Iterator[str]:
     values = ", ".join(f"{name} {value:.4g}" for name, value in (effect["parameters"] | effect["fixed"]).items())
     yield f"  {effect['effect']} at {effect['site']}: {values}"
     size = effect["size"]
+    if size is None:
+        return
     yield (
         f"    {size:.2f} thresholds, {1e3 * effect['moved_Nm']:.3g} mNm RMS over all joints, "
         f"{100 * effect['seen']:.0f} % of it visible"

@@ -1,5 +1,6 @@
 """What a diagnosis of torques is worth: of one trial beside its truth, and of many the goals."""
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -8,9 +9,9 @@ import numpy as np
 from benchmarks.campaigns.campaign import Row
 from benchmarks.campaigns.shares import WITHIN, Goal, Share, at_least, share
 from benchmarks.concealed.scores import answered, numbers, of_hidden, share_found, singles
-from benchmarks.concealed.statements import is_true
+from benchmarks.concealed.statements import is_true, value_of
 from benchmarks.torque_trials.outside import FAMILIES
-from benchmarks.torque_trials.plans import COLUMNS
+from benchmarks.torque_trials.plans import DATA_FAULTS
 
 KNOWN = 4.0
 """Thresholds from which the intervals of an effect's numbers are to hold."""
@@ -18,6 +19,9 @@ _UNTOUCHED = 0.05
 """The share by which the held-out error may change where nothing is hidden."""
 _OVERLAP = 0.5
 """The share of the rows of a contact and of those said to be one that are to be both."""
+_SAME_ZERO, _SAME_FACTOR, _SAME_GRAVITY = 0.06, 0.15, 1.0
+"""rad, relative, and m/s²: how well a fault's size is to be said."""
+_ABSURD_KG, _ABSURD_M = 1.0, 0.1
 _NOTHING: dict[str, Any] = {"findings": [], "data_faults": [], "verdict": "none", "before": {}, "after": {}}
 _COPIED = ("seed", "index", "kind", "engine", "arm", "inertial", "source", "noise", "edge", "fault", "sealed", "rows")
 
@@ -49,7 +53,8 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "false": [f"{finding['effect']}@{finding['site']}" for finding in false],
         "wrong_name": any(finding["effect"] != "unnamed" for finding in false),
         "faults": faults,
-        "fault_found": bool(truth["fault"]) and _located(truth, said["data_faults"]),
+        "fault_found": bool(truth["fault"]) and _located(truth, said["data_faults"], error),
+        "absurd": any(map(_is_absurd, findings)),
         "before_Nm": before,
         "after_Nm": after,
         "honest": _honest(before, after, bool(hidden)),
@@ -58,14 +63,43 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     }
 
 
-def _located(truth: Row, faults: Sequence[Row]) -> bool:
-    """Whether a fault is said where it is: a contact with its rows, a wrong column with its joints."""
-    said = [fault for fault in faults if fault["fault"] == truth["fault"]]
-    joints = truth.get("fault_joints")
-    if joints:
-        return any(set(fault["numbers"].get("joints", ())) == set(joints) for fault in said)
-    rows = set(truth["fault_rows"])
-    return any(len(rows & set(fault["rows"])) >= _OVERLAP * len(rows | set(fault["rows"])) for fault in said)
+def _located(truth: Row, faults: Sequence[Row], error: str) -> bool:
+    """Whether a fault is said where it is, or is among those that are said to be alike.
+
+    A contact is where its rows are; a fault of the file has its joints and numbers. Another unit is refused.
+    """
+    if truth["fault"] == "torque_unit":
+        return "another unit" in error
+    if truth["fault"] == "contact":
+        rows = set(truth["fault_rows"])
+        said = [set(fault["rows"]) for fault in faults if fault["fault"] == "contact"]
+        return any(len(rows & found) >= _OVERLAP * len(rows | found) for found in said)
+    return any(
+        _is_fault(truth, fault["fault"], fault["numbers"])
+        or any(len(h) == 1 and _is_fault(truth, h[0]["fault"], h[0]) for h in fault["numbers"].get("alternatives", ()))
+        for fault in faults
+    )
+
+
+def _is_fault(truth: Row, code: str, numbers: Row) -> bool:
+    wanted, joints = truth["fault_numbers"], truth["fault_joints"]
+    said = set(numbers.get("joints", [numbers["joint"]] if "joint" in numbers else []))
+    if code != truth["fault"] or (joints and said != set(joints)):
+        return False
+    if "added_rad" in wanted:
+        return abs(math.remainder(numbers["added_rad"] - wanted["added_rad"], math.tau)) < _SAME_ZERO
+    if "factors" in wanted:
+        return bool(np.allclose(numbers["factors"], wanted["factors"], rtol=_SAME_FACTOR))
+    if "gravity_m_per_s2" in wanted:
+        return bool(np.linalg.norm(np.subtract(numbers["found_m_per_s2"], wanted["gravity_m_per_s2"])) < _SAME_GRAVITY)
+    return True
+
+
+def _is_absurd(finding: Row) -> bool:
+    """Whether a finding blames a body by more than any description is wrong."""
+    values = [abs(value_of(number)) for name, number in finding["parameters"].items() if name.endswith(("_kg", "_m"))]
+    most = {"link_mass": _ABSURD_KG, "payload_error": _ABSURD_KG, "payload_body": _ABSURD_KG, "link_com": _ABSURD_M}
+    return any(value > most.get(finding["effect"], np.inf) for value in values)
 
 
 def _honest(before: float | None, after: float | None, changed: bool) -> bool | None:
@@ -116,7 +150,8 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     known = [row for row in rows if row["kind"] in ("clean", "single", "mixture")]
     unseen = within_bound(known)
     touched = share(row["fault_found"] for row in rows if row["fault"] == "contact")
-    columns = share(row["fault_found"] for row in rows if row["fault"] in COLUMNS)
+    spoilt = [row for row in rows if row["fault"] in DATA_FAULTS]
+    columns, absurd = share(row["fault_found"] for row in spoilt), share(row["absurd"] for row in spoilt)
     return [
         Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
         Goal("single effects at twice the threshold, found: 95 %", str(found), at_least(found, 0.95)),
@@ -130,5 +165,6 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         Goal("outside the catalogue: unnamed, at its joint, by its driver: 90 %", str(right), at_least(right, 0.9)),
         Goal("unseen torques within their bound: 95 %", str(unseen), at_least(unseen, 0.95)),
         Goal("contacts found, with their rows: 95 %", str(touched), at_least(touched, 0.95)),
-        Goal("swapped and reversed columns found, with their joints: 95 %", str(columns), at_least(columns, 0.95)),
+        Goal("faults of the file said, with joints and sizes: 95 %", str(columns), at_least(columns, 0.95)),
+        Goal("— that became absurd inertias: none", str(absurd), absurd.value == 0 if absurd.of else None),
     ]

@@ -7,14 +7,15 @@ import numpy as np
 
 from benchmarks.concealed.chain import Array, rotation_from_vector
 from benchmarks.torque_trials.arms import drawn_arm
-from benchmarks.torque_trials.hiding import described, hide
+from benchmarks.torque_trials.faults import described_arm, friction, spoil
+from benchmarks.torque_trials.hiding import described, hide, usual
 from benchmarks.torque_trials.information import View, unseen_error
 from benchmarks.torque_trials.motion import Motion, draw_motion
 from benchmarks.torque_trials.mujoco_arm import SimulatedArm
 from benchmarks.torque_trials.outside import FAMILIES
 from benchmarks.torque_trials.physics import Setup, torques
-from benchmarks.torque_trials.plans import AUTOCORRELATION, Plan, draw_plan, warms
-from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure, misplaced
+from benchmarks.torque_trials.plans import AUTOCORRELATION, DATA_FAULTS, Plan, draw_plan, warms
+from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure
 
 _TRIES = 200
 UNSEEN_SECONDS = 10.0
@@ -72,7 +73,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         "speed": _SLOW if plan.edge == "slow" else 1.0,
         "warming": warms(plan.effects) or rng.random() < 0.3,
         "payload": payload,
-        "resting": 3 if plan.edge == "resting joints" else 0,
+        "resting": 3 if plan.edge == "resting joints" or plan.fault == "velocity_bias" else 0,
     }
     motion = draw_motion(rng, arm, plan.rate, plan.seconds, **moves)
     unseen = draw_motion(rng, arm, plan.rate, UNSEEN_SECONDS, **moves)
@@ -81,7 +82,8 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     worth = arm.noise * np.sqrt((1 + remembered) / (1 - remembered))
     inertial = {"declared": 0.0, "uncertain": UNCERTAIN, "unknown": np.inf}[plan.inertial]
     view = View.of(setup, motion, worth, inertial)
-    hidden = hide(plan, rng, view)
+    spoilt = plan.fault in DATA_FAULTS
+    hidden = friction(rng, setup, motion) if spoilt else hide(plan, rng, view)
     if hidden is None:
         return None
     if plan.engine == "mujoco":
@@ -91,24 +93,26 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     else:
         exerted, later = torques(setup, hidden, motion), torques(setup, hidden, unseen)
 
-    told = declared_arm(plan, rng, arm)
-    q, dq, torque, rows = measure(plan, rng, motion, exerted, arm.noise)
-    torque, joints = misplaced(plan, rng, torque, arm.noise)
+    told = described_arm(rng, arm) if spoilt else declared_arm(plan, rng, arm)
+    read = spoil(plan, rng, setup, motion, measure(plan, rng, motion, exerted, arm.noise))
+    if read is None:
+        return None
     added = later - torques(setup, (), unseen)
     truth = {
         "schema": "torque/truth/1",
         **asdict(plan),
-        "rows": len(q),
-        "hidden": described(view, hidden),
-        "fault_rows": rows,
-        "fault_joints": joints,
+        "rows": len(read.q),
+        "hidden": usual(view, hidden) if spoilt else described(view, hidden),
+        "fault_rows": read.rows,
+        "fault_joints": read.joints,
+        "fault_numbers": read.numbers,
         "noise_Nm": arm.noise.tolist(),
         "exerted_rms_Nm": _rms(exerted),
         "unseen_effect_rms_Nm": _rms(added),
-        "unseen_bound_Nm": _unseen_bound(view, hidden, unseen, added),
+        "unseen_bound_Nm": _unseen_bound(view, () if spoilt else hidden, unseen, added),
         "unseen_torque_Nm": np.round(later, 9).tolist(),
     }
-    return Trial(plan, truth, files_of(plan, rng, setup, told, motion, (q, dq, torque), unseen))
+    return Trial(plan, truth, files_of(plan, rng, setup, told, motion, read, unseen))
 
 
 def _unseen_bound(view: View, hidden: tuple[Any, ...], unseen: Motion, added: Array) -> float:

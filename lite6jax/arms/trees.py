@@ -63,6 +63,7 @@ class Tree(NamedTuple):
         base: the name of the link whose frame is the base.
         tip: the name of the link whose frame is the flange.
         chain: the joints from base to tip.
+        tip_named: whether the tip was named, and is not the only end.
     """
 
     joints: list[Joint]
@@ -70,6 +71,7 @@ class Tree(NamedTuple):
     base: str
     tip: str
     chain: list[Joint]
+    tip_named: bool
 
     @property
     def moving(self) -> list[Joint]:
@@ -98,9 +100,6 @@ def find_chain(
 
     Raises:
         InputError: no such link, no joint that moves, several roots or ends.
-
-    Warns:
-        InputWarning: a tip that was not named seems to be a jaw's.
     """
     above = {joint.child: joint for joint in joints}
     for name in (base, tip):
@@ -116,10 +115,7 @@ def find_chain(
     chain = _path(base, end, above)
     if chain is None:
         raise InputError(f"{path}: {end!r} is not below {base!r}; name another --base or --tip")
-    tree = Tree(joints, links, base, end, chain)
-    if tip is None and (remark := _jaw(path, tree)):
-        warnings.warn(remark, InputWarning, stacklevel=4)
-    return tree
+    return Tree(joints, links, base, end, chain, tip is not None)
 
 
 def _path(base: str, tip: str, above: Mapping[str, Joint]) -> list[Joint] | None:
@@ -191,7 +187,7 @@ def _ends(
     order = {best: (hands | ends)[best]} | hands | ends
     listed = [f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN]]
     text = (
-        f"the chain could end at {', '.join([*listed, *beside])}; name one with --tip {best}, or as {file}#{best}"
+        f"the chain could end at {', '.join([*listed, *beside])}; say which with --tip {best}, or as {file}#{best}"
         " where a file is named"
     )
     chain = _movable(_path(base, best, above) or [])
@@ -202,8 +198,11 @@ def _ends(
     return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
 
 
-def _jaw(path: str | Path, tree: Tree) -> str:
-    """That a chain ends in a jaw, by the names of its last joints or by a frame of the tool beside them."""
+def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
+    """The link before a jaw in which a chain ends, and that in words; both empty where it ends in none.
+
+    A jaw is known by the names of the last joints, or by a frame of the tool beside them.
+    """
     moving = tree.moving
     arm = list(moving)
     while arm and (arm[-1].refused or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
@@ -211,13 +210,13 @@ def _jaw(path: str | Path, tree: Tree) -> str:
     named = len(arm) < len(moving)
     arm = arm if named else arm[:-1]
     if not arm:
-        return ""
+        return "", ""
     first = moving[len(arm)]
     beside = [name for name, _ in rigid_links(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
     if not beside and not named:
-        return ""
+        return "", ""
     likely, file = (beside or [first.parent])[0], Path(path).name
-    return (
+    return likely, (
         f"{path}: the chain ends in {tree.tip} after {len(moving)} joints, and joint {first.name!r} seems to move a"
         f" jaw: the tip of the arm is likely {likely}, after {len(arm)} joints; name {file}#{likely} for it, or"
         f" {file}#{tree.tip} to keep the jaw"
@@ -280,8 +279,11 @@ def arm_of_chain(
         InputError: no joint that moves, or one that no arm here has; or as `Arm`.
 
     Warns:
-        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
+        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or
+            a tip that was not named seems to be a jaw's.
     """
+    if not tree.tip_named and (remark := jaw(path, tree)[1]):
+        warnings.warn(remark, InputWarning, stacklevel=4)
     rows, moving, before = [], tree.moving, IDENTITY
     for place, joint in enumerate(tree.chain):
         T = frames.transform_from_row(joint.row)

@@ -20,6 +20,7 @@ from lite6jax.arms.trees import (
     axis_frame,
     find_chain,
     format_numbers,
+    jaw,
     link_body,
     rigid_links,
 )
@@ -64,8 +65,17 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     return _read(path, base, tip)[0]
 
 
-def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tree, ET.Element]:
-    """The arm, the chain that it is, and the root element of the file, comments included."""
+def tip_before_jaw(path: str | Path) -> str:
+    """The link before the jaw in which the only chain of a file ends; empty where it ends in none.
+
+    Raises:
+        InputError: as `read_urdf`, but for the joints' types.
+    """
+    return jaw(path, _tree(path, None, None)[0])[0]
+
+
+def _tree(path: str | Path, base: str | None, tip: str | None) -> tuple[Tree, ET.Element]:
+    """The chain, and the root element of the file, comments included."""
     robot = _parse(path)
     joints = [_joint(element, path) for element in robot.findall("joint")]
     links = {_name(element, path): element for element in robot.findall("link")}
@@ -77,10 +87,15 @@ def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tre
         for link in (joint.parent, joint.child):
             if link not in links:
                 raise InputError(f"{path}: joint {joint.name!r} names the link {link!r}, which is not there; add it")
-    tree = find_chain(path, joints, links, base, tip)
+    return find_chain(path, joints, links, base, tip), robot
+
+
+def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tree, ET.Element]:
+    """The arm, the chain that it is, and the root element."""
+    tree, robot = _tree(path, base, tip)
 
     def body_of(name: str) -> inertia.Body | None:
-        element = links[name].find("inertial")
+        element = tree.links[name].find("inertial")
         if element is None:
             return None
         where = f"{path}: link {name!r}: inertial"

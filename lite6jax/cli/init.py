@@ -96,22 +96,29 @@ class Init:
 
         def look() -> "Inspection":
             said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
-            return inspect(columns, load_nominal(arm), given, str(file), **said)
+            return inspect(columns, load_nominal(arm), given, str(file), assumed=table.assumed, **said)
 
         file, table, columns, notes = opened()
         check_writable(sidecar, self.force)
         given = table.renamed(str(file), given, self.names)
         found = look()
+        if arm and (before_jaw := _before_jaw(arm, found)):
+            arm = before_jaw
+            found = look()
+            notes.append(f"the jaw is left out, as its column is a gripper's: the arm is {arm}")
         if not (self.yes or self.json) and _on_a_terminal():
             screen.show(inspection.inspection_report(found, str(file)))
             arm = arm or _asked_arm(found)
-            if arm != self.arm:  # the joint states of a log are in the units of its joints
+            if arm and not self.arm:  # the joint states of a log are in the units of its joints
                 file, table, columns, notes = opened()
             before = dict(given)
+            given |= _asked_motors(look())
             given |= _asked_pose(look())
             given |= _asked_columns(look())
             settings |= _asked(look(), settings)
-            found, shown = look(), arm == self.arm and given == before
+            found, shown = look(), bool(arm) == bool(self.arm) and given == before
+        if found.motors:
+            raise InputError(f"{file}: {inspection.choice_of_motors(found)}")
         if found.undecided:
             raise InputError(f"{file}: {inspection.choice_of_pose(found)}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
@@ -186,6 +193,35 @@ def _asked_arm(found: "Inspection") -> str | None:
     if found.arm is not None:
         return None
     return input("Arm (a bundled name or a file; nothing for later): ").strip() or None
+
+
+def _before_jaw(arm: str, found: "Inspection") -> str | None:
+    """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
+    from lite6jax.arms.urdf import tip_before_jaw
+    from lite6jax.recordings.naming import is_of_gripper
+
+    q = found.of("q")
+    if not arm.endswith(".urdf") or q is None or not is_of_gripper(q.block.columns[-1]):
+        return None
+    tip = tip_before_jaw(arm)
+    return f"{arm}#{tip}" if tip else None
+
+
+def _asked_motors(found: "Inspection") -> dict[str, str]:
+    """The columns of the arm's joints, where a table has more of them than the arm."""
+    from lite6jax.report.inspection import choice_of_motors
+
+    if not found.motors or found.arm is None:
+        return {}
+    print(choice_of_motors(found))
+    every = [name for group in found.motors for name in group]
+    usual = ",".join(every[: found.arm.dof])
+    while True:
+        answer = input(f"Which columns are the joints, in order? [nothing for {usual}]: ").strip() or usual
+        said = [name.strip() for name in answer.split(",")]
+        if len(said) == len({*said}) == found.arm.dof and {*said} <= {*every}:
+            return dict(zip(said, found.joint_columns, strict=True))
+        print(f"write {found.arm.dof} of {', '.join(every)}, between commas")
 
 
 def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:

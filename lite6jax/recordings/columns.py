@@ -17,9 +17,11 @@ _PER_JOINT = {
     "tau": {"Nm": 1.0, "mNm": 1e3},
     "current": {"A": 1.0, "mA": 1e3},
     "temp": {"degC": 1.0},
+    "cmd": _ANGLE,
 }
 _SLIDE = {
     "q": {"m": 1.0, "mm": 1e3},
+    "cmd": {"m": 1.0, "mm": 1e3},
     "dq": {"m_per_s": 1.0, "mm_per_s": 1e3},
     "ddq": {"m_per_s2": 1.0, "mm_per_s2": 1e3},
     "tau": {"N": 1.0, "kN": 1e-3},
@@ -27,8 +29,10 @@ _SLIDE = {
 """The units of the same quantities of a prismatic joint."""
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
-"""The other forms of an orientation (`orientations.py`). Without their unit they are any column of the user's own."""
+"""The other forms of an orientation (`orientations.py`)."""
 _OF_ANGLES = tuple(part for form in ANGLES for part in form)
+_ONLY_WITH_UNIT = (*_OF_ANGLES, "cmd")
+"""Quantities that without their unit are any column of the user's own."""
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
 """A rotation matrix, row by row."""
 _SCALAR = {
@@ -209,7 +213,7 @@ def _column(name: str, own: str, index: int, problems: _Problems) -> Column | No
         for accepted, divisor in _SLIDE.get(quantity, {}).items():
             if joint and name == f"{quantity}{joint}_{accepted}":
                 return Column(own, index, quantity, joint, accepted, divisor)
-    if known and quantity not in _OF_ANGLES:
+    if known and quantity not in _ONLY_WITH_UNIT:
         assert match is not None
         forms = _forms(quantity, int(match["joint"][:9] or 0) or 1)
         problem = _misspelling(match, quantity, per_joint)

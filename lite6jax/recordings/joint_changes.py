@@ -30,10 +30,11 @@ def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None =
         ("joint_torque", effort),
         ("motor_current", effort),
         ("joint_temperature", exchange if moved else None),
+        ("commanded_position", A),
     ):
         column = getattr(recording, name)
         if column is not None and matrix is not None:
-            changed[name] = column @ matrix.T
+            changed[name] = column @ matrix.T + (b if name == "commanded_position" else 0.0)
     changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
     if not moved:
         velocity, segment = changed.get("joint_velocity"), run_segments(recording.run)

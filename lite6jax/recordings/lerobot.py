@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import Column
+from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.raw import RawTable, is_list, parquet_schema, read_parquet, within
 from lite6jax.recordings.table import Loaded, no_numbers
 from lite6jax.storage import read_text
@@ -19,6 +20,8 @@ _INFO_LIMIT = 1 << 22
 
 def of_lerobot(folder: Path) -> RawTable:
     """The frames of all episodes in order; a feature of several numbers is a column for each, by its own names.
+
+    A unit that `info.json` states stands behind the name of the column.
 
     Args:
         folder: of versions 2 and 3: `meta/info.json`, and the frames in `data/**/*.parquet`.
@@ -35,7 +38,9 @@ def of_lerobot(folder: Path) -> RawTable:
     for name in kinds.names:
         size = _size(features.get(name, {}))
         if is_list(kinds.field(name).type):
-            columns += [(f"{name}.{part}", name, k) for k, part in enumerate(_parts(features.get(name, {}), size))]
+            parts, units = _parts(features.get(name, {}), size), _units(features.get(name, {}), size)
+            named = enumerate(zip(parts, units, strict=True))
+            columns += [(f"{name}.{part}{unit}", name, k) for k, (part, unit) in named]
         else:
             columns.append((name, name, None))
 
@@ -87,3 +92,12 @@ def _parts(feature: Mapping[str, Any], size: int) -> list[str]:
     if isinstance(names, list) and len(names) == size and all(isinstance(name, str) for name in names):
         return [*map(str, names)] if len(set(names)) == size else [str(k) for k in range(size)]
     return [str(k) for k in range(size)]
+
+
+def _units(feature: Mapping[str, Any], size: int) -> list[str]:
+    """The units of a feature's numbers as they stand behind names, ` [degrees]`; empty where unstated."""
+    info = feature.get("info")
+    stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]
+    units = next((unit for unit in stated if isinstance(unit, str | list)), "")
+    units = [units] * size if isinstance(units, str) else units
+    return [f" [{unit}]" if unit_of(f"x [{unit}]") else "" for unit in units] if len(units) == size else [""] * size

@@ -21,8 +21,9 @@ from lite6jax.recordings.sizes import Sureness
 VECTOR, RPY, XYZ, ZYZ = ANGLES
 Role = Literal["controller", "sensor"]
 
-_MEASURED = {"actual", "measured", "feedback", "real", "act", "meas", "present"}
+_MEASURED = {"actual", "measured", "feedback", "real", "act", "meas", "present", "ist"}
 _WANTED = {"target", "commanded", "command", "cmd", "desired", "goal", "setpoint", "reference", "ref", "action", "des"}
+_WANTED |= {"computed", "leader", "master", "soll"}
 _WANTED |= {"d"}  # libfranka
 _UNUSED = {
     *("force", "wrench", "ft", "error", "err", "residual", "std", "sigma", "var", "cov", "covariance", "status"),
@@ -33,8 +34,8 @@ _UNUSED = {
 _QUANTITIES = {
     "temp": {"temp", "temperature", "temperatures"},
     "current": {"current", "currents", "amps"},
-    "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"},
-    "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot"},
+    "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments", "qfrc"},
+    "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot", "qacc"},
     "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }
 _JOINT = {
@@ -136,7 +137,7 @@ _ROBOTS = (
     tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
-KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "position", "rotation", "time", "payload", "ambient", "run")
+KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "rotation", "time", "payload", "ambient", "run")
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
 _COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
@@ -165,7 +166,7 @@ class Block:
         sure: how sure the form is.
         rank: 0 of what is called measured, 2 of what is called commanded, else 1.
         weak: how little the names say that it is of this kind.
-        source: words that say whose a pose is.
+        source: words that say whose a pose is, or which of several arms or legs.
         matrix: all columns of the matrix of which it is a part, row by row.
         rivals: the first columns of blocks that may be meant instead.
         joints: whose the columns are, counted from 1; empty where they are of all joints in order, or of none.
@@ -230,25 +231,41 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
 
 
-def choose(found: Sequence[Block], dof: int | None = None) -> list[Block]:
+def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
+
+    What was commanded or computed is taken only where nothing measured says the same. Positions that were commanded
+    beside measured ones are of the kind `cmd`.
 
     Args:
         found: of `candidates`.
         dof: the number of joints, where known; fewer columns are not those of all joints.
+        joints: columns that are said to be joint positions.
     """
-    taken: list[Block] = []
+    taken: dict[str, Block] = {}
+    driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in found)
     for kind in (kind for kind in KINDS if kind not in ("position", "rotation")):
-        used = {name for block in taken for name in block.columns}
-        usual = sorted(
-            (block for block in found if block.kind == kind and not used & set(block.columns)),
-            key=lambda block: (is_per_joint(kind) and len(block.columns) < (dof or 0), block.rank, block.weak),
-        )
-        if usual:
-            best = usual[0]
-            alike = [block for block in usual[1:] if (block.rank, block.weak) == (best.rank, best.weak)]
-            taken.append(replace(best, rivals=tuple(block.columns[0] for block in alike)))
-    return taken
+        q = taken.get("q")
+        moved = q is not None and q.rank < 2
+        used = {name for block in taken.values() for name in block.columns}
+        pool = [block for block in found if block.kind == kind and not used & set(block.columns)]
+        if kind == "cmd":  # beside measured positions
+            pool += [block for block in found if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
+            pool = [replace(block, kind=kind) for block in pool if moved]
+        elif driven if kind in ("tau", "current") else kind in ("dq", "ddq") and moved:  # what was measured says it
+            pool = [block for block in pool if block.rank < 2]
+        side = {*q.source} if q is not None and is_per_joint(kind) else set()
+        clear = {block.columns: (block.rank, -len(side & {*block.source}), block.weak) for block in pool}
+        pool.sort(key=lambda block: clear[block.columns])
+        if is_per_joint(kind):
+            of_all = dof or len(q.columns if q is not None and kind == "cmd" else ())
+            pool.sort(key=lambda block: (len(block.columns) < of_all, block.rank == 2, len(block.columns) != of_all))
+        if kind == "q" and joints:
+            pool.sort(key=lambda block: not {*joints} <= {*block.columns})
+        if pool:
+            alike = [block for block in pool[1:] if clear[block.columns] == clear[pool[0].columns]]
+            taken[kind] = replace(pool[0], rivals=tuple(block.columns[0] for block in alike))
+    return list(taken.values())
 
 
 def sources(found: Sequence[Block]) -> list[Source]:
@@ -275,6 +292,16 @@ def units_allowed(kind: str, slides: bool = False) -> set[str]:
 def unit_of(name: str) -> str | None:
     """The unit that a column's name states; None where it states none."""
     return _taken_apart(name).unit
+
+
+def is_of_gripper(name: str) -> bool:
+    """Whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
+    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).every})
+
+
+def says_torque(name: str) -> bool:
+    """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
+    return not {"effort", "efforts"} & {*_taken_apart(name).every} and not is_standard(name)
 
 
 def source_words(names: Iterable[str]) -> tuple[str, ...]:
@@ -319,6 +346,10 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     if listed and listed[0] == "current" and present & {*_JOINT, *_PLACE, *_POSE}:
         present = present - {"current"} if not present <= {"current", "joint", "motor"} else present
     said = next((quantity for quantity, own in _QUANTITIES.items() if own & present), None)
+    if "qfrc" in present and "actuator" not in present:
+        return None  # MuJoCo's forces of gravity, constraints and the like
+    if {"current", "as", "torque"} <= present:  # Universal Robots' actual_current_as_torque
+        said = "tau"
     if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
         said = "q"
     stated = {*units} - {None}
@@ -338,8 +369,14 @@ def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: ob
     present = set(said)
     rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
     unit = unit if unit in units_allowed(kind) else None
-    options = {"rank": rank, "unit": unit} | options
+    options = {"rank": rank, "unit": unit, "source": _side(said)} | options
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
+
+
+def _side(words: Iterable[str]) -> tuple[str, ...]:
+    """The words that say whose joints columns are, such as `left`."""
+    spoken = {*_JOINT, *_PLACE, *_MEASURED, *_WANTED}.union(*_QUANTITIES.values())
+    return tuple(sorted({*words} - spoken - {""}))
 
 
 def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
@@ -376,7 +413,7 @@ def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterato
                 groups.setdefault(rest, {})[k] = word
         for rest, group in groups.items():
             kind = _quantity(rest, (word.unit for word in group.values())) or "q"
-            if labels and len(group) == len(labels) and not _UNUSED & set(rest):
+            if labels and len(group) == len(labels) and not (_UNUSED | _EXTERNAL) & set(rest):
                 for block in _block(kind, [group[k] for k in range(len(labels))], rest, weak=weak):
                     taken |= set(block.columns)
                     yield block
@@ -457,8 +494,7 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
 
 def _unnumbered(words: Sequence[_Word]) -> list[Block]:
     """`position velocity torque` of the only joint there is; none without a position."""
-    spoken = {*_JOINT, *_PLACE, *_MEASURED, *_WANTED}.union(*_QUANTITIES.values())
-    alone = [word for word in words if word.number is None and word.component is None and {*word.words} <= spoken]
+    alone = [word for word in words if word.number is None and word.component is None and not _side(word.words)]
     kinds = [(word, _quantity(word.words, [word.unit])) for word in alone if word.words]
     found = [block for word, kind in kinds if kind for block in _block(kind, [word], word.words, weak=1)]
     return found if any(block.kind == "q" for block in found) else []
@@ -486,6 +522,8 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], said, **same)
                 yield from _block("rotation", members[3:], said, **same) if count > 3 else ()
+        elif present == {"action"}:  # of a LeRobot data set: positions, if they follow those of the joints
+            yield from _block("cmd", members, said, weak=2)
         elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)
             yield from _block(kind, members, said, weak=0 if strong else 1)

@@ -29,6 +29,7 @@ _MOST = {
     "joint_torque": ("tau{}_Nm", 1e5),
     "motor_current": ("current{}_A", 1e5),
     "joint_temperature": ("temp{}_degC", 1e4),
+    "commanded_position": ("cmd{}_rad", 2 * pi * MOST_TURNS),
     "ambient_temperature": ("ambient_degC", 1e4),
     "payload": ("payload_kg", 1e5),
     "time": ("time_s", 1e12),

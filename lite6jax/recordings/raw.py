@@ -30,11 +30,13 @@ class RawTable(NamedTuple):
         names: of all columns, in order.
         load: the values of some, by any keys: of each an array, or what is wrong with it.
         nameless: whether the file names no column, so that they are `column_1`, `column_2`, ….
+        assumed: names whose unit the file does not state.
     """
 
     names: Sequence[str]
     load: Load
     nameless: bool = False
+    assumed: tuple[str, ...] = ()
 
     def renamed(self, source: str, given: Mapping[str, str], in_order: str = "") -> dict[str, str]:
         """The names that columns are to have, by those that they have in the table.
@@ -83,12 +85,14 @@ class RawTable(NamedTuple):
             yield column.name, None if array is None else array.to_numpy(zero_copy_only=False)
 
 
-def of_arrays(values: Mapping[str, np.ndarray]) -> RawTable:
-    """Columns in memory."""
+def of_arrays(values: Mapping[str, np.ndarray], assumed: Sequence[str] = ()) -> RawTable:
+    """Columns in memory; the units in the names `assumed` are."""
     names = list(values)
-    return RawTable(
-        names, lambda columns: {key: pa.array(values[names[column.index]]) for key, column in columns.items()}
-    )
+
+    def load(columns: Mapping[str, Column]) -> Loaded:
+        return {key: pa.array(values[names[column.index]]) for key, column in columns.items()}
+
+    return RawTable(names, load, assumed=tuple(assumed))
 
 
 def of_stream(path: Path, notes: list[str]) -> RawTable:

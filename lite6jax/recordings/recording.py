@@ -27,7 +27,7 @@ class Recording(PublicResult):
     Build it with `Recording.from_arrays`, `Recording.from_dataframe` or `read_recording`.
 
     Attributes:
-        joint_position: `(sample, joint)`, as measured by the encoders (or as commanded).
+        joint_position: `(sample, joint)`, as measured by the encoders (or as commanded, where only that was recorded).
         direction_of_motion: `(sample, joint)`, -1, 0 or 1. Static: `sign(q[k] - q[k-1])`, from zero in the first row of
             a run; trajectory: the sign of the velocity. It belongs to the whole sequence: a selection keeps it.
         motion: "static" (the arm stood still at each row) or "trajectory", as declared or inferred (then `notes` says).
@@ -38,6 +38,7 @@ class Recording(PublicResult):
         joint_velocity: `(sample, joint)` or None. In a trajectory with times it is always there.
         velocity_differentiated: whether `joint_velocity` was derived from position and time, not recorded.
         joint_acceleration, joint_torque, motor_current, joint_temperature: `(sample, joint)` as recorded, or None.
+        commanded_position: `(sample, joint)` that the controller asked for beside the measured positions, or None.
         ambient_temperature: `(sample,)` or None.
         payload: `(sample,)` mass at the flange.
         run: `(sample,)` int, as in the file: a new run starts where it changes.
@@ -60,6 +61,7 @@ class Recording(PublicResult):
     joint_torque: Float[np.ndarray, "sample joint"] | None
     motor_current: Float[np.ndarray, "sample joint"] | None
     joint_temperature: Float[np.ndarray, "sample joint"] | None
+    commanded_position: Float[np.ndarray, "sample joint"] | None
     ambient_temperature: Float[np.ndarray, " sample"] | None
     payload: Float[np.ndarray, " sample"]
     run: Int[np.ndarray, " sample"]
@@ -84,6 +86,7 @@ class Recording(PublicResult):
         joint_torque: ArrayLike | None = None,
         motor_current: ArrayLike | None = None,
         joint_temperature: ArrayLike | None = None,
+        commanded_position: ArrayLike | None = None,
         ambient_temperature: ArrayLike | None = None,
         payload: ArrayLike | None = None,
         run: ArrayLike | None = None,
@@ -101,6 +104,7 @@ class Recording(PublicResult):
             sliding: the prismatic joints, counted from 0, whose positions are in m; the arm's where not given.
             joint_velocity, joint_acceleration: `(sample, joint)` rad/s, rad/s².
             joint_torque, motor_current, joint_temperature: `(sample, joint)` N·m, A, °C.
+            commanded_position: `(sample, joint)` rad, what the controller asked for.
             time, ambient_temperature, payload: `(sample,)` s, °C, kg at the flange (zero where not given).
             run: `(sample,)` int, which changes where a new run starts.
             settings: what a sidecar would declare; the defaults where not given.
@@ -127,6 +131,7 @@ class Recording(PublicResult):
             "joint_torque": joint_torque,
             "motor_current": motor_current,
             "joint_temperature": joint_temperature,
+            "commanded_position": commanded_position,
             "ambient_temperature": ambient_temperature,
             "payload": payload,
         }
@@ -180,6 +185,7 @@ class Recording(PublicResult):
         joint_torque: ArrayLike | None = None,
         motor_current: ArrayLike | None = None,
         joint_temperature: ArrayLike | None = None,
+        commanded_position: ArrayLike | None = None,
         ambient_temperature: ArrayLike | None = None,
         payload: ArrayLike | None = None,
         run: ArrayLike | None = None,
@@ -250,6 +256,7 @@ class Recording(PublicResult):
             joint_torque=optional("joint_torque", joint_torque, dof),
             motor_current=optional("motor_current", motor_current, dof),
             joint_temperature=optional("joint_temperature", joint_temperature, dof),
+            commanded_position=optional("commanded_position", commanded_position, dof),
             ambient_temperature=optional("ambient_temperature", ambient_temperature),
             payload=shaped("payload", np.zeros(samples) if payload is None else payload),
             run=run,
@@ -347,7 +354,7 @@ class Recording(PublicResult):
     def made_anew(self, **changes: Any) -> "Recording":
         """With other arguments of `assembled`; directions, and velocities that were not recorded, follow from them.
 
-        Accelerations, torques and currents are left out, as they belong to the motion as it was, and notes as well.
+        Accelerations, torques, currents and commands are left out, as they belong to the motion as it was, and notes.
 
         Raises:
             InputError: as `assembled`.
@@ -372,6 +379,7 @@ class Recording(PublicResult):
             ("tau", "Nm", "N", self.joint_torque),
             ("current", "A", "A", self.motor_current),
             ("temp", "degC", "degC", self.joint_temperature),
+            ("cmd", "rad", "m", self.commanded_position),
         ):
             for i, column in enumerate(() if joints is None else joints.T):
                 table[f"{quantity}{i + 1}_{of_slide if i in self.sliding else unit}"] = column

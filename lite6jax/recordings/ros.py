@@ -142,7 +142,8 @@ def read_log(
 
     Joints are named q1 … qN by the names of the arm's joints, along Universal Robots' arm, by the numbers in their
     names, or in order of appearance. Positions of prismatic joints are in m.
-    Times count from the first row. Velocities and efforts are taken along where every message has them.
+    Times count from the first row. Velocities and efforts are taken along where every message has them. Efforts of the
+    only joint states are read without poses.
 
     Args:
         path: of the log, for messages.
@@ -167,6 +168,13 @@ def read_log(
     state = _joint_states(path, joints.topic, moved, of_arm, notes)
     said = f"times are {moved.clock} of {joints.topic}"
     notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
+    if poses is None and not topics:
+        if not any(name.startswith("tau") for name in state.columns):
+            raise InputError(
+                f"{path}: has no topic of {POSE_STAMPED}; {_topics_of(short)}; record one with these types, or name "
+                f"{path.name}#{joints.name} for a motion or torques without poses"
+            )
+        notes.append(f"there are no poses: {joints.topic} is read for its efforts, as {path.name}#{joints.name}")
     if poses is None or measured is None:
         return {"time_s": _seconds(state.stamp, state.stamp[0]), **state.columns}
     if short[poses.topic] == TF:
@@ -191,9 +199,8 @@ def read_log(
 
 
 def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
-    """The topics of the joint states and of the poses; None for poses where only joint states are named."""
-    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in types.items()], " and {} more")
-    there = f"it has {shown}" if types else "it has no topics at all"
+    """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
+    there = _topics_of(types)
     wanted = [_split(name, types) for name in named]
     for choice in wanted:
         if types.get(choice.topic) not in (JOINT_STATE, *POSES):
@@ -211,16 +218,14 @@ def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple
     pair = [*(choice.name for choice in joints[:1]), *(choice.name for choice in poses[:1])]
     if len(joints) > 1:
         raise InputError(_several(path, JOINT_STATE, joints, pair))
-    if not poses and named:
-        return joints[0], None
-    if not poses:
-        raise InputError(
-            f"{path}: has no topic of {POSE_STAMPED}; {there}; record one with these types, or name "
-            f"{path.name}#{joints[0].name} for a motion or torques without poses"
-        )
     if len(poses) > 1:
         raise InputError(_several(path, types[poses[0].topic], poses, pair))
-    return joints[0], poses[0]
+    return joints[0], poses[0] if poses else None
+
+
+def _topics_of(types: Mapping[str, str]) -> str:
+    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in types.items()], " and {} more")
+    return f"it has {shown}" if types else "it has no topics at all"
 
 
 def _split(name: str, types: Mapping[str, str]) -> _Chosen:
@@ -298,7 +303,7 @@ def _joint_states(path: Path, topic: str, series: _Series, of_arm: ArmJoints, no
             columns[joint_unit(pattern.format(joint + 1), joint in of_arm.sliding)] = block[:, joint]
         if field == "effort":
             forces = f", those of {_listed(slides)} as forces in N" if slides else ""
-            notes.append(f"the efforts of {topic} are taken as torques in N m{forces}")
+            notes.append(f"the efforts of {topic} are taken as torques in N m{forces}: assumed, as they state no unit")
     return _JointStates(series.stamp[whole], columns)
 
 

@@ -209,7 +209,7 @@ def shown(value: Any) -> str:
 
 
 def _names_a_file(arm: str) -> bool:
-    return "/" in arm or "\\" in arm or Path(arm).suffix.lower() in ARM_FILE_SUFFIXES
+    return "/" in arm or "\\" in arm or Path(arm.partition("#")[0]).suffix.lower() in ARM_FILE_SUFFIXES
 
 
 def _text(value: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import MATRIX, QUATERNION
+from lite6jax.recordings.columns import MATRIX, QUATERNION, units_of
 
 Array = NDArray[np.floating]
 Sureness = Literal["certain", "likely", "assumed"]
@@ -21,6 +21,10 @@ PERCENT = 100.0
 """Within, joints of LeRobot may be in percent of each joint's range; beyond, angles are degrees for certain."""
 TURN_TICKS = 4096
 """Ticks of a servo's encoder in a turn (Feetech, Dynamixel)."""
+_FEWEST_TICKS = 20
+"""Different positions of the joints, from which steps between them show that they are angles."""
+_FOLLOWS, _NEAR = 0.5, 0.05
+"""Of the spread of a joint, and rad or m: a joint is nearer to its commanded position, at most of the time."""
 BACK = 0.1
 """Of the steps of a time, which may not increase: rows out of order, repeated rows, new runs."""
 MOVING_RAD = 0.5
@@ -33,6 +37,8 @@ LARGE_A = 100.0
 """Beyond, currents are milliamperes."""
 LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
+_LARGE_REGISTER = 100.0
+"""Beyond, torques that are whole numbers may be the register of a drive."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Times since 1970, by their least magnitude."""
 _SLOW, _FAST = 2e-3, 8.0
@@ -92,10 +98,42 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
     if servo and WIDE_RAD < largest <= PERCENT:
-        return Decision("deg", "assumed", "percent", said)
+        in_ticks = _in_ticks(position)
+        return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
     return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
+
+
+def _in_ticks(position: Array) -> bool:
+    """Whether all joints `(sample, joint)` change in steps of a tick in degrees; those of percent depend on a range."""
+    different = [np.unique(column[np.isfinite(column)]) for column in position.T]
+    moved = [values - values[0] for values in different if len(values) > 1]
+    if sum(map(len, moved)) < _FEWEST_TICKS:
+        return False
+    ticks = [np.concatenate(moved) * turn / 360 for turn in (TURN_TICKS, TURN_TICKS - 1)]  # LeRobot divides by either
+    return any(float(np.quantile(np.abs(count - np.round(count)), 0.99)) < 0.15 for count in ticks)
+
+
+def unit_of_command(command: Array, position: Array, slides: bool = False, unit: str | None = None) -> Decision | None:
+    """The unit in which numbers are the commands that joints follow, each of them; None where they follow in none.
+
+    Args:
+        command: `(sample, joint)`, in an unknown unit.
+        position: `(sample, joint)` in SI units.
+        slides: whether these joints are prismatic.
+        unit: that the names state.
+    """
+    there = np.isfinite(position).all(1)
+    if not there.any() or not np.isfinite(command[there]).all():
+        return None
+    far = np.maximum(_FOLLOWS * np.std(position[there], axis=0), _NEAR)
+    units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}
+    away = {name: np.median(np.abs(command / size - position)[there], axis=0) / far for name, size in units.items()}
+    best = min(away, key=lambda name: float(away[name].max()))
+    if (away[best] > 1).any():
+        return None
+    return by_name(best) if unit else Decision(best, "certain", "follows", {})
 
 
 def rate_unit(rate: Array, position: Array, usual: str, time: Array | None, units: Mapping[str, float]) -> Decision:
@@ -138,7 +176,10 @@ def current_unit(current: Array) -> Decision:
 
 
 def torque_unit(torque: Array) -> Decision:
-    """`mNm` or `Nm`."""
+    """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
+    there, largest = torque[np.isfinite(torque)], _largest(torque)
+    if _LARGE_REGISTER < largest <= LARGE_NM and (there == np.round(there)).all():
+        return Decision("Nm", "assumed", "register", {"largest": largest})
     return _by_largest(torque, LARGE_NM, "Nm", "mNm")
 
 

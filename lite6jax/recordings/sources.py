@@ -75,15 +75,19 @@ def open_table(
         if suffix not in kinds:
             raise InputError(f"{path}: {stranger(path) or _other(kinds)}")
         check_readable(path)
-        if suffix in (".db3", ".bag"):
-            return path, raw.of_arrays(read_bag(path, topics, of_arm, notes))
-        if suffix == ".mcap":
-            return path, raw.of_arrays(read_mcap(path, topics, of_arm, notes))
+        if suffix in LOGS:
+            return path, _of_log(path, topics, of_arm, notes)
         if suffix == ".parquet":
             return path, raw.of_parquet(path)
         return path, of_csv(path, notes) if suffix in TEXTS else raw.of_stream(path, notes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
+
+
+def _of_log(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
+    """The table of a log, in whose joint states nothing says the unit of efforts."""
+    columns = (read_mcap if path.suffix.lower() == ".mcap" else read_bag)(path, topics, of_arm, notes)
+    return raw.of_arrays(columns, [name for name in columns if name.startswith("tau")])
 
 
 def _other(kinds: Sequence[str]) -> str:
@@ -112,10 +116,10 @@ def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
     if _is_lerobot(path):
         return of_lerobot(path)
     if exists(path / METADATA):
-        return raw.of_arrays(read_bag(path, topics, of_arm, notes))
+        return _of_log(path, topics, of_arm, notes)
     logs = _logs(path)
     if len(logs) == 1 and logs[0].suffix == ".mcap":  # a recorder that was ended writes no metadata
-        return raw.of_arrays(read_mcap(logs[0], topics, of_arm, notes))
+        return _of_log(logs[0], topics, of_arm, notes)
     if logs:
         raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
     raise InputError(f"{path}: {_of_no_recording(path)}")

@@ -256,6 +256,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         "joint_torque": per_joint("tau{}_Nm"),
         "motor_current": per_joint("current{}_A"),
         "joint_temperature": per_joint("temp{}_degC"),
+        "commanded_position": per_joint("cmd{}_rad"),
         "ambient_temperature": values.get("ambient_degC"),
         "payload": values.get("payload_kg"),
         "run": run,

@@ -13,7 +13,7 @@ from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.naming import Role, unit_of, units_allowed
+from lite6jax.recordings.naming import Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 
 _KINDS = {
@@ -23,6 +23,7 @@ _KINDS = {
     "tau": "Joint torques",
     "current": "Motor currents",
     "temp": "Joint temperatures",
+    "cmd": "Commanded positions",
     "position": "Tool position",
     "rotation": "Tool orientation",
     "time": "Time",
@@ -35,6 +36,7 @@ _SLIDES = {
     "dq": "Slide velocities",
     "ddq": "Slide accelerations",
     "tau": "Slide forces",
+    "cmd": "Commanded slide positions",
 }
 """Of prismatic joints."""
 _UNITS = {
@@ -167,8 +169,7 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
 
 def no_angles(joints: Meaning) -> str:
     """Joint positions that may be no angles, and what to do."""
-    named = (command_line("--column", f"{own}=q{k}_deg") for k, own in enumerate(joints.block.columns, 1))
-    degrees = " ".join(name.partition(" ")[2] for name in named)
+    degrees = " ".join(_column_option(own, f"q{k}_deg") for k, own in enumerate(joints.block.columns, 1))
     if joints.unit.reason == "ticks":
         wrong = "look like raw ticks of servos (4096 a turn), which are no angles: write (ticks - 2048) * 360 / 4096"
     else:
@@ -193,9 +194,25 @@ def choice_of_pose(found: Inspection) -> str:
     roles: list[Role | None] = [source.role for source in found.sources]
     keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
     ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
-    ignored = (command_line("--column", f"{name}=ignore").partition(" ")[2] for name in found.sources[0].columns)
+    ignored = (_column_option(name, IGNORED) for name in found.sources[0].columns)
     ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
     return f"it holds {len(found.sources)} poses. {said} Choose by {', or '.join(ways)}"
+
+
+def choice_of_motors(found: Inspection) -> str:
+    """More motors than the arm has joints, and how to say which are meant."""
+    assert found.arm is not None
+    names = ", ".join(found.arm.joint_names or (f"q{k + 1}" for k in range(found.arm.dof)))
+    ways = " ".join(map(_column_option, found.motors[0], found.joint_columns))
+    return (
+        f"it holds {sum(map(len, found.motors))} joint positions ({'; '.join(map(_columns, found.motors))}), and "
+        f"{found.arm.name} has {found.arm.dof} joints ({names}): say which they are, such as {ways}"
+    )
+
+
+def _column_option(name: str, meaning: str) -> str:
+    """`--column name=meaning`, as it is typed."""
+    return command_line("--column", f"{name}={meaning}").partition(" ")[2]
 
 
 def statement(meaning: Meaning) -> str:
@@ -209,9 +226,18 @@ def statement(meaning: Meaning) -> str:
         unit = _UNITS.get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
     said += "."
+    if block.kind == "cmd":
+        said += " They are kept beside the measured ones; nothing uses them yet."
+    elif _commanded(meaning):
+        said += " By name they were commanded or computed; that they were measured is assumed."
     if block.rivals:
         said += f" {_listed(block.rivals)} may be meant instead: choose with --column."
     return said
+
+
+def _commanded(meaning: Meaning) -> bool:
+    """Whether joint columns are taken for measured ones that by name were commanded or computed."""
+    return meaning.block.rank == 2 and bool(meaning.block.joints) and meaning.block.kind != "cmd"
 
 
 def _kind(meaning: Meaning) -> str:
@@ -236,6 +262,9 @@ def _reason(decision: Decision) -> str:
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
+        "encoder_steps": "they change in steps of a servo's encoder in degrees",
+        "follows": "the joints follow them",
+        "register": "whole numbers up to {largest:.4g}, so they may be the register of a drive and no torques",
         "endless": "they reach {largest:.4g}, and the joint turns without end",
         "percent": "the largest is {largest:.3g}, so they may be normalised: -100 to 100 of each joint's range",
         "ticks": "whole numbers up to {largest:.4g}, so they may be ticks of servos, 4096 a turn",
@@ -361,10 +390,20 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     doubtful = [
         _kind(meaning).lower()
         for meaning in found.meanings
-        if "assumed" in (meaning.unit.sure, meaning.form.sure if meaning.form else "")
+        if "assumed" in (meaning.unit.sure, meaning.form.sure if meaning.form else "") or _commanded(meaning)
     ]
     if doubtful:
         yield Text(f"Check in the sidecar what was assumed: {', '.join(doubtful)}.")
+    q, tau, current = map(found.of, ("q", "tau", "current"))
+    if q is not None and _commanded(q) and "joint_source" not in settings:
+        yield Text("If the joint positions were commanded, write joint_source: commanded.")
+    if tau is not None and _commanded(tau) and "torque_source" not in settings:
+        yield Text("If the controller computed the torques by a model, write torque_source: estimated.")
+    if tau is not None and tau.unit.sure == "assumed" and not says_torque(tau.block.columns[0]):
+        as_current = _column_option(tau.block.columns[0], f"current{tau.block.joints[0]}_A")
+        yield Text(f"If the efforts are currents, say so for each: {as_current}.")
+    if tau is None and current is not None and "torque_constant_Nm_per_A" not in settings:
+        yield Text("Currents become torques by torque_constant_Nm_per_A in the sidecar, one number for each joint.")
     said = settings.get("pose_source", "unknown")
     if found.computed and said not in ("controller_fk", "unknown"):
         yield Text(f"The poses were computed, not measured by a {said}: errors of the arm do not show in them.")

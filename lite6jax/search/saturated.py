@@ -19,6 +19,7 @@ from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import Score, autocorrelation_times, gain_p_value, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
+from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
 from lite6jax.search.names import challenge_names, most_probable
@@ -46,12 +47,12 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
     explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
     terms = _distinct(problem, [term for term, one in explained if not one.confounded], baseline.training, options)
     rough = replace(options, steps=_STEPS, relinearisations=0)
-    found = fit(problem, terms, rough, training=baseline.training)
+    found = in_own_noise(problem, fit(problem, terms, rough, training=baseline.training), rough)
     times = autocorrelation_times(problem, found, options)
     while (leaving := _unnecessary(problem, found, times, options)) and len(found.terms.terms) > len(leaving):
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
-        found = fit(problem, rest, rough, values, found.nuisance, found.training)
+        found = fit(problem, rest, rough, values, found.nuisance, found.training, found.noise)
     named, there = found.terms.terms, {term.site for term in problem.ladder if term.usual}
     gains = [found.quadratic_gain(k) / time for k, time in enumerate(_of_terms(problem, named, times))]
     lacking = {t.site for t, gain in zip(named, gains, strict=True) if t.usual and gain > options.together}
@@ -76,7 +77,8 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     while leaving := _unnecessary(problem, state.fit, times, options):
         kept = [k not in leaving for k in range(len(state.tested))]
         rest, values = state.fit.terms.part(state.fit.values, kept)
-        found = fit(problem, rest, options, values, state.fit.nuisance, state.fit.training)
+        f = state.fit
+        found = fit(problem, rest, options, values, f.nuisance, f.training, f.noise)
         tested = tuple(test for test, stays in zip(state.tested, kept, strict=True) if stays)
         state = State(state.baseline, found, tested)
     # the noise of neighbouring samples is not independent: so many of them count as one

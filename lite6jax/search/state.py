@@ -99,10 +99,10 @@ def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> S
 
 
 def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], options: EngineOptions) -> State:
-    """The baseline with some of the state's terms, fitted from zero."""
-    model = Terms(tuple(test.term for test in terms))
-    base = state.baseline
-    return State(base, fit(problem, model, options, None, base.nuisance_about(problem), base.training), tuple(terms))
+    """The baseline with some of the state's terms, fitted from zero in the state's noise."""
+    model, base = Terms(tuple(test.term for test in terms)), state.baseline
+    nuisance, noise = base.nuisance_about(problem), state.fit.noise
+    return State(base, fit(problem, model, options, None, nuisance, base.training, noise), tuple(terms))
 
 
 def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:

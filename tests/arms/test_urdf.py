@@ -155,7 +155,7 @@ def test_frames_at_one_place_are_one_tip(tmp_path):
 def test_the_tip_can_be_named_in_the_path(tmp_path):
     path = branched(tmp_path, "3.14159 0 0")
     message = (
-        f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); name one with --tip ft_frame, or as "
+        f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); say which with --tip ft_frame, or as "
         "arm.urdf#ft_frame where a file is named"
     )
     assert refusal(read_urdf, path) == message
@@ -168,7 +168,7 @@ def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
     parts += [joint("j1", "base", "a"), joint("j2", "a", "hand"), joint("l", "hand", "left", "prismatic")]
     parts += [joint("r", "hand", "right", "prismatic", extra='<mimic joint="l"/>')]
     path = write(tmp_path, *parts)
-    with pytest.raises(InputError, match=r"end at hand \(2 joints\), left \(3 joints\), right \(3 joints\); name one"):
+    with pytest.raises(InputError, match=r"end at hand \(2 joints\), left \(3 joints\), right \(3 joints\); say which"):
         read_urdf(path)
     assert read_urdf(path, tip="hand").dof == 2
     assert read_urdf(path, tip="left").sliding == (2,)
@@ -242,7 +242,7 @@ def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
     path = write(tmp_path, *panda(), name="panda.urdf")
     assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at panda_hand (7 joints), panda_leftfinger (8 joints), panda_rightfinger (8 "
-        "joints); name one with --tip panda_hand, or as panda.urdf#panda_hand where a file is named"
+        "joints); say which with --tip panda_hand, or as panda.urdf#panda_hand where a file is named"
     )
     assert read_arm(f"{path}#panda_hand").dof == 7
     assert main(["convert", str(path), str(tmp_path / "panda.yaml"), "--tip", "panda_hand"]) == 0
@@ -259,7 +259,7 @@ def test_a_tree_with_a_torso_names_the_arm_with_and_without_it(tmp_path):
     assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at gripper_link (8 joints), wheel_left_link (1 joint), wheel_right_link (1 "
         "joint), xtion_link (3 joints), gripper_left_finger_link (9 joints), gripper_right_finger_link (9 joints); "
-        "name one with --tip gripper_link, or as tiago.urdf#gripper_link where a file is named; without "
+        "say which with --tip gripper_link, or as tiago.urdf#gripper_link where a file is named; without "
         "torso_lift_joint: --base torso_lift_link --tip gripper_link, or tiago.urdf#torso_lift_link:gripper_link"
     )
     whole, arm = read_arm(f"{path}#gripper_link"), read_arm(f"{path}#torso_lift_link:gripper_link")

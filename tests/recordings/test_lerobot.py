@@ -63,13 +63,15 @@ def test_the_state_of_all_episodes_is_read(tmp_path, version, kind):
     _, table = open_table(folder, (), ArmJoints(), [])
     found = inspect(list(table.numbers()))
     assert found.columns["observation.state.joint_3.pos"] == "q3_deg"
-    assert found.columns["observation.state.gripper.pos"] == found.columns["action.joint_1.pos"] == "ignore"
+    assert found.columns["observation.state.gripper.pos"] == found.columns["action.gripper.pos"] == "ignore"
+    assert found.columns["action.joint_1.pos"] == "cmd1_deg"
     assert (found.columns["timestamp"], found.columns["episode_index"]) == ("time_s", "run")
     lines = "".join(f"  {own}: {name}\n" for own, name in found.columns.items())
     (tmp_path / "picks.yaml").write_text(f"columns:\n{lines}recording: {{motion: trajectory}}\n")
     recording = read_recording(folder)
     np.testing.assert_allclose(np.rad2deg(recording.joint_position), np.concatenate(frames())[:, :6], rtol=1e-6)
     assert recording.run.tolist() == [0] * 30 + [1] * 20
+    np.testing.assert_allclose(np.rad2deg(recording.commanded_position - recording.joint_position), 1, rtol=1e-4)
     np.testing.assert_allclose(recording.time[30:], np.arange(20) / 30, atol=1e-6)
     assert recording.source == str(folder)
 
@@ -81,6 +83,18 @@ def test_names_below_a_heading_and_none(tmp_path, names, wanted):
     folder = dataset(tmp_path / "picks", names=names)
     _, table = open_table(folder, (), ArmJoints(), [])
     assert table.names[0] == wanted
+
+
+@pytest.mark.parametrize("said", [{"units": "rad"}, {"info": {"unit": ["rad"] * 6 + ["percent"]}}])
+def test_units_that_the_data_set_states(tmp_path, said):
+    folder = dataset(tmp_path / "picks")
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    info["features"]["observation.state"] |= said
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    _, table = open_table(folder, (), ArmJoints(), [])
+    found = inspect(list(table.numbers()))
+    assert found.columns["observation.state.joint_3.pos [rad]"] == "q3_rad"
+    assert found.of("q").unit.sure == "certain"
 
 
 def test_without_a_sidecar_its_columns_are_named_and_init_with_them(tmp_path):

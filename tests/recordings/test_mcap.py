@@ -166,7 +166,7 @@ def test_joints_stand_at_the_poses_stamps(tmp_path):
     assert joined.startswith("the joints are interpolated linearly to the times of the poses (between joint states at ")
     assert tuple(others) == (
         "joints of /joint_states by the numbers in their names: q1 is arm_joint1, q2 is arm_joint2, q3 is arm_joint3",
-        "the efforts of /joint_states are taken as torques in N m",
+        "the efforts of /joint_states are taken as torques in N m: assumed, as they state no unit",
         "times are the header stamps of /joint_states, the header stamps of /tool",
     )
 
@@ -322,9 +322,30 @@ def test_efforts_are_torques_without_poses_too(tmp_path):
     t = np.arange(5) / 10
     q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
     path = write(tmp_path / "run.mcap", {"/joint_states": joints(t, q, efforts=tau)})
-    recording = read_recording(f"{path}#/joint_states")
-    np.testing.assert_array_equal(recording.torques(), tau)
-    assert recording.position is None
+    for name in (f"{path}#/joint_states", path):
+        recording = read_recording(name)
+        np.testing.assert_array_equal(recording.torques(), tau)
+        assert recording.position is None
+    assert recording.notes[3] == "there are no poses: /joint_states is read for its efforts, as run.mcap#/joint_states"
+    two = {f"/{side}/joint_states": joints(t, q, efforts=tau) for side in ("left", "right")}
+    assert refusal(write(path, two)).startswith("has 2 topics of sensor_msgs/JointState: /left/joint_states, /right")
+
+
+def test_efforts_may_be_named_currents(tmp_path, capsys):
+    t = np.arange(9) / 10
+    q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
+    path = write(tmp_path / "run.mcap", {"/joint_states": joints(t, q, efforts=tau)}, sidecar=None)
+    assert main(["init", str(path), "--yes"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Joint torques: tau1_Nm, tau2_Nm, in N m (assumed: the largest is 3.8)." in said
+    assert "Check in the sidecar what was assumed: joint torques." in said
+    assert "If the efforts are currents, say so for each: --column tau1_Nm=current1_A." in said
+    assert read_recording(path).motor_current is None
+    named = [f"--column=tau{k}_Nm=current{k}_A" for k in (1, 2)]
+    assert main(["init", str(path), "--yes", "--force", *named, "--set", "torque_constant_Nm_per_A=[2, 3]"]) == 0
+    recording = read_recording(path)
+    assert recording.joint_torque is None
+    np.testing.assert_array_equal(recording.torques(), tau * [2, 3])
 
 
 def test_no_topics_at_all(tmp_path):
@@ -437,7 +458,8 @@ def test_a_prismatic_joint_is_in_metres_and_newtons(tmp_path):
     assert declared.sliding == (2,)
     assert {"q2_rad", "q3_m", "dq3_m_per_s", "tau2_Nm", "tau3_N"} <= declared.columns().keys()
     assert "positions of joint3 are taken as lengths in m: prismatic joints of the arm" in declared.notes
-    assert "the efforts of /joint_states are taken as torques in N m, those of joint3 as forces in N" in declared.notes
+    forces = "the efforts of /joint_states are taken as torques in N m, those of joint3 as forces in N"
+    assert f"{forces}: assumed, as they state no unit" in declared.notes
     for found in (declared, read_source(path, slid.arm())):
         np.testing.assert_allclose(found.joint_position, q, atol=1e-12)
         np.testing.assert_allclose(found.joint_velocity, dq, atol=1e-12)

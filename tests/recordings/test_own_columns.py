@@ -250,12 +250,61 @@ NAMINGS = {
             "time": ["timestamp"],
             "q": joints("actual_q_{}"),
             "dq": joints("actual_qd_{}"),
-            "tau": joints("target_moment_{}"),
             "current": joints("actual_current_{}"),
+            "cmd": joints("target_q_{}"),
             "temp": joints("joint_temperatures_{}"),
             "position": joints("actual_TCP_pose_{}", 3),
             "rotation": joints("actual_TCP_pose_{}", 3, 3),
             "payload": ["payload"],
+        },
+    ),
+    "rtde without what is measured": (
+        [*joints("target_q_{}"), *joints("target_qd_{}"), *joints("target_moment_{}")],
+        {"q": joints("target_q_{}"), "dq": joints("target_qd_{}"), "tau": joints("target_moment_{}")},
+    ),
+    "currents as torques": (
+        [*joints("actual_q_{}"), *joints("target_qdd_{}"), *joints("actual_current_as_torque_{}")],
+        {"q": joints("actual_q_{}"), "tau": joints("actual_current_as_torque_{}")},
+    ),
+    "libfranka": (
+        [
+            name
+            for of in ("tau_ext_hat_filtered", "tau_J_d", "q_d", "q", "dq_d", "dq", "tau_J", "ddq_d")
+            for name in joints(of + "[{}]", 7)
+        ],
+        {
+            "q": joints("q[{}]", 7),
+            "dq": joints("dq[{}]", 7),
+            "tau": joints("tau_J[{}]", 7),
+            "cmd": joints("q_d[{}]", 7),
+        },
+    ),
+    "torques from outside": (
+        [*joints("q{}"), *joints("tau_ext_hat_filtered_{}"), *(f"tau_ext.shoulder_{part}" for part in ("pan", "lift"))],
+        {"q": joints("q{}")},
+    ),
+    "mujoco": (
+        [
+            *joints("qpos[{}]"),
+            *joints("qvel[{}]"),
+            *joints("qacc[{}]"),
+            *joints("ctrl[{}]"),
+            *joints("qfrc_bias[{}]"),
+            *joints("qfrc_actuator[{}]"),
+        ],
+        {
+            "q": joints("qpos[{}]"),
+            "dq": joints("qvel[{}]"),
+            "ddq": joints("qacc[{}]"),
+            "tau": joints("qfrc_actuator[{}]"),
+        },
+    ),
+    "lists of a LeRobot data set": (
+        [*joints("observation.state.{}"), *joints("observation.effort.{}"), *joints("action.{}")],
+        {
+            "q": joints("observation.state.{}"),
+            "tau": joints("observation.effort.{}"),
+            "cmd": joints("action.{}"),
         },
     ),
     "kuka": (
@@ -348,6 +397,7 @@ NAMINGS = {
         ],
         {
             "q": ["observation.state.waist", "observation.state.elbow"],
+            "cmd": ["action.waist", "action.elbow"],
             "time": ["timestamp"],
             "run": ["episode_index"],
         },
@@ -496,6 +546,13 @@ def test_units_stand_at_the_end_of_names_in_many_ways():
         assert (block.kind, block.unit) == ("position", unit)
     (_, block), _ = meant([f"pose_{part}" for part in "xyzabc"])
     assert (block.kind, block.columns) == ("rotation", ("pose_c", "pose_b", "pose_a"))  # not amperes and degrees
+
+
+def test_torques_and_commands_are_those_of_the_same_arm():
+    names = [f"{side}_{what}_{k}" for what in ("joint", "torque", "target_joint") for side in ("left", "right")
+             for k in range(2)]  # fmt: skip
+    found = naming.choose(naming.candidates(names), 2, ["right_joint_0", "right_joint_1"])
+    assert [block.columns[0] for block in found] == ["right_joint_0", "right_torque_0", "right_target_joint_0"]
 
 
 def test_what_may_be_meant_instead_is_named():

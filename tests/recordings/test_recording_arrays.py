@@ -3,8 +3,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, drop_missing
+from lite6jax.recordings.joint_changes import with_joints
 
 STATIC = RecordingSettings(motion="static")
 TRAJECTORY = RecordingSettings(motion="trajectory")
@@ -46,6 +48,19 @@ def test_trajectory_without_times_takes_the_direction_from_the_row_order_and_say
     )
     with pytest.raises(InputError, match=r"recording: a trajectory without velocities; add time_s or dq1_rad_per_s"):
         recording.velocities()
+
+
+def test_commanded_positions_stay_beside_the_measured_ones():
+    time = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.015, 400))
+    q, dq = swing(time)
+    recording = Recording.from_arrays(q, time=time, joint_velocity=dq, joint_torque=dq, commanded_position=q + 0.1)
+    even, fault = evenly_timed(recording)
+    assert fault is not None
+    np.testing.assert_allclose(even.commanded_position, even.joint_position + 0.1, atol=1e-4)
+    A, b = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([0.5, 0.0])
+    changed = with_joints(recording, A, b)
+    np.testing.assert_allclose(changed.commanded_position, (q + 0.1) @ A.T + b, atol=1e-12)
+    assert changed.made_anew().commanded_position is None
 
 
 def test_a_selection_keeps_the_direction_and_velocity_of_the_whole():

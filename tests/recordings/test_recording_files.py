@@ -38,9 +38,9 @@ def refusal(path, **options):
 def test_every_column_of_the_document_is_read_in_si(tmp_path):
     text = (
         "time_s,q1_rad,q2_rad,dq1_rad_per_s,dq2_rad_per_s,ddq1_rad_per_s2,ddq2_rad_per_s2,tau1_Nm,tau2_Nm,current1_A,current2_A,temp1_degC,temp2_degC,"
-        "ambient_degC,payload_kg,run,x_m,y_m,z_m,qw,qx,qy,qz\n"
-        "0,0.1,0.2,1,2,7,8,3,4,5,6,25,26,21,0.5,7,0.3,0.4,0.5,1,0,0,0\n"
-        "0.5,0.2,0.1,-1,-2,-7,-8,-3,-4,-5,-6,27,28,22,0.6,8,0.6,0.7,0.8,0,1,0,0\n"
+        "cmd1_rad,cmd2_deg,ambient_degC,payload_kg,run,x_m,y_m,z_m,qw,qx,qy,qz\n"
+        "0,0.1,0.2,1,2,7,8,3,4,5,6,25,26,0.2,0,21,0.5,7,0.3,0.4,0.5,1,0,0,0\n"
+        "0.5,0.2,0.1,-1,-2,-7,-8,-3,-4,-5,-6,27,28,0.3,180,22,0.6,8,0.6,0.7,0.8,0,1,0,0\n"
     )
     recording = read_recording(file(tmp_path, text))
     assert recording.time.tolist() == [0, 0.5]
@@ -50,6 +50,7 @@ def test_every_column_of_the_document_is_read_in_si(tmp_path):
     assert recording.joint_torque.tolist() == [[3, 4], [-3, -4]]
     assert recording.motor_current.tolist() == [[5, 6], [-5, -6]]
     assert recording.joint_temperature.tolist() == [[25, 26], [27, 28]]
+    assert recording.commanded_position.tolist() == [[0.2, 0], [0.3, np.pi]]
     assert recording.ambient_temperature.tolist() == [21, 22]
     assert recording.payload.tolist() == [0.5, 0.6]
     assert recording.run.tolist() == [7, 8]
@@ -463,6 +464,7 @@ def contents(draw):
         "joint_torque": maybe(1e5, dof),
         "motor_current": maybe(1e5, dof),
         "joint_temperature": maybe(1e4, dof),
+        "commanded_position": maybe(6e3, dof),
         "ambient_temperature": maybe(1e4),
         "payload": maybe(1e5),
         "run": draw(arrays(np.int64, samples, elements=st.integers(-(2**53), 2**53))) if draw(st.booleans()) else None,

@@ -5,7 +5,7 @@ kinematics decide where one is known or recognised, and sizes elsewhere. What no
 and numbers only: the words are those of `report.inspection`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
@@ -81,6 +81,7 @@ class Inspection:
         error: m, the median error of the arm as read; infinite where there is none, or no poses.
         motion: `static` or `trajectory`, and why in words.
         sources: the poses; of several without one that is taken it is to be asked.
+        motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
     """
 
     meanings: tuple[Meaning, ...]
@@ -94,6 +95,7 @@ class Inspection:
     error: float
     motion: tuple[str, str]
     sources: tuple[PoseSource, ...]
+    motors: tuple[tuple[str, ...], ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
@@ -120,6 +122,13 @@ class Inspection:
     def computed(self) -> bool:
         """Whether the poses that are taken are the controller's own computation."""
         return any(source.taken and source.computed for source in self.sources)
+
+    @property
+    def joint_columns(self) -> tuple[str, ...]:
+        """The names of the joint positions in a recording, along the arm: `q1_deg`, `q2_mm`."""
+        q = [one for one in self.meanings if one.block.kind == "q"]
+        named = [pair for one in q for pair in zip(one.block.joints, one.names, strict=True)]
+        return tuple(name for _, name in sorted(named))
 
     def of(self, kind: str) -> Meaning | None:
         """The meaning of a kind of block: of revolute joints where there are some."""
@@ -149,6 +158,7 @@ def inspect(
     source: str = "recording",
     pose_source: str | None = None,
     motion: str | None = None,
+    assumed: Collection[str] = (),
 ) -> Inspection:
     """What a table holds.
 
@@ -159,6 +169,7 @@ def inspect(
         source: what messages begin with.
         pose_source: what measured the poses, as in a sidecar; of several poses it decides which are taken.
         motion: where it is known.
+        assumed: columns whose names state a unit that nothing else does.
 
     Raises:
         InputError: a column that is given is not there, or there are no rows.
@@ -176,11 +187,16 @@ def inspect(
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
     free = [name for name in numbers if given.get(name) != IGNORED]
-    joint_names = () if arm is None else arm.joint_names
+    joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
     slots = _slots({name: said for name, said in given.items() if name in numbers})
-    blocks = _merge_given(naming.choose(possible, None if arm is None else arm.dof), slots)
+    said_joints = [name for (quantity, _), (name, _) in slots.items() if quantity == "q"]
+    chosen = naming.choose(possible, dof, said_joints)
+    blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
+    whole = next((block for block in blocks if block.kind == "q"), None)
     blocks = _split_by_joint(blocks, given, arm)
+    unsaid = {*assumed} - given.keys()
+    blocks = [replace(block, unit=None) if {*block.columns} <= unsaid else block for block in blocks]
     joints = {name for block in blocks for name in block.columns}
     poses = _merge_given_poses([block for block in possible if not joints & set(block.columns)], slots)
     kept = {block.source for block in poses if block.kind == "position"}
@@ -201,7 +217,8 @@ def inspect(
     if agreed.angle is None and arm is not None and arm.endless and turned is not None and turned.shape[1] == arm.dof:
         agreed = agreed._replace(angle=sizes.angle_unit_with_endless(turned, arm.endless))
     meanings = meanings_of({key(block): block for block in blocks}, values, agreed)
-    used = {name for block in blocks for name in block.columns} | given.keys()
+    used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
+    used |= {name for meaning in meanings for name in meaning.block.columns}
     return Inspection(
         meanings=meanings,
         given=given,
@@ -214,7 +231,32 @@ def inspect(
         error=agreed.error,
         motion=(motion, "as given") if motion else motion_of(meanings, values),
         sources=tuple(reading.described(place == taken) for place, reading in enumerate(readings)),
+        motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, meanings),
     )
+
+
+def _motors(
+    whole: Block,
+    dof: int,
+    possible: Sequence[Block],
+    numbers: Mapping[str, Array],
+    meanings: Sequence[Meaning],
+) -> tuple[tuple[str, ...], ...]:
+    """Groups of joint positions of which any may be the arm's: too many columns, or several blocks."""
+    if len(whole.columns) > dof + 1:  # one more is a gripper's
+        return (whole.columns,)
+    q, *mixed = (meaning for meaning in meanings if meaning.block.kind == "q")
+    if mixed:
+        return ()
+    position = q.in_si(_stacked(numbers, q.block.columns))
+    alike = [other for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
+    others = [other.columns for other in alike if len(other.columns) == len(whole.columns)]
+
+    def apart(columns: tuple[str, ...]) -> bool:
+        return sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
+
+    others = [*filter(apart, others)]
+    return (whole.columns, *others) if others else ()
 
 
 def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
@@ -335,8 +377,8 @@ def _slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
     return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
 
 
-def _merge_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
-    """With the columns that are given in their places, of all but poses."""
+def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
+    """With the columns that are given in their places, of all but poses; those of all joints stand alone."""
     found = {block.kind: block for block in blocks}
     own = {name for name, _ in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
@@ -344,12 +386,29 @@ def _merge_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
         units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
         first = 1 if is_per_joint(kind) else 0
         before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
-        whole = sorted(told) == [*range(first, first + len(told))] and not own & set(before.values())
-        columns = told if whole else {joint: name for joint, name in before.items() if name not in own} | told
+        columns = {joint: name for joint, name in before.items() if name not in own} | told
+        whole = sorted(told) == [*range(first, first + len(told))]
+        if whole and (len(told) == dof or not own & set(before.values())):
+            columns = told
         if sorted(columns) == [*range(first, first + len(columns))]:
             unit = units.pop() if len(units) == 1 and columns == told else found[kind].unit if kind in found else None
             found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit or None)
-    return [found[kind] for kind in naming.KINDS if kind in found]
+    other = {kind: {name for (said, _), (name, _) in slots.items() if said != kind} for kind in found}
+    return [found[kind] for kind in naming.KINDS if kind in found and not other[kind] & {*found[kind].columns}]
+
+
+def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[Block]:
+    """Velocities, torques and the like of the motors that are given as the joints of a log of more motors."""
+    joints, motors = (next((b.columns for b in of if b.kind == "q"), ()) for of in (blocks, chosen))
+    if not {*joints} < {*motors}:
+        return [*blocks]
+    of_each = [block.columns for block in chosen if is_per_joint(block.kind)]
+    of_same = [columns for columns in of_each if len(columns) == len(motors)]
+    places = [motors.index(name) for name in joints]
+    return [
+        replace(block, columns=tuple(block.columns[k] for k in places)) if block.columns in of_same else block
+        for block in blocks
+    ]
 
 
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
@@ -386,7 +445,10 @@ def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm 
         if not is_per_joint(block.kind):
             found.append(block)
             continue
-        if len(block.columns) < dof and block.kind != "q":
+        surplus = (
+            len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
+        )  # nothing says which are the joints'
+        if block.kind != "q" and (len(block.columns) < dof or surplus):
             continue
         within = range(len(block.columns[: dof or None]))
         for slides in (False, True):

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
 
-_OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "payload", "ambient")
+_OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "payload", "ambient")
 _OF_POSES = ("position", "rotation", "ambient")
 """Kinds of blocks that are taken from either file."""
 _TIME = "time_s"

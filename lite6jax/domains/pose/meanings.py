@@ -68,7 +68,8 @@ class Meaning(NamedTuple):
         """As plain JSON values."""
         form = None if self.form is None else self.form._asdict()
         columns = dict(zip(self.block.columns, self.names, strict=True))
-        return {"kind": self.block.kind, "columns": columns, "unit": self.unit._asdict(), "form": form}
+        said = {"kind": self.block.kind, "columns": columns, "unit": self.unit._asdict(), "form": form}
+        return said | ({"commanded": True} if self.block.rank == 2 else {})
 
 
 def without_unit(name: str) -> str:
@@ -82,7 +83,7 @@ def key(block: Block) -> Key:
 
 
 def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed: Agreement) -> tuple[Meaning, ...]:
-    """What blocks mean, in the order of `naming.KINDS`.
+    """What blocks mean, in the order of `naming.KINDS`; commands that the joints do not follow mean nothing.
 
     Args:
         blocks: by `key`.
@@ -105,8 +106,13 @@ def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed
             )
             usual = found["q", of[1]].unit.choice
             found[of] = _meaning(block, _named(block) or _rate(block, values[of], position, usual, time))
+    for of in (("cmd", slides) for slides in moved):
+        block = blocks.get(of)
+        unit = block and sizes.unit_of_command(values[of], moved[of[1]], of[1], block.unit)
+        if block and unit:
+            found[of] = _meaning(block, unit)
     for of, block in blocks.items():
-        if of not in found and block.kind not in ("dq", "ddq"):
+        if of not in found and block.kind not in ("dq", "ddq", "cmd"):
             found[of] = _other(block, values[of], agreed)
     return tuple(found[kind, slides] for kind in naming.KINDS for slides in (False, True) if (kind, slides) in found)
 

@@ -243,6 +243,7 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
         joint_torque=joined(recording.joint_torque, PchipInterpolator),
         motor_current=joined(recording.motor_current, PchipInterpolator),
         joint_temperature=joined(recording.joint_temperature, PchipInterpolator),
+        commanded_position=joined(recording.commanded_position, PchipInterpolator),
         ambient_temperature=None if ambient is None else ambient[which],
         payload=recording.payload[which],
         run=np.repeat(np.arange(len(parts)), [len(t) for t in at]),
