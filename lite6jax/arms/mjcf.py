@@ -6,6 +6,7 @@ MuJoCo compiles what is read, so that defaults, degrees, inertia of geometry and
 import re
 import warnings
 import xml.etree.ElementTree as ET
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,7 @@ def _compiled(path: str | Path) -> Any:
     if _NOT_A_NUMBER.search(text):
         raise InputError(f"{path}: has a number that is not finite; correct it")
     try:
-        import mujoco
+        mujoco: Any = import_module("mujoco")
     except ImportError as error:
         raise InputError(f"{path}: MJCF files take the package mujoco; pip install 'lite6jax[mjcf]'") from error
     try:
