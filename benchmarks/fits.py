@@ -9,7 +9,7 @@ from benchmarks.problem import NOISE, Measured, chain_error, measured
 from benchmarks.rivals import OPTIMISTIX, RIVALS, Rival, plain_optimistix_fleet
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.convert import six_parameter_to_hayati
+from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.solution import FleetSolution, Result
 

@@ -26,7 +26,7 @@ from benchmarks.problem import NOISE, Measured, measured, simulated_arms
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.convert import six_parameter_to_hayati
+from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.solution import Result

@@ -32,6 +32,7 @@ from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks, observe
 from lite6jax.fitting.gauss_newton import CONVERGED, Prior, Solved
 from lite6jax.fitting.residual import Observations, identification_jacobian, residuals
 from lite6jax.model import ModelForm, arm_model
+from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 
 STEPS = 1000
@@ -77,7 +78,7 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
     yield from _spread("nominal", nominal, "")
     for hayati in (False, True):
         form = lite6.form if hayati else HayatiForm(6)
-        start = lite6.hayati if hayati else np.asarray(form.pack(np.zeros(4), lite6.dh))  # pyright: ignore
+        start = lite6.hayati if hayati else np.asarray(parameters_of_table(form, np.zeros(4), lite6.dh))  # pyright: ignore
         for base in (False, True):
             subject = f"{'base' if base else 'no base'}, {'Hayati' if hayati else 'plain DH'}"
             free = np.arange(0 if base else 4, form.size)
@@ -175,6 +176,6 @@ def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarr
 
 def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
     """Flange positions `(sample, 3)` in plain NumPy."""
-    base, table, beta = form.unpack(parameters)
+    base, table, beta = table_of_parameters(form, parameters)
     betas = dict(zip(form.parallel, beta, strict=True))
     return hayati_poses(base, table, betas, joint_position)[:, :3, 3]

@@ -12,7 +12,7 @@ from benchmarks.fits import wrong_fit
 from benchmarks.measure import Record, disagreement, median_time
 from benchmarks.problem import NOISE, SCALE, measured
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.convert import six_parameter_to_hayati
+from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import CHUNK, observe, padded_size
 from lite6jax.fitting.fleet import fit_fleet

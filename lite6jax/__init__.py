@@ -13,14 +13,17 @@ TYPE_CHECKING = False  # as of `typing`, which takes longer to import than the r
 if TYPE_CHECKING:
     # isort: off
     from lite6jax.arms.arm import Arm as Arm
-    from lite6jax.arms.chains import HayatiForm as HayatiForm
-    from lite6jax.arms.convert import (
+    from lite6jax.arms.chains import (
+        HayatiForm as HayatiForm,
+        hayati_fk as hayati_fk,
+        six_parameter_fk as six_parameter_fk,
+    )
+    from lite6jax.arms.dh import (
         hayati_to_six_parameter as hayati_to_six_parameter,
         six_parameter_to_hayati as six_parameter_to_hayati,
     )
     from lite6jax.arms.dynamics import inverse_dynamics as inverse_dynamics, link_parameters as link_parameters
     from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
-    from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk, six_parameter_fk as six_parameter_fk
     from lite6jax.diagnosis.combined import (
         CombinedDiagnosis as CombinedDiagnosis,
         diagnose_combined as diagnose_combined,
@@ -95,10 +98,9 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "lite6jax.arms.arm": ("Arm",),
-    "lite6jax.arms.chains": ("HayatiForm",),
-    "lite6jax.arms.convert": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
+    "lite6jax.arms.chains": ("HayatiForm", "hayati_fk", "six_parameter_fk"),
+    "lite6jax.arms.dh": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
     "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
-    "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
     "lite6jax.diagnosis.combined": ("CombinedDiagnosis", "diagnose_combined"),
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),

@@ -9,10 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, joint_motion
-from lite6jax.arms.forward_kinematics import Bend, fk, sweep
-from lite6jax.arms.moves import Frame, base_frame, displace
-from lite6jax.arms.se3 import rotation_exp, transform
+from lite6jax.arms.chains import Bend, Form, fk, joint_motion, sweep
+from lite6jax.arms.se3 import Frame, base_frame, displace, rotation_exp, transform
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.motion import Motion

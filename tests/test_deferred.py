@@ -56,7 +56,7 @@ import sys
 if sys.argv[1] == "after":
     import jax
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.forward_kinematics import fk
+from lite6jax.arms.chains import fk
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.motion import motion_of, shifted
 from lite6jax.effects.sliding import Sliding

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.dh import read_table, write_table
 from lite6jax.arms.factory import read_factory, write_factory
-from lite6jax.arms.files import read_arm, read_table, write_arm, write_table
+from lite6jax.arms.files import read_arm, write_arm
 from lite6jax.checksum import checksum_of, with_checksum
 from lite6jax.diagnosis.document import SCHEMA, read_model, write_document
 from lite6jax.errors import InputError, InputWarning

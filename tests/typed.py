@@ -1,9 +1,12 @@
-"""Commands as they are typed: what they print, and the one line with which they refuse."""
+"""Commands as they are typed: what they print, and the one line with which they, or functions, refuse."""
 
 import os
 from unittest import mock
 
+import pytest
+
 from lite6jax import cli
+from lite6jax.errors import InputError
 
 
 def run(capsys, *arguments, width=80):
@@ -21,6 +24,14 @@ def refused(capsys, *arguments):
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     return err.removeprefix("error: ").rstrip("\n")
+
+
+def refusal(call, *args, **kwargs):
+    """The whole line with which a call refuses."""
+    with pytest.raises(InputError) as error:
+        call(*args, **kwargs)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 def flat(text):

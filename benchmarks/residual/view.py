@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.concealed.chain import Chain, vector_from_rotation
 from benchmarks.concealed.plain_physics import moments
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.convert import hayati_to_six_parameter
+from lite6jax.arms.dh import hayati_to_six_parameter
 from lite6jax.domains.pose.fit import fit
 from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.recordings import Recording

@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import chains, convert, frames
+from lite6jax.arms import chains, frames
+from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.frames import sample_joints as sample_joints
 from lite6jax.arms.inertia import defect
 from lite6jax.errors import InputError
@@ -14,8 +15,8 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 # A published DH table and the six parameters beside it may be rounded differently (the vendor's ROS file has 1.5708).
-DH_EXACT = 1e-9
-DH_AGREES = 1e-4
+_DH_EXACT = 1e-9
+_DH_AGREES = 1e-4
 
 JOINT_TERMS = {
     "viscous_friction": "viscous friction",
@@ -82,63 +83,87 @@ class Arm:
     endless: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.name or not self.name.isprintable():
-            raise InputError(f"arm {self.name!r}: the name must be one printable line; write another")
-        if not self.source.isprintable():
-            raise InputError(f"arm {self.name!r}: the source must be one printable line; write it without line breaks")
+        self._require(self.name and self.name.isprintable(), "the name must be one printable line; write another")
+        self._require(self.source.isprintable(), "the source must be one printable line; write it without line breaks")
         joints = len(np.atleast_1d(np.asarray(self.kinematics, object)))
-        if joints == 0:
-            raise InputError(f"arm {self.name!r}: has no joint; give one row x y z roll pitch yaw per joint")
+        self._require(joints > 0, "has no joint; give one row x y z roll pitch yaw per joint")
         self._store("kinematics", (joints, 6))
-        if list(self.sliding) != [i for i in range(joints) if i in self.sliding]:
-            raise InputError(
-                f"arm {self.name!r}: sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}"
-            )
+        self._require(
+            list(self.sliding) == [i for i in range(joints) if i in self.sliding],
+            f"sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}",
+        )
         object.__setattr__(self, "sliding", tuple(self.sliding))
-        if not set(self.endless) <= set(range(joints)) - set(self.sliding):
-            raise InputError(f"arm {self.name!r}: endless is {self.endless}; give revolute joints, counted from 0")
-        if len(self.joint_names) not in (0, joints):
-            raise InputError(
-                f"arm {self.name!r}: has {len(self.joint_names)} joint_names for {joints} joints; name each"
-            )
+        self._require(
+            set(self.endless) <= set(range(joints)) - set(self.sliding),
+            f"endless is {self.endless}; give revolute joints, counted from 0",
+        )
+        self._require(
+            len(self.joint_names) in (0, joints),
+            f"has {len(self.joint_names)} joint_names for {joints} joints; name each",
+        )
         if self.joint_limits is None:
             widest = np.where(self.slides, 1.0, 2 * np.pi)
             object.__setattr__(self, "joint_limits", np.column_stack([-widest, widest]))
-        self._store("joint_limits", (joints, 2))
         if self.T_joint_flange is None:
             object.__setattr__(self, "T_joint_flange", np.eye(4))
+        together = "belong together; give both or neither"
+        self._require((self.mass is None) == (self.center_of_mass is None), f"mass and center_of_mass {together}")
+        self._require(
+            self.inertia is None or self.mass is not None,
+            "inertia needs the links' masses; give mass and center_of_mass too",
+        )
+        self._require(
+            (self.spring_stiffness is None) == (self.spring_rest is None),
+            f"spring_stiffness and spring_rest {together}",
+        )
+        shapes: dict[str, tuple[int, ...]] = {"joint_limits": (2,), "center_of_mass": (3,), "dh": (4,)}
+        shapes |= {"inertia": (3, 3), "mass": ()} | dict.fromkeys(DRIVE_FIELDS, ())
         self._store("T_joint_flange", (4, 4))
-        if (self.mass is None) != (self.center_of_mass is None):
-            raise InputError(f"arm {self.name!r}: mass and center_of_mass belong together; give both or neither")
-        if self.inertia is not None and self.mass is None:
-            raise InputError(f"arm {self.name!r}: inertia needs the links' masses; give mass and center_of_mass too")
-        if (self.spring_stiffness is None) != (self.spring_rest is None):
-            raise InputError(
-                f"arm {self.name!r}: spring_stiffness and spring_rest belong together; give both or neither"
-            )
-        shapes = {
-            "spring_rest": (joints,),
-            "mass": (joints,),
-            "center_of_mass": (joints, 3),
-            "dh": (joints, 4),
-            "inertia": (joints, 3, 3),
-        }
-        for field, shape in (shapes | dict.fromkeys(JOINT_TERMS, (joints,))).items():
+        for field, shape in shapes.items():
             if getattr(self, field) is not None:
-                self._store(field, shape)
-        self._check()
+                self._store(field, (joints, *shape))
+        self._check_numbers()
+
+    def _require(self, fine: object, message: str) -> None:
+        if not fine:
+            raise InputError(f"arm {self.name!r}: {message}")
 
     def _store(self, field: str, shape: tuple[int, ...]) -> None:
         try:
             value = np.array(getattr(self, field), np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"arm {self.name!r}: {field} is not an array of numbers of shape {shape}") from error
-        if value.shape != shape:
-            raise InputError(f"arm {self.name!r}: {field} has the shape {value.shape}; it must be {shape}")
-        if not np.isfinite(value).all():
-            raise InputError(f"arm {self.name!r}: {field} has a number that is not finite; correct it")
+        self._require(value.shape == shape, f"{field} has the shape {value.shape}; it must be {shape}")
+        self._require(np.isfinite(value).all(), f"{field} has a number that is not finite; correct it")
         value.flags.writeable = False
         object.__setattr__(self, field, value)
+
+    def _check_numbers(self) -> None:
+        for i, ((lower, upper), unit) in enumerate(zip(self.joint_limits, self.joint_units, strict=True), 1):
+            limits = f"joint{i}'s limits {lower:g} … {upper:g} {unit}"
+            self._require(lower < upper, f"{limits} are empty; write lower, upper")
+        T = self.T_joint_flange
+        self._require(
+            frames.is_rotation(T[:3, :3]), "T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
+        )
+        self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
+        for field, what in ({"mass": "mass"} | JOINT_TERMS).items():
+            values = getattr(self, field)
+            if values is not None and (values < 0).any():
+                part = "link" if field == "mass" else "joint"
+                self._require(False, f"{part}{int(np.argmax(values < 0)) + 1}'s {what} is negative; correct it")
+        for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):
+            wrong = defect(tensor)
+            self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
+        self._require(
+            self.dh is None or not self.sliding,
+            "a DH table is of revolute joints, and it has others; leave dh out",
+        )
+        self._require(
+            self._dh_distance <= _DH_AGREES,
+            f"its DH table is another chain than its kinematics (they differ by {self._dh_distance:.2g} m or rad);"
+            " correct one or leave dh out",
+        )
 
     @property
     def possible_positions(self) -> Array:
@@ -146,43 +171,6 @@ class Arm:
         limits = np.array(self.joint_limits)
         limits[list(self.endless)] = (-np.inf, np.inf)
         return limits
-
-    def _check(self) -> None:
-        for i, (lower, upper) in enumerate(self.joint_limits):
-            if not lower < upper:
-                unit = self.joint_units[i]
-                raise InputError(
-                    f"arm {self.name!r}: joint{i + 1}'s limits {lower:g} … {upper:g} {unit} are empty; write lower,"
-                    " upper"
-                )
-        T = self.T_joint_flange
-        if not frames.is_rotation(T[:3, :3]):
-            raise InputError(
-                f"arm {self.name!r}: T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
-            )
-        if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-            raise InputError(f"arm {self.name!r}: T_joint_flange's last row must be 0 0 0 1")
-        if self.mass is not None and (self.mass < 0).any():
-            raise InputError(
-                f"arm {self.name!r}: link{int(np.argmax(self.mass < 0)) + 1}'s mass is negative; correct it"
-            )
-        for i, tensor in enumerate([] if self.inertia is None else self.inertia):
-            if wrong := defect(tensor):
-                raise InputError(
-                    f"arm {self.name!r}: link{i + 1}'s inertia {wrong}; correct it, or leave out all inertia"
-                )
-        for field, what in JOINT_TERMS.items():
-            if (values := getattr(self, field)) is not None and (values < 0).any():
-                raise InputError(
-                    f"arm {self.name!r}: joint{int(np.argmax(values < 0)) + 1}'s {what} is negative; correct it"
-                )
-        if self.dh is not None and self.sliding:
-            raise InputError(f"arm {self.name!r}: a DH table is of revolute joints, and it has others; leave dh out")
-        if self._dh_distance > DH_AGREES:
-            raise InputError(
-                f"arm {self.name!r}: its DH table is another chain than its kinematics (they differ by"
-                f" {self._dh_distance:.2g} m or rad); correct one or leave dh out"
-            )
 
     @property
     def dof(self) -> int:
@@ -210,7 +198,7 @@ class Arm:
     @cached_property
     def links(self) -> Array:
         """(joint, 4, 4) the fixed transform before each joint's motion."""
-        return np.stack([frames.transform_from_row(row) for row in self.kinematics])
+        return frames.transform_from_row(self.kinematics)
 
     @cached_property
     def form(self) -> chains.HayatiForm:
@@ -226,10 +214,12 @@ class Arm:
         """
         published = None
         if self.dh is not None and not self.dh[list(self.form.parallel), 1].any():
-            published = np.asarray(self.form.pack(np.zeros(4), self.dh, np.zeros(len(self.form.parallel))), np.float64)
-            if self._dh_distance <= DH_EXACT:
+            links = np.zeros((self.dof, len(chains.LINK)))
+            links[:, chains.DH_COLUMNS] = self.dh
+            published = self.form.pack(np.zeros(len(chains.BASE)), links)
+            if self._dh_distance <= _DH_EXACT:
                 return published
-        return np.asarray(convert.six_parameter_to_hayati(self.form, self.kinematics, published), np.float64)
+        return six_parameter_to_hayati(self.form, self.kinematics, published)
 
     @cached_property
     def _dh_distance(self) -> float:

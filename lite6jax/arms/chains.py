@@ -1,17 +1,38 @@
-"""Serial chains as forms of their parameters: the six-parameter chain of factory files and URDF, and the Hayati chain.
+"""Serial chains: the six-parameter chain of factory files and URDF, the Hayati chain, and where they lead.
 
-`forward_kinematics` evaluates a form. The sample is the last axis of every array. Joints are revolute, or prismatic
-where `sliding` counts them from 0; which are is part of the form, so that it is known when a chain is compiled.
+A form says what a chain's parameters are. Joints are revolute, or prismatic where `sliding` counts them from 0: that is
+part of the form, so that it is known when a chain is compiled. `sweep` moves a frame along the chain by elementary
+transformations about its own axes. The sample is the last axis of every array, so that each is one vector instruction
+over all samples. The joints are a loop, so that neither the compile time nor the recomputation of prefixes grows with
+their number.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, joint_turn, rotate, rotation_twist, translate, turn
-from lite6jax.deferred import Array, jnp
+from lite6jax.arms import frames
+from lite6jax.arms.se3 import (
+    Frame,
+    Turn,
+    Twist,
+    X,
+    Y,
+    Z,
+    base_frame,
+    displace,
+    joint_turn,
+    rotate,
+    rotation_twist,
+    transform,
+    translate,
+    turn,
+)
+from lite6jax.deferred import Array, ArrayLike, jax, jit, jnp, lax
 from lite6jax.errors import InputError
 
 PARALLEL_WITHIN = np.deg2rad(5.0)
@@ -176,23 +197,21 @@ class HayatiForm:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; beta replaces its joint's d."""
-        base = self.of_link(-1)
-        links = [
-            f"{name}{i + 1}"
-            for i in range(self.dof)
-            for name in ("theta_off", "d", "a", "b", "alpha")
-            if name in self.of_link(i)
-        ]
-        betas = [f"beta{i + 1}" for i in self.parallel if i >= 0]
-        return (*(f"base_{name}" for name in ("x", "y", "z", "yaw", "roll", "pitch") if name in base), *links, *betas)
+        base = [f"base_{name}" for name in ("x", "y", "z", "yaw", "roll", "pitch") if name in self.of_link(-1)]
+        links = [f"{name}{i + 1}" for i in range(self.dof) for name in LINK[:-1] if name in self.of_link(i)]
+        return (*base, *links, *(f"beta{i + 1}" for i in self.parallel if i >= 0))
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """`(size,)`, where each of `names` stands in `BASE` followed by `LINK` of every joint."""
+        all_names = [*(f"base_{name}" for name in BASE), *(f"{name}{i + 1}" for i in range(self.dof) for name in LINK)]
+        return np.array([all_names.index(name) for name in self.names])
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
-        return tuple(
-            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "base_z", "d", "a", "b") else "rad"
-            for name in self.names
-        )
+        lengths = ("x", "y", "z", "d", "a", "b")
+        return tuple("m" if n.removeprefix("base_").rstrip("0123456789") in lengths else "rad" for n in self.names)
 
     @cached_property
     def walking_order(self) -> np.ndarray:
@@ -261,76 +280,40 @@ class HayatiForm:
         d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, frame.y, 0.0))
         return frame, (about_z, d_or_beta, along_x, about_x)
 
-    def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
-        """Parameters `(size,)` from the base `(4,)`, DH table `(joint, 4)` and one beta per parallel joint.
-
-        The base is in the order of `names`: x, y, roll, pitch where joint 1's axis is along z.
-
-        Raises:
-            InputError: a wrong shape, a non-zero d at a parallel joint, or a form with prismatic joints.
-        """
-        self._require_table()
-        base, dh, beta = np.asarray(base, float), np.asarray(dh, float), np.asarray(beta, float)
-        if base.shape != (4,) or dh.shape != (self.dof, 4) or beta.shape != (len(self.parallel),):
-            raise InputError(
-                f"base {base.shape}, dh {dh.shape}, beta {beta.shape}: "
-                f"this form takes (4,), ({self.dof}, 4) and ({len(self.parallel)},)"
-            )
-        for i in self.parallel:
-            if dh[i, 1] != 0:
-                raise InputError(f"joint {i + 1}: d must be 0 there (it has beta instead), not {dh[i, 1]}")
-        keep = np.ones((self.dof, 4), bool)
-        keep[list(self.parallel), 1] = False
-        return np.concatenate([base, dh[keep], beta])
-
-    def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse of `pack`."""
-        self._require_table()
-        parameters = self._checked(parameters)
-        keep = np.ones((self.dof, 4), bool)
-        keep[list(self.parallel), 1] = False
-        dh = np.zeros((self.dof, 4))
-        end = 4 + int(keep.sum())
-        dh[keep] = parameters[4:end]
-        return parameters[:4], dh, parameters[end:]
-
-    def gather(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
-        """Parameters `(size,)` from those of the base `(6,)`, `BASE`, and of the links `(joint, 6)`, `LINK`.
+    def pack(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
+        """Parameters `(..., size)` from those of bases `(..., 6)`, `BASE`, and of links `(..., joint, 6)`, `LINK`.
 
         Raises:
             InputError: a wrong shape, or a number that is not zero where the form has no parameter.
         """
         base, links = np.asarray(base, float), np.asarray(links, float)
-        if base.shape != (len(BASE),) or links.shape != (self.dof, 6):
+        if base.shape[-1:] != (len(BASE),) or links.shape[-2:] != (self.dof, len(LINK)):
             raise InputError(f"base {base.shape}, links {links.shape}: this form takes (6,) and ({self.dof}, 6)")
-        given = dict(zip((f"base_{name}" for name in BASE), base, strict=True))
-        given |= {f"{name}{i + 1}": link[k] for i, link in enumerate(links) for k, name in enumerate(LINK)}
-        for name, value in given.items():
-            if value != 0 and name not in self.names:
+        given = np.concatenate([base, links.reshape(*links.shape[:-2], -1)], -1)
+        for place in np.setdiff1d(np.arange(given.shape[-1]), self._places):
+            if np.any(given[..., place]):
+                joint, k = divmod(place - len(BASE), len(LINK))
+                name = f"base_{BASE[place]}" if joint < 0 else f"{LINK[k]}{joint + 1}"
+                value = np.abs(given[..., place]).max()
                 raise InputError(f"{name} is {value:g}, and this form has no such parameter; its are {self.names}")
-        return np.array([given[name] for name in self.names])
+        return given[..., self._places]
 
-    def spread(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse of `gather`: base `(6,)` and links `(joint, 6)`, zero where the form has no parameter."""
-        given = dict(zip(self.names, self._checked(parameters), strict=True))
-        links = [[given.get(f"{name}{i + 1}", 0.0) for name in LINK] for i in range(self.dof)]
-        return np.array([given.get(f"base_{name}", 0.0) for name in BASE]), np.array(links)
-
-    def _checked(self, parameters: npt.ArrayLike) -> np.ndarray:
+    def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of `pack` for `(size,)`: base `(6,)` and links `(joint, 6)`, zero where there is no parameter."""
         parameters = np.asarray(parameters, float)
         if parameters.shape != (self.size,):
             raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
-        return parameters
-
-    def _require_table(self) -> None:
-        if self.sliding:
-            raise InputError("a DH table has no place for the link after a prismatic joint; use gather and spread")
+        given = np.zeros(len(BASE) + self.dof * len(LINK))
+        given[self._places] = parameters
+        return given[: len(BASE)], given[len(BASE) :].reshape(self.dof, len(LINK))
 
 
 BASE = ("x", "y", "z", "yaw", "pitch", "roll")
 """The parameters of any base, in order of application."""
 LINK = ("theta_off", "d", "a", "b", "alpha", "beta")
 """The parameters of any link, in order of application."""
+DH_COLUMNS = [0, 1, 2, 4]
+"""The columns of `LINK` that a DH table has: theta_off d a alpha."""
 
 
 def _require_joints(joints: tuple[int, ...], what: str, first: int, last: int) -> None:
@@ -352,35 +335,153 @@ def joint_motion(form: Form, position: npt.ArrayLike) -> Turn:
     return joint_turn(jnp.asarray(position, float), form.sliding)
 
 
-def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """The joint axes at q = 0 as lines in the base frame: points in m and unit directions, `(..., joint, 3)` each.
-
-    Args:
-        kinematics: `(..., joint, 6)`, rows x y z (m) roll pitch yaw (rad).
-    """
-    kinematics = np.asarray(kinematics, float)
-    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(kinematics[..., 3:]), -1, 0) for f in (np.sin, np.cos))
-    rows = [  # Rz(yaw) Ry(pitch) Rx(roll)
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    turns = np.stack([np.stack(row, -1) for row in rows], -2)
-    R, p = np.eye(3), np.zeros(3)
-    points, directions = np.empty((2, *kinematics.shape[:-1], 3))
-    for i in range(kinematics.shape[-2]):
-        p = p + (R @ kinematics[..., i, :3, None])[..., 0]
-        R = R @ turns[..., i, :, :]
-        points[..., i, :], directions[..., i, :] = p, R[..., 2]
-    return points, directions
-
-
 def hayati_form_of(kinematics: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> HayatiForm:
     """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the directions of its axes."""
-    _, directions = joint_axes(kinematics)
+    directions = frames.frames_at_zero(kinematics)[:, :3, Z]
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
     parallel = tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN)))
     if 0 in sliding and np.hypot(*directions[0, :2]) < np.sin(PARALLEL_WITHIN):
         parallel = (-1, *parallel)
     lies = 0 not in sliding and abs(directions[0, Z]) < _STEEP
     return HayatiForm(len(directions), parallel, sliding, int(np.argmax(np.abs(directions[0, :2]))) if lies else Z)
+
+
+class Bend(NamedTuple):
+    """Displacements of the frames of a six-parameter chain, sample by sample; None stands for zero.
+
+    Attributes:
+        stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
+        twist: `(joint, 6, sample)` m and rad, by which `displace` moves each frame after its joint's rotation.
+    """
+
+    stretch: Array | None = None
+    twist: Array | None = None
+
+
+def sweep(
+    form: Form,
+    parameters: Array,
+    joint: Turn,
+    start: Frame,
+    emit: Callable[[Twist], Any] | None = None,
+    bend: Bend | None = None,
+) -> tuple[Frame, list[Any]]:
+    """The flange frame of a chain, and a function of the twist of each parameter.
+
+    Args:
+        form: the parameterisation.
+        parameters: `(size,)`.
+        joint: the joints' motions, as `joint_motion` gives them, each `(joint, sample)`.
+        start: the base frame in fixed coordinates.
+        emit: maps the twist of a parameter to an array or a pytree of arrays.
+        bend: displacements of the frames of a six-parameter chain.
+
+    Returns:
+        the flange frame, and the results of `emit`: with a leading axis of length one for each parameter of the base,
+        then, for each parameter of a joint, those of all joints with a leading joint axis. Their parameters are those
+        of `sweep_order`. Empty without `emit`. One array a parameter is faster to fill than one for all.
+
+    Raises:
+        InputError: a bend of a Hayati chain, whose frames are not those of the links.
+    """
+    if bend is not None and isinstance(form, HayatiForm):
+        raise InputError(
+            "the frames of a Hayati chain are not those of its links, so it cannot bend; use the six-parameter "
+            "chain, to which hayati_to_six_parameter converts it exactly"
+        )
+    of_base, steps = _in_order(form, parameters)
+    frame, twists = form.apply_base(start, of_base)
+    of_frame = [] if emit is None else [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
+
+    def walk(frame: Frame, at: tuple[Array, Array, Turn, Bend]) -> tuple[Frame, tuple[Any, ...]]:
+        values, flag, motion, bent = at
+        if bent.stretch is not None:
+            values = (*((1 + bent.stretch) * value for value in values[:3]), *values[3:])
+        frame, twists = form.step(frame, values, flag, motion)
+        if bent.stretch is not None:
+            twists = (*(Twist((1 + bent.stretch) * twist.linear, None) for twist in twists[:3]), *twists[3:])
+        if bent.twist is not None:
+            frame = displace(frame, bent.twist)
+        return frame, () if emit is None else tuple(emit(twist) for twist in twists)
+
+    each = (steps, jnp.asarray(form.flags), joint, Bend() if bend is None else bend)
+    frame, of_joints = lax.scan(walk, frame, each)
+    return frame, [*of_frame, *of_joints]
+
+
+def sweep_order(form: Form) -> np.ndarray:
+    """The place in `form.names` of the parameter of each result of `sweep`, `form.size` where it is always zero."""
+    of_joints = form.walking_order[form.base_size :].reshape(form.dof, -1)
+    return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
+
+
+def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
+    """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
+    of_base, steps = _in_order(form, parameters)
+
+    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
+        frame, _ = form.step(frame, *at)
+        return frame, frame
+
+    return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
+
+
+def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
+    """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
+    if form.walking_order.max() == form.size:  # a parameter that is always zero
+        parameters = jnp.append(parameters, 0.0)
+    values = parameters[form.walking_order]
+    return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
+
+
+@partial(jit, static_argnums=0)
+def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
+
+    Args:
+        form: the parameterisation.
+        parameters: `(size,)` in the order of `form.names`; m and rad.
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
+
+    Raises:
+        InputError: shapes that do not fit the chain.
+    """
+    q = jnp.asarray(joint_position, float)
+    if jnp.shape(parameters) != (form.size,) or q.shape[-1:] != (form.dof,):
+        raise InputError(
+            f"parameters {jnp.shape(parameters)} and joint_position {q.shape}: this chain takes ({form.size},) and "
+            f"(..., {form.dof})"
+        )
+    joint = joint_motion(form, q.reshape(-1, form.dof).T)
+    frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
+    R = jnp.stack([frame.x, frame.y, frame.z], 1)
+    T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
+    return T.reshape(*q.shape[:-1], 4, 4)
+
+
+def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
+    """Flange poses `(..., 4, 4)` of a six-parameter chain.
+
+    Args:
+        kinematics: `(joint, 6)`, rows x y z (m) roll pitch yaw (rad).
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
+        sliding: the prismatic joints, counted from 0.
+    """
+    kinematics = jnp.asarray(kinematics, float)
+    if kinematics.ndim != 2 or kinematics.shape[1] != 6:
+        raise InputError(f"kinematics of shape {kinematics.shape}: give (joint, 6), and use jax.vmap for many arms")
+    return fk(SixParameterForm(kinematics.shape[0], sliding), kinematics.reshape(-1), joint_position)
+
+
+def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """The flange poses of a Hayati chain.
+
+    Args:
+        form: the Hayati form.
+        parameters: `(size,)` m and rad, in the order of `form.names`.
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
+
+    Returns:
+        `(..., 4, 4)` T_base_flange, m.
+    """
+    return fk(form, parameters, joint_position)

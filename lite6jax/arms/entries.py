@@ -1,15 +1,19 @@
-"""Checks of the numbers and keys of a parsed file, with messages that name the entry."""
+"""Entries of the files of an arm: checks of numbers and keys whose messages name the place, and YAML that is exact."""
 
 import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import yaml
+from numpy.typing import NDArray
 
+from lite6jax import storage
 from lite6jax.arms import frames
+from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -101,8 +105,8 @@ def six_numbers(value: Any, where: str) -> list[float]:
     return row
 
 
-def _six(value: Any, where: str) -> list[float]:
-    entry = mapping(value, where, SIX)
+def _six(value: Any, where: str, optional: Sequence[str] = ()) -> list[float]:
+    entry = mapping(value, where, SIX, optional)
     row = [number(entry[key], f"{where}: {key}") for key in SIX]
     for key, angle in zip(SIX[3:], row[3:], strict=True):
         if abs(angle) > ANGLE_LIMIT:
@@ -123,7 +127,7 @@ def _require_short(row: Sequence[float], where: str) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
-def within_reach(links: Array, limit: float = LENGTH_LIMIT) -> bool:
+def is_reachable(links: Array, limit: float = LENGTH_LIMIT) -> bool:
     """Whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base: single long links may cancel.
 
     They do along axes that are nearly parallel, whose common normal is far away.
@@ -145,36 +149,20 @@ def convention(value: Any, where: str) -> str | None:
     return _CONVENTIONS[str(value).lower()]
 
 
-def sliding(value: Any, where: str) -> tuple[Any, tuple[int, ...]]:
-    """A description's table `kinematics` without the joints' types, and its prismatic joints, counted from 0.
-
-    Raises:
-        InputError: a type that is none of `TYPES`, or a prismatic joint of another name than joint1, joint2, ….
-    """
-    if not isinstance(value, Mapping) or not any(isinstance(row, Mapping) and "type" in row for row in value.values()):
-        return value, ()
-    rest, found = {}, []
-    for joint, row in value.items():
-        kind = row.get("type", TYPES[0]) if isinstance(row, Mapping) else TYPES[0]
-        if kind not in TYPES:
-            raise InputError(f"{where}: {joint}: type is {str(kind)[:40]!r}; write {' or '.join(TYPES)}")
-        if kind == TYPES[1]:
-            found.append(str(joint))
-        rest[joint] = {key: n for key, n in row.items() if key != "type"} if isinstance(row, Mapping) else row
-    for joint in found:
-        if not re.fullmatch(r"joint[1-9][0-9]?", joint):
-            raise InputError(f"{where}: {joint} is prismatic; name the joints of such an arm joint1, joint2, …")
-    return rest, tuple(sorted(int(joint[5:]) - 1 for joint in found))
-
-
-def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
+def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tuple[str, ...], tuple[int, ...]]:
     """The six-parameter table below a file's key `kinematics`, in the vendor's form or in Universal Robots'.
 
+    Args:
+        value: the table.
+        where: the beginning of messages.
+        typed: whether a row may have a `type`, one of `TYPES`.
+
     Returns:
-        (joint, 6) x y z roll pitch yaw in m and rad, and the joints' names for messages.
+        (joint, 6) x y z roll pitch yaw in m and rad, the joints' names for messages, and the prismatic joints, counted
+        from 0.
 
     Raises:
-        InputError: a joint missing or unknown, or as `six_numbers`; the line names the joint.
+        InputError: a joint missing or unknown, another type, or as `six_numbers`; the line names the joint.
     """
     if not isinstance(value, Mapping) or not value:
         raise InputError(
@@ -190,31 +178,36 @@ def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
     for key in keys:
         if key not in joints:
             raise InputError(f"{where}: kinematics has the unknown joint {key!r}; {suggestion(key, joints)}")
-    for joint, name in zip(joints, names, strict=True):
+    rows, sliding = [], []
+    for i, (joint, name) in enumerate(zip(joints, names, strict=True)):
         if joint not in keys:
             raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")
-    places = [f"{where}: {name}" for name in names]
-    rows = np.array([_six(keys[joint], place) for joint, place in zip(joints, places, strict=True)])
-    if np.abs(rows[:, :3]).max() > LENGTH_LIMIT and not within_reach(
-        np.array([frames.transform_from_row(row) for row in rows])
-    ):
-        for row, place in zip(rows, places, strict=True):
-            _require_short(row.tolist(), place)
-    return rows, names
+        rows.append(_six(keys[joint], f"{where}: {name}", ("type",) if typed else ()))
+        kind = keys[joint].get("type", TYPES[0])
+        if kind not in TYPES:
+            raise InputError(f"{where}: {name}: type is {str(kind)[:40]!r}; write {' or '.join(TYPES)}")
+        sliding += [i] if kind == TYPES[1] else []
+    table = np.array(rows)
+    if np.abs(table[:, :3]).max() > LENGTH_LIMIT and not is_reachable(frames.transform_from_row(table)):
+        for row, name in zip(rows, names, strict=True):
+            _require_short(row, f"{where}: {name}")
+    return table, names, tuple(sliding)
 
 
-def yaml_number(value: float) -> str:
-    """The shortest decimal that every YAML reader reads as exactly this float."""
-    text = repr(float(value))
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+def write_yaml(content: Any, path: str | Path, overwrite: bool, flow: bool | None = False) -> Path:
+    """Writes content with a checksum; every reader of YAML reads exactly these floats.
 
+    Args:
+        content: mappings, lists, text and numbers.
+        path: the file to write.
+        overwrite: whether it may be replaced.
+        flow: None writes the innermost mappings and lists on one line, False one entry a line.
 
-def yaml_row(keys: Sequence[str], values: ArrayLike) -> str:
-    """`{key: number, …}` on one line."""
-    row = np.asarray(values, float)
-    return "{" + ", ".join(f"{key}: {yaml_number(value)}" for key, value in zip(keys, row, strict=True)) + "}"
-
-
-def yaml_list(values: ArrayLike) -> str:
-    """`[number, …]` on one line."""
-    return "[" + ", ".join(yaml_number(value) for value in np.asarray(values, float)) + "]"
+    Raises:
+        InputError: as `storage.write_atomically`.
+    """
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    text = yaml.dump(
+        content, Dumper=dumper, sort_keys=False, default_flow_style=flow, allow_unicode=True, width=1 << 20
+    )
+    return storage.write_atomically(path, with_comment(text), overwrite)

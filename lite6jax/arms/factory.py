@@ -3,7 +3,7 @@
 import configparser
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import storage
-from lite6jax.arms import convert, entries, frames
+from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of, maker_of
-from lite6jax.arms.table import SIZE_LIMIT, is_table, read_table
-from lite6jax.checksum import with_comment
+from lite6jax.arms.chains import DH_COLUMNS
+from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read_table, six_parameter_to_hayati
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
@@ -38,8 +38,10 @@ REACH_LIMIT = 100.0
 MOST_JOINTS = 99
 """The names of more have another form."""
 
-# m; points at this distance along the flange's x and y are compared as well, so that its orientation matters too.
-PROBE = 0.1
+_PROBES = np.array([[0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+"""m, in the flange's frame: its origin and two points beside it are compared, so that its orientation matters too."""
+_SAME = 1e-12
+"""The tolerance of the identity, m and entries of a rotation, far below the firmware's 32-bit resolution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +85,11 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
         return factory_from(content, path, arm)
     table = read_table(path)
-    chain = convert.hayati_to_six_parameter(table.form, table.parameters)
-    kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
+    kinematics, after = hayati_to_six_parameter(table.form, table.parameters)
     if table.convention is None:
-        _require_standard(kinematics, T_joint_flange, path, arm)
+        _require_standard(kinematics, after, path, arm)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
-    return _placed(_recognised(kinematics, names, T_joint_flange, table.form.sliding, path, arm))
+    return _align(_recognise(kinematics, names, after, table.form.sliding, path, arm))
 
 
 def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
@@ -103,9 +104,61 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
         InputError: as `read_factory`.
     """
     content = entries.mapping(content, f"{path}:", ("kinematics",))
-    kinematics, names = entries.kinematics(content["kinematics"], str(path))
-    found = _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-    return _placed(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+    kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
+    found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+
+
+def calibrated_arm(calibration: FactoryCalibration) -> Arm:
+    """The nominal arm with the calibrated chain."""
+    return replace(
+        calibration.arm,
+        kinematics=calibration.kinematics,
+        T_joint_flange=calibration.T_joint_flange,
+        dh=None,
+        source=f"factory calibration {Path(calibration.source).name} of a {calibration.arm.name}",
+    )
+
+
+def hayati_of(calibration: FactoryCalibration) -> Array:
+    """The Hayati parameters `(size,)` of a calibration, in closed form, in the order of its arm's `form`.
+
+    The last joint's a and alpha represent the transform after that joint, relative to the nominal flange.
+
+    Raises:
+        InputError: as `six_parameter_to_hayati`; or the last joint's a and alpha cannot represent it.
+    """
+    arm = calibration.arm
+    try:
+        parameters = six_parameter_to_hayati(arm.form, calibration.kinematics, arm.hayati)
+    except InputError as error:
+        raise InputError(f"{calibration.source}: {error}") from error
+    beyond, described = flange_offset(calibration.T_joint_flange, arm)
+    if not described:
+        return parameters
+    if arm.sliding:
+        raise InputError(
+            f"{calibration.source}: a table cannot hold what follows joint {arm.dof} of an arm with prismatic joints"
+            f" ({described}); write a .urdf or --to description"
+        )
+    a, alpha = beyond[0, 3], np.arctan2(beyond[2, 1], beyond[2, 2])
+    if np.abs(frames.transform_from_row([a, 0, 0, alpha, 0, 0]) - beyond).max() > _SAME:
+        raise InputError(
+            f"{calibration.source}: a and alpha of joint {arm.dof} cannot hold what follows it ({described});"
+            " write a .urdf or --to description"
+        )
+    for name, more in (("a", a), ("alpha", alpha)):
+        parameters[arm.form.names.index(f"{name}{arm.dof}")] += more
+    return parameters
+
+
+def flange_offset(T_joint_flange: Array, nominal: Arm) -> tuple[Array, str]:
+    """What a flange (4, 4) has beyond the nominal one, and that in words, which are empty where it is the same."""
+    beyond = T_joint_flange @ np.linalg.inv(nominal.T_joint_flange)
+    if np.abs(beyond - np.eye(4)).max() <= _SAME:
+        return beyond, ""
+    angle = np.rad2deg(2 * np.arcsin(min(np.linalg.norm(beyond[:3, :3] - np.eye(3)) / np.sqrt(8), 1.0)))
+    return beyond, f"{1e3 * np.linalg.norm(beyond[:3, 3]):.3g} mm, {angle:.3g}°"
 
 
 def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Arm | None) -> None:
@@ -124,21 +177,19 @@ def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Ar
         other = read_table(path, entries.MODIFIED)
     except InputError:
         return
-    modified = convert.hayati_to_six_parameter(other.form, other.parameters)
-    as_standard, as_modified = (
-        _distances_to(candidates, _links(np.asarray(rows)), np.asarray(then))
-        for rows, then in ((kinematics, after), modified)
-    )
+    by_modified, then = hayati_to_six_parameter(other.form, other.parameters)
+    as_standard = _distances(frames.transform_from_row(kinematics), after, candidates).min()
+    as_modified = _distances(frames.transform_from_row(by_modified), then, candidates)
     best = int(np.argmin(as_modified))
-    if as_standard.min() > RECOGNISED_WITHIN >= as_modified[best]:
+    if as_standard > RECOGNISED_WITHIN >= as_modified[best]:
         raise InputError(
-            f"{path}: is {1e3 * as_standard.min():.0f} mm RMS from every arm as standard DH, and"
+            f"{path}: is {1e3 * as_standard:.0f} mm RMS from every arm as standard DH, and"
             f" {1e3 * as_modified[best]:.1f} mm from a {candidates[best].name} as modified DH (Craig's); write"
             ' "convention": "modified" into it'
         )
 
 
-def _recognised(
+def _recognise(
     kinematics: Array,
     names: Sequence[str],
     T_joint_flange: Array,
@@ -164,25 +215,23 @@ def _recognised(
     return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
 
 
-def _placed(found: FactoryCalibration) -> FactoryCalibration:
+def _align(found: FactoryCalibration) -> FactoryCalibration:
     """The same chain with its frames where the nominal arm has them, along the joints' axes.
 
     Raises:
         InputError: lengths of no arm, by where the flange goes: single lengths cancel where axes are nearly parallel.
     """
-    arm, links = found.arm, np.array([frames.transform_from_row(row) for row in found.kinematics])
-    own = arm.kinematics is found.kinematics or np.array_equal(arm.kinematics, found.kinematics)
+    arm, links = found.arm, frames.transform_from_row(found.kinematics)
+    own = np.array_equal(arm.kinematics, found.kinematics)
     if own and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
         return found
-    if not entries.within_reach(links, REACH_LIMIT):
+    if not entries.is_reachable(links, REACH_LIMIT):
         raise InputError(
             f"{found.source}: its flange goes farther than {REACH_LIMIT:g} m from the base, farther than any"
             " arm's; correct its lengths or their unit"
         )
-    links = frames.aligned(links, None if own else arm.links)
-    kinematics = np.array([frames.row_from_transform(link) for link in links])
-    arm = Arm(arm.name, kinematics, sliding=arm.sliding, source=arm.source) if own else arm
-    return FactoryCalibration(kinematics, arm, found.T_joint_flange, found.source)
+    kinematics = frames.row_from_transform(frames.align_frames(links, None if own else arm.links))
+    return replace(found, kinematics=kinematics, arm=replace(arm, kinematics=kinematics) if own else arm)
 
 
 def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
@@ -192,27 +241,25 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     apart; the two series of one size stay alike, and the newer is assumed.
     """
     deviations = _deviations(path)
-    if arm is not None:
-        known = [(arm, _published_dh(arm))]
-    else:
-        known = [(each, each.dh) for each in bundled_of(6) if maker_of(each.name) == "Universal Robots"]
-    chains = [(each, *frames.links_from_dh(dh + deviations)) for each, dh in known if dh is not None]
+    models = [each for each in bundled_of(6) if maker_of(each.name) == "Universal Robots"] if arm is None else [arm]
+    chains = [
+        (model, *frames.links_from_dh(dh + deviations)) for model in models if (dh := _published_dh(model)) is not None
+    ]
     if not chains:
         raise InputError(
             f"{path}: deviates from the DH table of a model of Universal Robots, which {arm and arm.name} does not"
             " have; name one with --arm"
         )
-    distances = np.array([_distances_to([each], links, after)[0] for each, links, after in chains])
+    distances = np.array([_distances(links, after, [model])[0] for model, links, after in chains])
     order = np.argsort(distances)
-    nearest = distances[order[0]]
-    chosen, *others = (chains[i] for i in order)
-    listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
+    nearest, chosen = distances[order[0]], chains[order[0]]
     if arm is not None and nearest > RECOGNISED_WITHIN:
         raise InputError(
             f"{path}: its deviations are not those of a {arm.name}: its flange would be {1e3 * nearest:.0f} mm RMS off"
             " nominal; name another with --arm"
         )
     if arm is None:
+        listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
         alike = int(np.sum(distances <= max(_ALIKE * nearest, nearest + _ALIKE_WITHIN)))
         if nearest > RECOGNISED_WITHIN or alike > 2:
             raise InputError(
@@ -220,7 +267,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
                 f" {', '.join(listed)} RMS; name it with --arm"
             )
         if alike == 2:
-            chosen, other = sorted((chosen, others[0]), key=lambda chain: chain[0].name, reverse=True)
+            other, chosen = sorted((chains[i] for i in order[:2]), key=lambda chain: chain[0].name)
             warnings.warn(
                 f"{path}: does not name its model; its deviations fit {listed[0]} and {listed[1]} RMS alike, then"
                 f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name --arm {other[0].name} if it is one",
@@ -228,8 +275,8 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
                 stacklevel=3,
             )
     model, links, after = chosen
-    kinematics = np.array([frames.row_from_transform(link) for link in links])
-    return _placed(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
+    kinematics = frames.row_from_transform(links)
+    return _align(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
 
 
 def _deviations(path: str | Path) -> Array:
@@ -264,8 +311,8 @@ def _published_dh(arm: Arm) -> Array | None:
         return None
     if arm.dh is not None:
         return arm.dh
-    base, dh, beta = arm.form.unpack(arm.hayati)
-    return dh if np.abs([*base, *beta]).max() < 1e-6 else None
+    base, links = arm.form.unpack(arm.hayati)
+    return links[:, DH_COLUMNS] if max(np.abs(base).max(), np.abs(links[:, 5]).max()) < 1e-6 else None
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
@@ -292,14 +339,12 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
         raise InputError(f"{path}: joint{joint} has a number that is not finite; nothing is written")
     joints = entries.UR_JOINTS if form == "ur" else [f"joint{i + 1}" for i in range(len(rows))]
-    lines = ["kinematics:"]
-    for joint, row in zip(joints, rows, strict=True):
-        lines.append(f"  {joint}:")
-        lines += [f"    {key}: {entries.yaml_number(value)}" for key, value in zip(entries.SIX, row, strict=True)]
-    return storage.write_atomically(path, with_comment("\n".join(lines) + "\n"), overwrite)
+    content = {
+        joint: dict(zip(entries.SIX, row.tolist(), strict=True)) for joint, row in zip(joints, rows, strict=True)
+    }
+    return entries.write_yaml({"kinematics": content}, path, overwrite)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # absurd numbers are far from every arm
 def recognise(
     kinematics: Array, names: Sequence[str], where: str, arm: Arm | None, T_joint_flange: ArrayLike | None = None
 ) -> Arm:
@@ -315,17 +360,14 @@ def recognise(
     Raises:
         InputError: a joint is rotated by 180 deg relative to the nearest arm; or no `arm` is given and none is near.
     """
-    q = frames.sample_joints(len(kinematics))
-    links = _links(kinematics)
+    links = frames.transform_from_row(kinematics)
     after = np.eye(4) if T_joint_flange is None else np.asarray(T_joint_flange, float)
     candidates = bundled_of(len(kinematics)) if arm is None else [arm]
-    sliding = candidates[0].sliding
-    points = _nominal_points(candidates, q)
-    distances = _distances_to(candidates, links, after)
+    distances = _distances(links, after, candidates)
     nearest = int(np.argmin(distances))
     if distances[nearest] <= RECOGNISED_WITHIN:
         return candidates[nearest]
-    turn = _half_turn(links, after @ candidates[0].T_joint_flange, q, points, sliding)
+    turn = _half_turn(links, after, candidates)
     if turn is not None:
         joints, axes, model, distance = turn
         places = " and ".join(
@@ -344,7 +386,6 @@ def recognise(
     )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # likewise
 def nearest_arms(kinematics: Array, arms: Sequence[Arm]) -> list[Arm | None]:
     """The nearest arm of each of many chains; None where none is near enough, of which `recognise` says why.
 
@@ -352,82 +393,45 @@ def nearest_arms(kinematics: Array, arms: Sequence[Arm]) -> list[Arm | None]:
         kinematics: `(chain, joint, 6)` m and rad, of revolute joints.
         arms: with as many of them.
     """
-    q = frames.sample_joints(kinematics.shape[1])
-    own = _flange_points(_links(kinematics), arms[0].T_joint_flange, q)
-    distance = np.stack([_distances(points, own) for points in _nominal_points(arms, q)], 1)
+    distance = _distances(frames.transform_from_row(kinematics), np.eye(4), arms)
     best = np.argmin(np.where(np.isfinite(distance), distance, np.inf), 1)
     return [arms[i] if row[i] <= RECOGNISED_WITHIN else None for row, i in zip(distance, best, strict=True)]
 
 
-def _distances_to(candidates: Sequence[Arm], links: Array, after: Array) -> Array:
-    """(candidate,) m, from a chain's flange to that of each arm, if what follows its last joint begins with `after`."""
-    q = frames.sample_joints(len(links))
-    own = _flange_points(links[None], after @ candidates[0].T_joint_flange, q, candidates[0].sliding)
-    return _distances(own, _nominal_points(candidates, q))
-
-
-def _nominal_points(arms: Sequence[Arm], q: Array) -> Array:
-    return np.concatenate([_flange_points(arm.links[None], arm.T_joint_flange, q, arm.sliding) for arm in arms])
-
-
-def _links(kinematics: Array) -> Array:
-    """(..., joint, 4, 4) of rows x y z roll pitch yaw."""
-    (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(kinematics[..., 3:]), -1, 0) for f in (np.cos, np.sin))
-    T = np.zeros((*kinematics.shape[:-1], 4, 4))
-    T[..., 0, 0], T[..., 0, 1], T[..., 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    T[..., 1, 0], T[..., 1, 1], T[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    T[..., 2, 0], T[..., 2, 1], T[..., 2, 2] = -sp, cp * sr, cp * cr
-    T[..., :3, 3] = kinematics[..., :3]
-    T[..., 3, 3] = 1.0
-    return T
-
-
-def _flange_points(links: Array, after: Array, q: Array, sliding: tuple[int, ...] = ()) -> Array:
-    """(chain, sample, 3, 3) the flange's origin and two points beside it, in the base frame.
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers are far from every arm
+def _distances(links: Array, after: Array, arms: Sequence[Arm]) -> Array:
+    """(..., arm) m, the RMS distance over joint positions between the flanges of chains and of arms.
 
     Args:
-        links: (chain, joint, 4, 4).
-        after: (4, 4), what follows the last joint.
-        q: (sample, joint) rad, and m of the prismatic joints in `sliding`.
+        links: (..., joint, 4, 4).
+        after: (4, 4), what follows the last joint before the flange of the first arm.
+        arms: of the same joints.
     """
-    # rows of every sample below each other, so that a link is one matrix product
-    T = np.broadcast_to(np.eye(4)[:3], (len(links), len(q), 3, 4))
-    for i in range(links.shape[1]):
-        T = (T.reshape(len(links), -1, 4) @ links[:, i]).reshape(T.shape)
-        if i in sliding:
-            T[..., 3] += q[:, i, None] * T[..., 2]
-            continue
-        x, y = T[..., 0].copy(), T[..., 1].copy()
-        c, s = np.cos(q[:, i])[:, None], np.sin(q[:, i])[:, None]
-        T[..., 0], T[..., 1] = c * x + s * y, c * y - s * x
-    T = (T.reshape(len(links), -1, 4) @ after).reshape(T.shape)
-    origin = T[..., 3]
-    return np.stack([origin, origin + PROBE * T[..., 0], origin + PROBE * T[..., 1]], 2)
+    q = frames.sample_joints(links.shape[-3])
 
+    def points(links: Array, T_joint_flange: Array) -> Array:
+        return (frames.chain(links, q, arms[0].sliding) @ (T_joint_flange @ _PROBES))[..., :3, :]
 
-def _distances(points: Array, candidates: Array) -> Array:
-    """(candidate,) m, the RMS distance of the points over the joint positions."""
-    return np.sqrt(np.mean(np.sum((candidates - points) ** 2, axis=-1), axis=(-2, -1)))
+    own = points(links, after @ arms[0].T_joint_flange)
+    apart = (own - points(arm.links, arm.T_joint_flange) for arm in arms)
+    return np.stack([np.sqrt(np.sum(each**2, (-3, -2, -1)) / (3 * len(q))) for each in apart], -1)
 
 
 _HALF_TURNS = {"x": np.diag([1.0, -1, -1, 1]), "y": np.diag([-1.0, 1, -1, 1]), "z": np.diag([-1.0, -1, 1, 1])}
 
 
 def _half_turn(
-    links: Array, after: Array, q: Array, candidates: Array, sliding: tuple[int, ...]
+    links: Array, after: Array, candidates: Sequence[Arm]
 ) -> tuple[tuple[int, ...], tuple[str, ...], int, float] | None:
     """The one or two joints whose rotation by 180 deg brings the flange near a candidate: joints, axes, index, m."""
     for count in (1, 2):
-        found = []
-        for joints in combinations(range(len(links)), count):
-            for axes in product("xyz", repeat=count):
-                turned = links.copy()
-                for joint, axis in zip(joints, axes, strict=True):
-                    turned[joint] = turned[joint] @ _HALF_TURNS[axis]
-                distances = _distances(_flange_points(turned[None], after, q, sliding), candidates)
-                model = int(np.argmin(distances))
-                found.append((float(distances[model]), joints, axes, model))
-        distance, joints, axes, model = min(found, key=lambda one: (round(one[0], 9), *one[1:]))  # of equals the first
-        if distance <= RECOGNISED_WITHIN:
-            return joints, axes, model, distance
+        turns = list(product(combinations(range(len(links)), count), product("xyz", repeat=count)))
+        turned = np.tile(links, (len(turns), 1, 1, 1))
+        for each, (joints, axes) in zip(turned, turns, strict=True):
+            for joint, axis in zip(joints, axes, strict=True):
+                each[joint] = each[joint] @ _HALF_TURNS[axis]
+        distances = _distances(turned, after, candidates)
+        best, model = divmod(int(np.argmin(np.round(distances, 9))), len(candidates))  # of equals the first
+        if distances[best, model] <= RECOGNISED_WITHIN:
+            return *turns[best], model, float(distances[best, model])
     return None

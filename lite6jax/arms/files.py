@@ -1,36 +1,48 @@
-"""Reading an arm by its name or path: a bundled arm, a description, a calibration, a table, a URDF or MJCF."""
+"""Files of an arm: reading one by its name or path, writing it in any form, and what a form has no place for."""
 
 import re
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
+
+import numpy as np
 
 from lite6jax import storage
-from lite6jax.arms import entries
-from lite6jax.arms.arm import Arm
+from lite6jax.arms import entries, frames
+from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.description import arm_from_description, read_description, write_arm
-from lite6jax.arms.factory import DEVIATIONS, FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.description import arm_from_description, write_arm
+from lite6jax.arms.dh import is_table, write_table
+from lite6jax.arms.factory import (
+    DEVIATIONS,
+    FactoryCalibration,
+    calibrated_arm,
+    flange_offset,
+    hayati_of,
+    read_factory,
+    write_factory,
+)
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
-from lite6jax.arms.table import HayatiTable, is_table, read_table, write_table
-from lite6jax.arms.urdf import read_urdf, write_urdf
-from lite6jax.arms.urdf_tree import SIZE_LIMIT
+from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, read_urdf, write_into_urdf, write_urdf
 from lite6jax.errors import InputError
 
-__all__ = [
-    "FactoryCalibration",
-    "HayatiTable",
-    "read_arm",
-    "read_description",
-    "read_factory",
-    "read_mjcf",
-    "read_table",
-    "read_urdf",
-    "write_arm",
-    "write_factory",
-    "write_mjcf",
-    "write_table",
-    "write_urdf",
-]
+FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description"]
+
+SUFFIXES: dict[FileForm, tuple[str, ...]] = {
+    "vendor": (".yaml", ".yml"),
+    "ur": (".yaml", ".yml"),
+    "table": (".json",),
+    "mjcf": (".xml", ".mjcf"),
+    "urdf": (".urdf", ".xml"),
+    "description": (".yaml", ".yml"),
+}
+WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
+    "description": write_arm,
+    "urdf": write_urdf,
+    "mjcf": write_mjcf,
+}
+"""The forms that hold an arm rather than its chain alone, and what writes them."""
 
 _XML = (".urdf", ".xacro", ".xml", ".mjcf")
 _MEASUREMENTS = (".csv", ".parquet", ".arrows", ".mcap", ".db3", ".bag", ".xlsx")
@@ -56,7 +68,8 @@ def read_arm(path_or_name: str | Path) -> Arm:
         return load_bundled(name)
     file, base, tip = base_and_tip(name)
     if Path(file).suffix.lower() in _XML:
-        read = read_mjcf if is_mjcf(file) else read_urdf
+        root = _ROOT.search(_COMMENT.sub("", storage.read_text(file, SIZE_LIMIT)))
+        read = read_mjcf if root is not None and root[1] == "mujoco" else read_urdf
         return read(file, base, tip)
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
@@ -81,7 +94,7 @@ def base_and_tip(name: str) -> tuple[str, str | None, str | None]:
     return file, base or None, tip or None
 
 
-def with_chain(name: str, base: str | None, tip: str | None) -> str:
+def name_chain(name: str, base: str | None, tip: str | None) -> str:
     """The name of an arm's file with the base and the tip in it, as `base_and_tip` takes it apart.
 
     Raises:
@@ -97,22 +110,154 @@ def with_chain(name: str, base: str | None, tip: str | None) -> str:
     return f"{file}#{base}:{tip or ''}" if base else f"{file}#{tip}"
 
 
-def is_mjcf(path: str | Path) -> bool:
-    """Whether the root element of an XML file is MuJoCo's.
+@dataclass(frozen=True)
+class Conversion:
+    """The result of a conversion.
+
+    Attributes:
+        path: the file written.
+        form: its form.
+        arm: the arm that was read.
+        left_out: the parts that the new form cannot represent, a phrase each.
+        difference: m, the largest distance between the flange positions of the source and of the written file.
+    """
+
+    path: Path
+    form: FileForm
+    arm: Arm
+    left_out: tuple[str, ...]
+    difference: float
+
+
+def convert_file(
+    source: Arm | str | Path,
+    target: str | Path,
+    form: FileForm | None = None,
+    nominal: Arm | None = None,
+    overwrite: bool = False,
+    left_out: tuple[str, ...] = (),
+    into: str | Path | None = None,
+) -> Conversion:
+    """Writes an arm, or what a file in any form holds of one, in another form, and reads it back.
+
+    Args:
+        source: an arm; a calibration or table, a URDF, MJCF, a description, or the name of a bundled arm.
+        target: the file to write.
+        form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
+            the description of any other arm.
+        nominal: the nominal arm of a calibration, by whose axes a table is parameterised; None for the recognised one,
+            or for that of `into`. Without one an arm cannot be written in a form of its chain alone.
+        overwrite: whether the target may be replaced.
+        left_out: what the arm itself has no place for, a phrase each.
+        into: a URDF with the names, meshes and limits of what is written, as `write_into_urdf` has it; its chain is
+            named as in `read_arm`. What follows its last joint stays where the source is an arm.
 
     Raises:
-        InputError: as `storage.read_text`.
+        InputError: as the readers and writers; a suffix of another form; a flange that the form cannot represent.
     """
-    root = _ROOT.search(_COMMENT.sub("", storage.read_text(path, SIZE_LIMIT)))
-    return root is not None and root[1] == "mujoco"
+    target = Path(target)
+    calibrated = not isinstance(source, Arm) and is_calibration(source)
+    if into is not None and target.suffix.lower() not in SUFFIXES["urdf"]:
+        raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
+    form = "urdf" if into is not None else form or form_of(target, calibrated)
+    if target.suffix.lower() not in SUFFIXES[form]:
+        raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
+    storage.check_writable(target, overwrite)
+    if into is not None and calibrated:
+        nominal = nominal or read_arm(into)
+    arm, reference = (source, nominal) if isinstance(source, Arm) else _read(source, nominal, calibrated)
+    name = arm.name if isinstance(source, Arm) else source
+    if into is not None:
+        file, base, tip = base_and_tip(str(into))
+        further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange=not isinstance(source, Arm))
+        again = read_urdf(target, base, tip)
+        written = replace(arm, T_joint_flange=again.T_joint_flange) if isinstance(source, Arm) else arm
+        return Conversion(target, form, arm, (*left_out, *further), _distance(written, again))
+    if form in WHOLE_ARM:
+        WHOLE_ARM[form](arm, target, overwrite)
+        again = read_arm(target)
+    elif reference is None:
+        raise InputError(f"{target}: the form {form} holds a chain only; write {', '.join(WHOLE_ARM)}")
+    else:
+        if form == "table":
+            parameters = hayati_of(FactoryCalibration(arm.kinematics, reference, arm.T_joint_flange, str(name)))
+            write_table(reference.form, parameters, target, overwrite)
+        elif beyond := flange_offset(arm.T_joint_flange, reference)[1]:
+            raise InputError(
+                f"{target}: a six-parameter file ends at joint {arm.dof} and cannot hold what follows it in {name}"
+                f" ({beyond}); write a .json table, a .urdf or --to description"
+            )
+        else:
+            write_factory(arm.kinematics, target, form, overwrite)
+        again = calibrated_arm(read_factory(target, reference))
+    phrases = (*left_out, *omissions(arm, form, calibrated))
+    return Conversion(target, form, arm, phrases, _distance(arm, again))
 
 
-def calibrated_arm(calibration: FactoryCalibration) -> Arm:
-    """The nominal arm with the calibrated chain."""
-    return replace(
-        calibration.arm,
-        kinematics=calibration.kinematics,
-        T_joint_flange=calibration.T_joint_flange,
-        dh=None,
-        source=f"factory calibration {Path(calibration.source).name} of a {calibration.arm.name}",
+def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
+    """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
+    phrases = []
+    if form not in WHOLE_ARM and not calibrated:
+        bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
+        drives = [what for field, what in JOINT_TERMS.items() if getattr(arm, field) is not None]
+        phrases += [f"joint limits{bodies}", *drives]
+    if form in ("vendor", "ur") and arm.sliding:
+        phrases.append("which joints are prismatic (name the arm with --arm where the file is read)")
+    if form == "urdf" and arm.rotor_inertia is not None:
+        phrases.append("rotor inertia")
+    if form == "urdf" and arm.spring_stiffness is not None:
+        phrases.append(SPRINGS_LEFT_OUT)
+    if arm.dh is not None and form in ("vendor", "ur", "urdf", "mjcf"):
+        phrases.append("the published DH table")
+    if form == "table":
+        phrases.append("where each joint's frame stands on its axis (the flange's pose does not depend on it)")
+    return phrases
+
+
+def is_calibration(path: str | Path) -> bool:
+    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model.
+
+    Raises:
+        InputError: as `storage.read_yaml`.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".yaml", ".yml"):
+        return suffix in (".json", DEVIATIONS)
+    content = storage.read_yaml(path)
+    return not (isinstance(content, dict) and "name" in content)
+
+
+def form_of(target: Path, calibrated: bool) -> FileForm:
+    """The form of a file by its suffix, of a calibration or of another arm.
+
+    Raises:
+        InputError: a suffix of no form.
+    """
+    suffix = target.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return "vendor" if calibrated else "description"
+    for form, suffixes in SUFFIXES.items():
+        if suffix in suffixes:
+            return form
+    raise InputError(
+        f"{target}: no form has this suffix; write .yaml, .json, .urdf or .xml, or name the form with --to"
     )
+
+
+def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Arm, Arm]:
+    """The arm with its own chain, and the nominal arm, whose flange and branch a reader of the new file assumes."""
+    if calibrated:
+        calibration = read_factory(source, nominal)
+        return calibrated_arm(calibration), calibration.arm
+    arm = read_arm(source)
+    if nominal is not None and nominal.dof != arm.dof:
+        raise InputError(
+            f"{source}: has {arm.dof} joints, but {nominal.name} has {nominal.dof}; name another with --arm"
+        )
+    return arm, nominal or replace(arm, T_joint_flange=np.eye(4))
+
+
+def _distance(one: Arm, other: Arm) -> float:
+    q = sample_joints(one.dof)
+    flanges = [frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange for arm in (one, other)]
+    return float(np.linalg.norm(flanges[0][:, :3, 3] - flanges[1][:, :3, 3], axis=1).max())

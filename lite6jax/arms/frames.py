@@ -14,62 +14,69 @@ BLOCK = 4096
 _QUARTER = np.pi / 2
 
 
-def _cos_sin(angle: float) -> tuple[float, float]:
+def _cos_sin(angle: Array) -> tuple[Array, Array]:
     turns = angle / _QUARTER
-    if turns == round(turns) and abs(turns) < 8:
-        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(turns) % 4]
-    return float(np.cos(angle)), float(np.sin(angle))
+    exact = (turns == np.round(turns)) & (np.abs(turns) < 8)
+    quarter = np.where(exact, turns, 0.0).astype(int) % 4
+    cos, sin = np.array([1.0, 0.0, -1.0, 0.0])[quarter], np.array([0.0, 1.0, 0.0, -1.0])[quarter]
+    return np.where(exact, cos, np.cos(angle)), np.where(exact, sin, np.sin(angle))
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
-    """The rotation `Rz(yaw) Ry(pitch) Rx(roll)`, exact at multiples of a quarter turn.
+    """Rotations `(..., 3, 3)`, `Rz(yaw) Ry(pitch) Rx(roll)`, of roll, pitch, yaw `(..., 3)` in rad.
 
-    Args:
-        rpy: (3,) roll, pitch, yaw in rad.
-
-    Returns:
-        (3, 3) rotation.
+    They are exact at multiples of a quarter turn.
     """
-    (cr, sr), (cp, sp), (cy, sy) = (_cos_sin(float(angle)) for angle in np.asarray(rpy, float))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    cos, sin = _cos_sin(np.asarray(rpy, float))
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(cos, -1, 0), np.moveaxis(sin, -1, 0)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
-    """Roll, pitch and yaw of a rotation, the inverse of `rotation_from_rpy`, accurate at every pitch.
+    """Roll, pitch and yaw `(..., 3)` of rotations `(..., 3, 3)`, accurate at every pitch.
 
-    Yaw follows from the first column. `Rz(-yaw) R` is `Ry(pitch) Rx(roll)`, whose middle row gives roll without a
+    Yaw follows from the first column. `Rz(-yaw) R` is `Ry(pitch) Rx(roll)`. Its middle row gives roll without a
     division by cos(pitch), which vanishes at +-90 deg.
 
     Returns:
-        (3,) rad, pitch within +-pi/2; yaw is zero at the poles, where only roll -+ yaw is defined.
+        rad, pitch within +-pi/2; yaw is zero at the poles, where only roll -+ yaw is defined.
     """
     R = np.asarray(rotation, float)
-    cos_pitch = np.hypot(R[0, 0], R[1, 0])
-    yaw = np.arctan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
-    c, s = _cos_sin(float(yaw))
-    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, np.arctan2(-R[2, 0], cos_pitch), yaw]) + 0.0  # no minus zeros
+    cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    yaw = np.where(cos_pitch > 1e-15, np.arctan2(R[..., 1, 0], R[..., 0, 0]), 0.0)
+    c, s = _cos_sin(yaw)
+    roll = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
+    return np.stack([roll, np.arctan2(-R[..., 2, 0], cos_pitch), yaw], -1) + 0.0  # no minus zeros
 
 
 def transform_from_row(row: ArrayLike) -> Array:
-    """(4, 4) transform of one row x y z roll pitch yaw, in m and rad."""
+    """Transforms `(..., 4, 4)` of rows x y z roll pitch yaw `(..., 6)`, in m and rad."""
     row = np.asarray(row, float)
-    T = np.eye(4)
-    T[:3, :3] = rotation_from_rpy(row[3:])
-    T[:3, 3] = row[:3]
+    T = np.zeros((*row.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation_from_rpy(row[..., 3:]), row[..., :3], 1.0
     return T
 
 
 def row_from_transform(transform: ArrayLike) -> Array:
-    """(6,) x y z roll pitch yaw of a (4, 4) transform, in m and rad."""
+    """Rows x y z roll pitch yaw `(..., 6)` of transforms `(..., 4, 4)`, in m and rad."""
     T = np.asarray(transform, float)
-    return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
+    return np.concatenate([T[..., :3, 3], rpy_from_rotation(T[..., :3, :3])], -1)
+
+
+def frames_at_zero(kinematics: ArrayLike) -> Array:
+    """`(..., joint, 4, 4)`, each joint's frame in the base where every joint is at zero.
+
+    Its z is the joint's axis. `kinematics` `(..., joint, 6)` are rows x y z (m) roll pitch yaw (rad).
+    """
+    T = transform_from_row(kinematics)
+    for i in range(1, T.shape[-3]):
+        T[..., i, :, :] = T[..., i - 1, :, :] @ T[..., i, :, :]
+    return T
 
 
 def is_rotation(matrix: ArrayLike) -> bool:
@@ -96,20 +103,19 @@ def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()
     """The flange of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
 
     Args:
-        links: (joint, 4, 4).
+        links: (joint, 4, 4), or with leading axes of many chains.
         joint_position: (..., joint) rad, and m of prismatic joints.
         sliding: the prismatic joints, counted from 0, which move along their z.
 
     Returns:
-        `T_base_flange` (..., 4, 4).
+        `T_base_flange`, the axes of many chains followed by those of the positions and (4, 4).
     """
     position = np.asarray(joint_position, float)
     each = position.reshape(-1, position.shape[-1])
-    T = np.empty((len(each), 4, 4))
+    T = np.empty((*links.shape[:-3], len(each), 4, 4))
     for first in range(0, len(each), BLOCK):
-        *_, last = walk(links, each[first : first + BLOCK], sliding)
-        T[first : first + BLOCK] = last
-    return T.reshape(*position.shape[:-1], 4, 4)
+        *_, T[..., first : first + BLOCK, :, :] = walk(np.moveaxis(links, -3, 0), each[first : first + BLOCK], sliding)
+    return T.reshape(*links.shape[:-3], *position.shape[:-1], 4, 4)
 
 
 def sample_joints(dof: int, count: int = 64) -> Array:
@@ -127,28 +133,31 @@ def sample_joints(dof: int, count: int = 64) -> Array:
 def walk(
     links: Iterable[Array], joint_position: Array, sliding: tuple[int, ...] = (), start: Array | None = None
 ) -> Iterator[Array]:
-    """The frames of a chain one after the other: the base, and the frame after each joint's motion, `(sample, 4, 4)`.
+    """The frames of a chain one after the other: the base, and the frame after each joint's motion.
 
     A link is one product of two matrices for all samples, and a joint combines two columns: products of small matrices
     take several times as long.
 
     Args:
-        links: `(4, 4)` each.
+        links: `(..., 4, 4)` each, leading axes being those of many chains.
         joint_position: `(sample, joint)` rad, and m of prismatic joints.
         sliding: the prismatic joints, counted from 0.
         start: `(4, 4)`, the base in the frame that is wanted; its own where not given.
+
+    Yields:
+        `(..., sample, 4, 4)`.
     """
     samples = len(joint_position)
     T = np.broadcast_to(np.eye(4) if start is None else start, (samples, 4, 4))
     yield T
     for i, link in enumerate(links):
-        T = (T.reshape(-1, 4) @ link).reshape(-1, 4, 4)
+        T = (T.reshape(*T.shape[:-3], 4 * samples, 4) @ link).reshape(*link.shape[:-2], samples, 4, 4)
         q = joint_position[:, i, None]
         if i in sliding:
-            T[:, :, 3] += q * T[:, :, 2]
+            T[..., 3] += q * T[..., 2]
         else:
-            cos, sin, x, y = np.cos(q), np.sin(q), T[:, :, 0], T[:, :, 1]
-            T[:, :, 0], T[:, :, 1] = cos * x + sin * y, cos * y - sin * x
+            cos, sin, x, y = np.cos(q), np.sin(q), T[..., 0], T[..., 1]
+            T[..., 0], T[..., 1] = cos * x + sin * y, cos * y - sin * x
         yield T
 
 
@@ -165,16 +174,16 @@ def links_from_dh(dh: ArrayLike, convention: str = "standard") -> tuple[Array, A
     Returns:
         the links (joint, 4, 4), and the transform after the last joint (4, 4).
     """
-    links, before = [], np.eye(4)
-    for theta, d, a, alpha in np.asarray(dh, float):
-        across = transform_from_row([a, 0, 0, alpha, 0, 0])
-        along = transform_from_row([0, 0, d, 0, 0, theta])
-        links.append((across if convention == "modified" else before) @ along)
-        before = np.eye(4) if convention == "modified" else across
-    return np.stack(links), before
+    theta, d, a, alpha = np.asarray(dh, float).T
+    zero = np.zeros_like(theta)
+    along = transform_from_row(np.stack([zero, zero, d, zero, zero, theta], -1))
+    across = transform_from_row(np.stack([a, zero, zero, alpha, zero, zero], -1))
+    if convention == "modified":
+        return across @ along, np.eye(4)
+    return np.concatenate([along[:1], across[:-1] @ along[1:]]), across[-1]
 
 
-def aligned(links: Array, nominal: Array | None = None) -> Array:
+def align_frames(links: Array, nominal: Array | None = None) -> Array:
     """The same chain with each joint's frame, but the last one's, moved along and turned about the joint's own axis.
 
     Where a frame stands on its axis is free. It goes where the nominal chain has it: standard DH of axes that are

@@ -51,13 +51,13 @@ def point_tensor(mass: ArrayLike | float, position: ArrayLike) -> Array:
     return np.asarray(mass, float)[..., None, None] * (squared * np.eye(3) - p[..., :, None] * p[..., None, :])
 
 
-def moved(body: Body, T: Array) -> Body:
+def transform_body(body: Body, T: Array) -> Body:
     """The body in the axes to which the rigid transform `T` (4, 4) takes its coordinates."""
     R = T[:3, :3]
     return Body(body.mass, R @ body.center + T[:3, 3], R @ body.inertia @ R.T)
 
 
-def lumped(bodies: Iterable[Body]) -> Body:
+def lump(bodies: Iterable[Body]) -> Body:
     """Bodies that are fixed to each other as one, by the parallel-axis theorem; a single one unchanged."""
     bodies = list(bodies)
     if len(bodies) == 1:

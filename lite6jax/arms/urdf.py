@@ -1,6 +1,6 @@
 """URDF files: any chain of revolute and prismatic joints as a six-parameter arm with the same positions, and back."""
 
-import warnings
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -10,43 +10,43 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.urdf_tree import (
+from lite6jax.arms.trees import (
     IDENTITY,
     MOVING,
-    SPRINGS,
+    SIZE_LIMIT,
     Joint,
     Tree,
-    attribute,
+    arm_of_chain,
     axis_frame,
-    fixed_to,
-    origin,
-    read_tree,
-    scalar,
+    find_chain,
+    format_numbers,
+    jaw,
+    link_body,
+    rigid_links,
 )
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
-DRIVES = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "friction",
-    "spring_stiffness": "spring_stiffness",
-    "spring_rest": "spring_reference",
-}
-"""What a `Joint` calls the fields of `Arm`; its element `dynamics` has those that URDF knows. URDF has no springs: they
-are written as Gazebo's extensions (`SPRINGS`), which other programs ignore."""
+LARGEST = 1e9
+"""m, rad, kg; the squares of numbers far beyond are not finite."""
 UNLIMITED = 1000.0
 """N·m or N, and rad/s or m/s, of limits that are not known. With 0 Gazebo would hold the joint, and with less MoveIt
 would take its magnitude as the limit."""
+SPRINGS_LEFT_OUT = "springs, but for Gazebo's extension <gazebo reference=…>"
+"""What a URDF has no place for, of an arm with springs."""
+_DYNAMICS = {"viscous_friction": "damping", "coulomb_friction": "friction"}
+"""The attributes of a joint's <dynamics> by the fields of `Arm`."""
+_SPRINGS = {"spring_stiffness": "springStiffness", "spring_rest": "springReference"}
+"""URDF has no springs: the elements of Gazebo's extension of a joint, which other programs ignore."""
+_FAR = (0.02, 0.1)
+"""m and rad, by which no joint of an arm deviates from its design."""
+_SAME = 1e-12
+"""m, rad: of a transform that does not change, the text stays as it is."""
 
 
 def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> Arm:
-    """The arm that a URDF describes between two of its links.
-
-    Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
-    `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every position of
-    a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia; links on
-    moving joints beside the chain are omitted. Inertia that is zero throughout is unknown.
+    """The arm that a URDF describes between two of its links, as `arm_of_chain` has it.
 
     Args:
         path: the file.
@@ -62,55 +62,54 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or
             a tip that was not named is a jaw's.
     """
-    tree = read_tree(path, base, tip)
-    if tree.remark:
-        warnings.warn(tree.remark, InputWarning, stacklevel=2)
-    rows, limits, moving, axes = [], [], [], []
-    before = IDENTITY
-    for place, joint in enumerate(tree.chain):
-        T_before_joint = frames.transform_from_row(joint.row)
-        if joint.kind == "fixed":
-            before = before @ T_before_joint
-            continue
-        if joint.kind not in MOVING or joint.mimics:
-            what = f"is {joint.kind}"
-            if joint.mimics:
-                what = f"is coupled: it mimics {joint.mimics}"
-            later = [after.kind for after in tree.chain[place + 1 :] if after.kind != "fixed"]
-            flag, other = ("--base", joint.child) if len(later) > len(rows) else ("--tip", joint.parent)
-            chain = f"{other}:{tip or ''}" if flag == "--base" else f"{base}:{other}" if base else other
-            raise InputError(
-                f"{path}: joint {joint.name!r} {what}; an arm here has revolute and prismatic joints that move on their"
-                f" own, name a chain without it with {flag} {other}, or as {Path(path).name}#{chain} where a file is"
-                " named"
-            )
-        R = axis_frame(joint.axis)
-        exact = np.array_equal(before, IDENTITY) and np.array_equal(R, IDENTITY)
-        rows.append(joint.row if exact else frames.row_from_transform(before @ T_before_joint @ R))
-        limits.append(joint.limits)
-        moving.append(joint)
-        axes.append(R)
-        before = R.T
-    if not rows:
-        raise InputError(f"{path}: no joint moves between {tree.base!r} and {tree.tip!r}; name another --base or --tip")
-    fields = _inertial(path, [joint.child for joint in moving], axes, tree) | _drives(path, moving)
-    try:
-        return Arm(
-            name=tree.robot.get("name") or Path(path).stem,
-            kinematics=np.array(rows),
-            joint_limits=np.array(limits),
-            T_joint_flange=before,
-            source=f"URDF {Path(path).name}, {tree.base} to {tree.tip}",
-            sliding=tuple(i for i, joint in enumerate(moving) if joint.kind == "prismatic"),
-            joint_names=tuple(joint.name for joint in moving),
-            endless=tuple(i for i, joint in enumerate(moving) if joint.kind == "continuous"),
-            **fields,
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return _read(path, base, tip)[0]
 
 
-def carried_links(
+def tip_before_jaw(path: str | Path) -> str:
+    """The link before the jaw in which the only chain of a file ends; empty where it ends in none.
+
+    Raises:
+        InputError: as `read_urdf`, but for the joints' types.
+    """
+    return jaw(path, _tree(path, None, None)[0])[0]
+
+
+def _tree(path: str | Path, base: str | None, tip: str | None) -> tuple[Tree, ET.Element]:
+    """The chain, and the root element of the file, comments included."""
+    robot = _parse(path)
+    joints = [_joint(element, path) for element in robot.findall("joint")]
+    links = {_name(element, path): element for element in robot.findall("link")}
+    children = [joint.child for joint in joints]
+    if len(set(children)) != len(joints):
+        twice = next(child for i, child in enumerate(children) if child in children[:i])
+        raise InputError(f"{path}: the link {twice!r} has two parents; a URDF is a tree, remove one joint")
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise InputError(f"{path}: joint {joint.name!r} names the link {link!r}, which is not there; add it")
+    return find_chain(path, joints, links, base, tip), robot
+
+
+def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tree, ET.Element]:
+    """The arm, the chain that it is, and the root element."""
+    tree, robot = _tree(path, base, tip)
+
+    def body_of(name: str) -> inertia.Body | None:
+        element = tree.links[name].find("inertial")
+        if element is None:
+            return None
+        where = f"{path}: link {name!r}: inertial"
+        kg = scalar(_attribute(element, "mass", "value", where), f"{where}: mass")
+        entry = element.find("inertia")
+        six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in inertia.SIX]
+        body = inertia.Body(kg, np.zeros(3), inertia.tensor(six))
+        return inertia.transform_body(body, frames.transform_from_row(origin(element, where)))
+
+    arm = arm_of_chain(path, tree, robot.get("name", ""), "URDF", body_of, _drives(path, robot, tree.moving))
+    return arm, tree, robot
+
+
+def links_of_chain(
     path: str | Path, base: str | None = None, tip: str | None = None
 ) -> list[tuple[int, ET.Element, Array]]:
     """Every link that is fixed to the base or to a link of the chain of `read_urdf`, with its pose.
@@ -122,12 +121,143 @@ def carried_links(
     Raises:
         InputError: as `read_urdf`.
     """
-    read_urdf(path, base, tip)
-    tree = read_tree(path, base, tip)
-    moving = [joint for joint in tree.chain if joint.kind != "fixed"]
+    _, tree, _ = _read(path, base, tip)
     roots = [(0, tree.base, IDENTITY)]
-    roots += [(i + 1, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(moving)]
-    return [(number, tree.links[name], R @ T) for number, root, R in roots for name, T in fixed_to(root, tree.joints)]
+    roots += [(i, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(tree.moving, 1)]
+    return [
+        (number, tree.links[name], R @ T) for number, root, R in roots for name, T in rigid_links(root, tree.joints)
+    ]
+
+
+def _parse(path: str | Path) -> ET.Element:
+    text = storage.read_text(path, SIZE_LIMIT)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{path}: declares a document type or entities, which a URDF needs none of; remove them")
+    try:
+        robot = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    except (ET.ParseError, ValueError) as error:
+        line = getattr(error, "position", (0,))[0]
+        raise InputError(f"{path}: line {line}: not valid XML ({error}); a URDF is needed here") from error
+    elements = [element for element in robot.iter() if isinstance(element.tag, str)]  # a comment's tag is a function
+    values = [value for element in elements for value in element.attrib.values()]
+    if any("xacro" in element.tag for element in elements) or any("${" in v or "$(" in v for v in values):
+        raise InputError(f"{path}: is xacro, not yet a URDF; expand it first: xacro {Path(path).name} > arm.urdf")
+    if robot.tag != "robot":
+        raise InputError(f"{path}: its root is <{robot.tag}>, not <robot>; a URDF is needed here")
+    return robot
+
+
+def _name(element: ET.Element, path: str | Path) -> str:
+    name = element.get("name")
+    if not name:
+        raise InputError(f"{path}: a {element.tag} has no name; give it one")
+    return name
+
+
+def _joint(element: ET.Element, path: str | Path) -> Joint:
+    name, kind = _name(element, path), element.get("type", "")
+    where, refused = f"{path}: joint {name!r}", f"is {kind};"
+    parent, child = (_attribute(element, tag, "link", where) for tag in ("parent", "child"))
+    axis = np.array([1.0, 0.0, 0.0])  # URDF's default
+    if (entry := element.find("axis")) is not None:
+        axis = vector(entry.get("xyz", "1 0 0"), f"{where}: axis")
+    length = math.sqrt(float(axis @ axis))
+    if kind in MOVING and length < 1e-9:
+        raise InputError(f"{where}: its axis has no direction; write a unit vector")
+    limits = (-2 * math.pi, 2 * math.pi)
+    if kind in ("revolute", "prismatic"):
+        given = {key: _attribute(element, "limit", key, where) for key in ("lower", "upper")}
+        limits = (scalar(given["lower"], f"{where}: lower"), scalar(given["upper"], f"{where}: upper"))
+    if (entry := element.find("mimic")) is not None:
+        multiplier = scalar(entry.get("multiplier", "1"), f"{where}: mimic: multiplier")
+        shift = scalar(entry.get("offset", "0"), f"{where}: mimic: offset")
+        beside = f" {shift:+g}" if shift else ""
+        refused = f"is coupled: it mimics {multiplier:g} times {entry.get('joint', 'another')!r}{beside};"
+    elif kind in (*MOVING, "fixed"):
+        refused = ""
+    if refused:
+        refused += " an arm here has revolute and prismatic joints that move on their own,"
+    return Joint(name, kind, parent, child, origin(element, where), axis / (length or 1.0), limits, refused)
+
+
+def _drives(path: str | Path, robot: ET.Element, moving: list[Joint]) -> dict[str, Array]:
+    """The fields of `Arm` that the joints' dynamics elements and springs give; a joint without one has none."""
+    said, elements = [], _joint_elements(robot)
+    for joint in moving:
+        entry = elements[joint.child].find("dynamics")
+        given = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
+        for extension in _extensions(robot, elements[joint.child]):
+            given |= {field: e.text for field, tag in _SPRINGS.items() for e in extension.findall(tag)}
+        said.append(given)
+    fields: dict[str, Array] = {}
+    for field, key in (_DYNAMICS | _SPRINGS).items():
+        if any(given.get(field) is not None for given in said):
+            where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in moving]
+            fields[field] = np.array([scalar(each.get(field) or "0", at) for each, at in zip(said, where, strict=True)])
+    if "spring_stiffness" in fields:
+        fields.setdefault("spring_rest", np.zeros(len(moving)))
+    else:
+        fields.pop("spring_rest", None)
+    return fields
+
+
+def _joint_elements(robot: ET.Element) -> dict[str, ET.Element]:
+    """The elements of all joints, by the link that they move."""
+    return {child.get("link", ""): joint for joint in robot.findall("joint") for child in joint.findall("child")}
+
+
+def _extensions(robot: ET.Element, joint: ET.Element) -> list[ET.Element]:
+    """Gazebo's extensions of a joint."""
+    return [element for element in robot.findall("gazebo") if element.get("reference") == joint.get("name")]
+
+
+def _attribute(element: ET.Element, tag: str, key: str, where: str) -> str:
+    entry = element.find(tag)
+    value = None if entry is None else entry.get(key)
+    if value is None:
+        raise InputError(f'{where}: lacks <{tag} {key}="…">; add it')
+    return value
+
+
+def origin(element: ET.Element, where: str) -> Array:
+    """(6,) x y z roll pitch yaw, m and rad, of an element's <origin>; zeros without one.
+
+    Raises:
+        InputError: not three numbers each; the line begins with `where`.
+    """
+    entry = element.find("origin")
+    if entry is None:
+        return np.zeros(6)
+    return np.concatenate([vector(entry.get(key, "0 0 0"), f"{where}: origin {key}") for key in ("xyz", "rpy")])
+
+
+def vector(text: str, where: str) -> Array:
+    """(3,) numbers of an attribute's text.
+
+    Raises:
+        InputError: not three finite numbers; the line begins with `where`.
+    """
+    parts = text.split()
+    if len(parts) != 3:
+        raise InputError(f"{where} is {text!r}; write three numbers")
+    return np.array([scalar(part, where) for part in parts])
+
+
+def scalar(text: str, where: str) -> float:
+    """The finite number of an attribute's text.
+
+    Raises:
+        InputError: not a finite number; the line begins with `where`.
+    """
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise InputError(f"{where} has {text!r}, which is not a number; correct it") from error
+    if not math.isfinite(value):
+        raise InputError(f"{where} has {text!r}, which is not finite; correct it")
+    if abs(value) > LARGEST:
+        raise InputError(f"{where} has {text!r}, which is beyond any arm; correct it")
+    return value
 
 
 def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
@@ -143,124 +273,154 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     """
     robot = ET.Element("robot", name=arm.name)
     robot.append(ET.Comment(f" An effort or a velocity of {UNLIMITED:g} says that its limit is not known. "))
-    _add_base(robot, arm)
-    for i, row in enumerate(arm.kinematics):
-        link = ET.SubElement(robot, "link", name=f"link{i + 1}")
-        if arm.mass is not None and arm.center_of_mass is not None:
-            element = ET.SubElement(link, "inertial")
-            ET.SubElement(element, "origin", xyz=_floats(arm.center_of_mass[i]), rpy="0.0 0.0 0.0")
-            ET.SubElement(element, "mass", value=repr(float(arm.mass[i])))
-            six = np.zeros(6) if arm.inertia is None else inertia.six_entries(arm.inertia[i])
-            ET.SubElement(element, "inertia", {k: repr(float(v)) for k, v in zip(inertia.SIX, six, strict=True)})
-        lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
-        kind = "prismatic" if arm.slides[i] else "continuous" if i in arm.endless else "revolute"
-        joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
-        ET.SubElement(joint, "axis", xyz="0 0 1")
-        ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))
-        write_drives(arm, i, robot, joint)
-    ET.SubElement(robot, "link", name="flange")
-    flange = frames.row_from_transform(arm.T_joint_flange)
-    _add_joint(robot, "flange_joint", "fixed", f"link{arm.dof}", "flange", flange)
-    ET.indent(robot)
-    text = '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
-    return storage.write_atomically(path, text, overwrite)
-
-
-def write_drives(arm: Arm, i: int, robot: ET.Element, joint: ET.Element) -> None:
-    """Writes friction and spring of an arm's joint `i`, from 0, into a URDF; what the arm does not know stays."""
-    known = {key: values[i] for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
-    entry = joint.find("dynamics")
-    for key, value in known.items():
-        if key in SPRINGS:
-            if entry is not None:
-                entry.attrib.pop(key, None)
-            _spring(robot, joint, SPRINGS[key]).text = repr(float(value))
-            continue
-        if entry is None:
-            entry = ET.SubElement(joint, "dynamics")
-        entry.set(key, repr(float(value)))
-
-
-def _spring(robot: ET.Element, joint: ET.Element, tag: str) -> ET.Element:
-    """The element of Gazebo's extension of a joint."""
-    own = [element for element in robot.findall("gazebo") if element.get("reference") == joint.get("name")]
-    found = next((entry for element in own if (entry := element.find(tag)) is not None), None)
-    if found is not None:
-        return found
-    return ET.SubElement(own[-1] if own else ET.SubElement(robot, "gazebo", reference=joint.get("name", "")), tag)
-
-
-def _add_base(robot: ET.Element, arm: Arm) -> None:
     base = ET.Element("link", name="base_link")
     if arm.mass is not None:
         ET.SubElement(robot, "link", name="world")
         _add_joint(robot, "world_joint", "fixed", "world", "base_link", np.zeros(6))
         base.append(ET.Comment(" Stands still: any mass would do, and without one Gazebo drops the whole arm. "))
-        element = ET.SubElement(base, "inertial")
-        ET.SubElement(element, "mass", value="1.0")
-        ET.SubElement(element, "inertia", dict(zip(inertia.SIX, ("0.01", "0.01", "0.01", "0", "0", "0"), strict=True)))
+        _set_body(base, inertia.Body(1.0, np.zeros(3), 0.01 * np.eye(3)))
     robot.append(base)
+    for i, row in enumerate(arm.kinematics):
+        link = ET.SubElement(robot, "link", name=f"link{i + 1}")
+        if (body := link_body(arm, i)) is not None:
+            _set_body(link, body)
+        lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
+        kind = "prismatic" if arm.slides[i] else "continuous" if i in arm.endless else "revolute"
+        joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
+        ET.SubElement(joint, "axis", xyz="0 0 1")
+        ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))
+        _set_drive(robot, joint, arm, i)
+    ET.SubElement(robot, "link", name="flange")
+    flange = frames.row_from_transform(arm.T_joint_flange)
+    _add_joint(robot, "flange_joint", "fixed", f"link{arm.dof}", "flange", flange)
+    ET.indent(robot)
+    return _write(robot, path, overwrite)
+
+
+def write_into_urdf(
+    arm: Arm,
+    robot: str | Path,
+    path: str | Path,
+    base: str | None = None,
+    tip: str | None = None,
+    overwrite: bool = False,
+    with_flange: bool = True,
+) -> list[str]:
+    """Writes a URDF in which the joints of a chain have the origins, inertia and drives of an arm.
+
+    Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
+    does not know. What follows the last joint changes in the last fixed joint. Where the arm has inertia, that of each
+    link contains the links fixed to it, whose own is removed.
+
+    Args:
+        arm: the arm.
+        robot: the file to read.
+        path: the file to write.
+        base, tip: as of `read_urdf`.
+        overwrite: whether the target may be replaced.
+        with_flange: whether what follows the last joint changes.
+
+    Returns:
+        what the file has no place for, a phrase each.
+
+    Raises:
+        InputError: as `read_urdf`; another number of joints; joint frames that stand elsewhere by design, to which the
+            meshes would not fit; or as `storage.write_atomically`.
+    """
+    old, tree, root = _read(robot, base, tip)
+    if (old.dof, old.sliding) != (arm.dof, arm.sliding):
+        slides = [", prismatic " + ", ".join(str(i + 1) for i in of.sliding) if of.sliding else "" for of in (old, arm)]
+        raise InputError(
+            f"{robot}: has {old.dof} joints from {tree.base} to {tree.tip}{slides[0]}, but {arm.name} has"
+            f" {arm.dof}{slides[1]}"
+        )
+    for i, (T, before) in enumerate(zip(arm.links, old.links, strict=True), 1):
+        moved, turned = np.linalg.norm(T[:3, 3] - before[:3, 3]), np.linalg.norm(T[:3, :3] - before[:3, :3])
+        if moved > _FAR[0] or turned > _FAR[1]:
+            raise InputError(
+                f"{robot}: the frame of joint {i} stands {1e3 * moved:.3g} mm and {turned:.2g} rad from that of "
+                f"{arm.name}, which is no deviation of one arm; give the URDF of the description that was diagnosed"
+            )
+    elements, left_out = _joint_elements(root), []
+    before, i = IDENTITY, 0
+    for joint in tree.chain:
+        if joint.kind == "fixed":
+            before = before @ frames.transform_from_row(joint.row)
+            continue
+        R = axis_frame(joint.axis)
+        if np.abs(arm.links[i] - old.links[i]).max() > _SAME:
+            _set_origin(elements[joint.child], np.linalg.inv(before) @ arm.links[i] @ R.T)
+        _set_drive(root, elements[joint.child], arm, i)
+        before, i = R.T, i + 1
+    last = tree.chain[-1]
+    if with_flange and np.abs(arm.T_joint_flange - old.T_joint_flange).max() > _SAME:
+        if last.kind == "fixed":
+            T = frames.transform_from_row(last.row) @ np.linalg.inv(old.T_joint_flange) @ arm.T_joint_flange
+            _set_origin(elements[last.child], T)
+        else:
+            left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
+    if arm.mass is not None and arm.inertia is not None and not _same_bodies(arm, old):
+        for i, joint in enumerate(tree.moving):
+            for name, _ in rigid_links(joint.child, tree.joints):
+                for entry in tree.links[name].findall("inertial"):
+                    tree.links[name].remove(entry)
+            if (body := link_body(arm, i)) is not None:
+                _set_body(tree.links[joint.child], inertia.transform_body(body, axis_frame(joint.axis)))
+    left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
+    left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
+    _write(root, path, overwrite)
+    return left_out
+
+
+def _same_bodies(arm: Arm, old: Arm) -> bool:
+    pairs = [(getattr(arm, field), getattr(old, field)) for field in ("mass", "center_of_mass", "inertia")]
+    return all(b is not None and np.allclose(a, b, rtol=1e-12, atol=1e-15) for a, b in pairs)
+
+
+def _write(robot: ET.Element, path: str | Path, overwrite: bool) -> Path:
+    content = '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+    return storage.write_atomically(path, content, overwrite)
 
 
 def _add_joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, row: Array) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    ET.SubElement(joint, "origin", xyz=_floats(row[:3]), rpy=_floats(row[3:]))
+    ET.SubElement(joint, "origin", xyz=format_numbers(row[:3]), rpy=format_numbers(row[3:]))
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     return joint
 
 
-def _floats(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _set_origin(joint: ET.Element, T: Array) -> None:
+    entry = joint.find("origin")
+    if entry is None:
+        entry = ET.SubElement(joint, "origin")
+    row = frames.row_from_transform(T)
+    entry.set("xyz", format_numbers(row[:3]))
+    entry.set("rpy", format_numbers(row[3:]))
 
 
-def _inertial(path: str | Path, moved: list[str], axes: list[Array], tree: Tree) -> dict[str, Array]:
-    """The fields of `Arm` that say what each moved link is with every link fixed to it; none without inertial elements.
-
-    Files without figures write tensors of zeros: then the inertia is unknown.
-    """
-    if all(link.find("inertial") is None for link in tree.links.values()):
-        return {}
-    links = []
-    for link, R in zip(moved, axes, strict=True):
-        fixed = [
-            inertia.moved(_body(element, f"{path}: link {name!r}: inertial"), R.T @ T)
-            for name, T in fixed_to(link, tree.joints)
-            if (element := tree.links[name].find("inertial")) is not None
-        ]
-        links.append(inertia.lumped(fixed))
-        if wrong := next((wrong for body in (*fixed, links[-1]) if (wrong := inertia.defect(body.inertia))), ""):
-            warnings.warn(
-                f"{path}: link {link!r}: its inertia {wrong}; the inertia of this file is left out, correct it to"
-                " diagnose torques",
-                InputWarning,
-                stacklevel=3,
-            )
-            links[-1] = links[-1]._replace(inertia=np.full((3, 3), np.nan))
-    fields = {"mass": np.array([link.mass for link in links]), "center_of_mass": np.array([b.center for b in links])}
-    tensors = np.array([link.inertia for link in links])
-    return fields | ({"inertia": tensors} if np.isfinite(tensors).all() and tensors.any() else {})
+def _set_body(link: ET.Element, body: inertia.Body) -> None:
+    """Says what a link without an inertial element is."""
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=format_numbers(body.center), rpy="0.0 0.0 0.0")
+    ET.SubElement(element, "mass", value=repr(float(body.mass)))
+    six = zip(inertia.SIX, inertia.six_entries(body.inertia), strict=True)
+    ET.SubElement(element, "inertia", {key: repr(float(value)) for key, value in six})
 
 
-def _body(element: ET.Element, where: str) -> inertia.Body:
-    """What an inertial element describes, in the frame of its link."""
-    kg = scalar(attribute(element, "mass", "value", where), f"{where}: mass")
-    entry = element.find("inertia")
-    six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in inertia.SIX]
-    body = inertia.Body(kg, np.zeros(3), inertia.tensor(six))
-    return inertia.moved(body, frames.transform_from_row(origin(element, where)))
-
-
-def _drives(path: str | Path, moving: list[Joint]) -> dict[str, Array]:
-    """The fields of `Arm` that the joints' dynamics elements and springs give; a joint without one has none."""
-    fields: dict[str, Array] = {}
-    for field, key in DRIVES.items():
-        given = [joint.dynamics.get(key) for joint in moving]
-        if any(text is not None for text in given):
-            where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in moving]
-            fields[field] = np.array([scalar(text or "0", at) for text, at in zip(given, where, strict=True)])
-    if "spring_stiffness" in fields:
-        fields.setdefault("spring_rest", np.zeros(len(moving)))
-    else:
-        fields.pop("spring_rest", None)
-    return fields
+def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
+    """Writes friction and spring of an arm's joint `i`, from 0; what the arm does not know stays."""
+    entry, own = joint.find("dynamics"), _extensions(robot, joint)
+    for field, key in (_DYNAMICS | _SPRINGS).items():
+        if (values := getattr(arm, field)) is None:
+            continue
+        value = repr(float(values[i]))
+        if field in _DYNAMICS:
+            entry = ET.SubElement(joint, "dynamics") if entry is None else entry
+            entry.set(key, value)
+            continue
+        spring = next((found for e in own if (found := e.find(key)) is not None), None)
+        if spring is None:
+            own = own or [ET.SubElement(robot, "gazebo", reference=joint.get("name", ""))]
+            spring = ET.SubElement(own[-1], key)
+        spring.text = value

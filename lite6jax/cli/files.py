@@ -63,26 +63,17 @@ class Convert:
         check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
-        from lite6jax.arms.bundled import bundled_arms, load_bundled
-        from lite6jax.arms.files import with_chain
-        from lite6jax.arms.forms import convert_file, export_file, export_into
+        from lite6jax.arms.files import convert_file, name_chain
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
-        source = with_chain(self.source, self.base, self.tip)
+        source = name_chain(self.source, self.base, self.tip)
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             arm, left_out, nominal = self._diagnosed(source, nominal)
-        if self.into is not None:
-            whole = arm or source
-            done = export_into(whole, self.into, self.target, self.force, left_out, arm is None, nominal)
-        elif arm is not None:
-            known = nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
-            done = export_file(arm, self.target, self.to, self.force, left_out, known)
-        else:
-            done = convert_file(source, self.target, self.to, nominal, self.force)
+        done = convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
             from lite6jax.report import documents
 
@@ -94,7 +85,8 @@ class Convert:
 
     def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
-        from lite6jax.arms.forms import form_of
+        from lite6jax.arms.bundled import bundled_arms, load_bundled
+        from lite6jax.arms.files import form_of
         from lite6jax.diagnosis.document import parsed_document
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
         from lite6jax.effects.user_effects import load_effects
@@ -110,7 +102,7 @@ class Convert:
                 f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
                 f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
             )
-        return arm, left_out, nominal
+        return arm, left_out, nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
 
 
 @final

@@ -197,7 +197,7 @@ def _asked_arm(found: "Inspection") -> str | None:
 
 def _before_jaw(arm: str, found: "Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
-    from lite6jax.arms.urdf_tree import tip_before_jaw
+    from lite6jax.arms.urdf import tip_before_jaw
     from lite6jax.recordings.naming import is_of_gripper
 
     q = found.of("q")

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.consistency import bodies_near, consistent_links, is_consistent, with_link_parameters
-from lite6jax.arms.dynamics import base_parameters
+from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.diagnosis.document import SCHEMAS, model_from_document, parsed_document
 from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, torque_model_from_document
 from lite6jax.domains.pose.predict import DiagnosedArm
@@ -55,7 +54,7 @@ def read_diagnosed_arm(
     """The arm of a diagnosis: of poses its chain, of torques its friction, rotors, springs and links, of both all.
 
     Links are bodies: of all that have the base parameters found, those nearest to what was estimated (see
-    `arms.consistency`).
+    `arms.dynamics`).
 
     Args:
         path: what `diagnose` wrote.
@@ -130,10 +129,9 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
             else "the point that was measured (what follows the last joint stays as it is)"
         )
     limits = model.joint_limits if nominal is None else nominal.joint_limits
-    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=_rigid(tip), sliding=model.sliding)
+    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=tip, sliding=model.sliding)
     if alone and nominal is not None and nominal.dof == arm.dof:
-        bodies = {field: getattr(nominal, field) for field in ("mass", "center_of_mass", "inertia")}
-        arm = replace(arm, **bodies)
+        arm = replace(arm, mass=nominal.mass, center_of_mass=nominal.center_of_mass, inertia=nominal.inertia)
     return arm, tuple(left_out)
 
 
@@ -142,13 +140,6 @@ def _displaced(twist: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
     return T
-
-
-def _rigid(T: Array) -> Array:
-    """A transform with an exact last row."""
-    out = np.array(T, float)
-    out[3] = [0.0, 0.0, 0.0, 1.0]
-    return out
 
 
 def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
@@ -230,8 +221,8 @@ def _none(numbers: np.ndarray) -> np.ndarray:
 
 def _with_bodies(arm: Arm, links: np.ndarray, gravity: np.ndarray) -> tuple[Arm, list[str]]:
     if is_consistent(links):
-        return with_link_parameters(arm, links), []
+        return set_link_parameters(arm, links), []
     base = base_parameters(arm.kinematics, gravity, arm.sliding)
     found = consistent_links(base, base.values(links), bodies_near(links))
     phrases = [] if found.exact else ["inertial numbers that no bodies have"]
-    return with_link_parameters(arm, found.parameters), phrases
+    return set_link_parameters(arm, found.parameters), phrases

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, HayatiForm
-from lite6jax.arms.forward_kinematics import link_frames
-from lite6jax.arms.moves import Turn, base_frame, cross
+from lite6jax.arms.chains import Form, HayatiForm, link_frames
+from lite6jax.arms.se3 import Turn, base_frame, cross
 from lite6jax.deferred import Array, jnp, lax
 from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError

@@ -9,10 +9,9 @@ from jax import Array
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import HayatiForm, SixParameterForm, joint_motion
-from lite6jax.arms.convert import closed_form
-from lite6jax.arms.forward_kinematics import six_parameter_fk
-from lite6jax.arms.moves import Frame
+from lite6jax.arms.chains import SixParameterForm, joint_motion, six_parameter_fk
+from lite6jax.arms.dh import closed_form
+from lite6jax.arms.se3 import Frame
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.residual import predict_frames
@@ -67,7 +66,6 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     kinematics, T_joint_flange = kinematics[filled], T_joint_flange[filled]
     chunks = [slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)]
     q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
-    branch = arm.form.unpack(arm.hayati)[1][:, [0, 3]]  # theta and alpha
 
     def errors(parameters: NDArray) -> NDArray:
         parts = (
@@ -79,7 +77,7 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
         )  # fmt: skip
         return np.concatenate(list(parts))
 
-    parameters = np.concatenate([_converted(arm.form, kinematics[each], branch) for each in chunks])
+    parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
     found = errors(parameters)
     result, steps = np.full(len(filled), Result.CONVERGED, np.int32), np.zeros(len(filled), np.int32)
     left = ~(np.max(found[:, :2, [1, 3]], (1, 2)) <= EXACT)
@@ -118,11 +116,6 @@ def _one_by_one(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> Fitte
 
 def _root_mean_square(values: Any) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _by_closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
-    """Parameters `(arm, size)`, without a check that the chain has them."""
-    return closed_form(form, jnp.moveaxis(kinematics, 0, -1), branch)[0].T
 
 
 def _all_errors(
@@ -166,5 +159,4 @@ def _rms(values: Array) -> Array:
 
 
 _SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
-_converted = Exported("closed_form", _by_closed_form, (0,), _SINGLE_THREADED)
 _errors = Exported("calibration_errors", _all_errors, (0,), _SINGLE_THREADED)

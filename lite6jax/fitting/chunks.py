@@ -12,7 +12,7 @@ from jax import Array, export
 from jax.typing import ArrayLike
 
 from lite6jax import threads
-from lite6jax.arms.moves import joint_turn
+from lite6jax.arms.se3 import joint_turn
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.arms.forms import hayati_of
-from lite6jax.arms.forward_kinematics import hayati_fk
+from lite6jax.arms.chains import hayati_fk
+from lite6jax.arms.factory import FactoryCalibration, hayati_of
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import calibration_poses
 from lite6jax.fitting.sampling import check_positions

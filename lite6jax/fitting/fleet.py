@@ -12,8 +12,8 @@ from jax.typing import ArrayLike
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import six_parameter_fk
 from lite6jax.arms.factory import read_factory
-from lite6jax.arms.forward_kinematics import six_parameter_fk
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks
 from lite6jax.fitting.gauss_newton import Prior

@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.arms.forms import hayati_of
-from lite6jax.arms.forward_kinematics import fk
-from lite6jax.arms.moves import joint_rate
-from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
+from lite6jax.arms.chains import SixParameterForm, fk
+from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
+from lite6jax.arms.se3 import joint_rate, rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import observe, pad, padded_size
 from lite6jax.fitting.recognition import arm_of

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lite6jax.arms.moves import Turn
+from lite6jax.arms.se3 import Turn
 
 LARGEST = 1e6
 """rad; up to here an angle's multiple of π/2 times the first part of π/2 is exact. No joint turns so far."""

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lite6jax.arms.forward_kinematics import sweep, sweep_order
-from lite6jax.arms.moves import Frame, Turn, Twist, base_frame, cross, rotation_twist
-from lite6jax.arms.se3 import rotation_log_components
+from lite6jax.arms.chains import sweep, sweep_order
+from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, rotation_log_components, rotation_twist
 from lite6jax.model import ArmModel, ModelForm
 
 POSITION, POSE = 3, 6

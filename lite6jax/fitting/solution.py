@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.arms.forms import hayati_of
-from lite6jax.arms.table import write_table
+from lite6jax.arms.dh import write_table
+from lite6jax.arms.factory import FactoryCalibration, hayati_of
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported

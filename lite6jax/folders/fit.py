@@ -14,8 +14,8 @@ from lite6jax import storage
 from lite6jax.arms import entries
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
-from lite6jax.arms.table import is_table
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.calibrations_fit import fit_calibrations
 from lite6jax.fitting.quality import Quality, quality_of_calibration

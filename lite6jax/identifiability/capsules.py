@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy import typing as npt
 
-from lite6jax.arms import frames, urdf, urdf_tree
+from lite6jax.arms import frames, urdf
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.errors import InputError
 from lite6jax.storage import exists, open_file
@@ -93,12 +93,12 @@ def urdf_capsules(
         if not chains or np.abs(chains[0] - chains[1]).max() > _SAME_ARM:
             raise InputError(f"{path}: is of another arm than {arm.name}; give its own URDF, or name the tip")
     capsules: list[Capsule] = []
-    for link, element, T in urdf.carried_links(path, base, tip):
+    for link, element, T in urdf.links_of_chain(path, base, tip):
         name = element.get("name", "")
         for collision in element.findall("collision"):
             where = f"{path}: link {name!r}: collision"
             start, end, radius = _enclosed(path, collision, where)
-            T_link_shape = T @ frames.transform_from_row(urdf_tree.origin(collision, where))
+            T_link_shape = T @ frames.transform_from_row(urdf.origin(collision, where))
             start, end = (T_link_shape[:3, :3] @ p + T_link_shape[:3, 3] for p in (start, end))
             capsules.append(Capsule(name, link, start, end, radius))
     if not capsules:
@@ -119,13 +119,13 @@ def _enclosed(path: str | Path, collision: ET.Element, where: str) -> Segment:
         half = np.array([0.0, 0.0, _length(shape, "length", where) / 2])
         return -half, half, _length(shape, "radius", where)
     if shape is not None and kind == "box":
-        size = urdf_tree.vector(shape.get("size", ""), f"{where}: box size")
+        size = urdf.vector(shape.get("size", ""), f"{where}: box size")
         if not (size > 0).all():
             raise InputError(f"{where}: box size {shape.get('size')!r}; write three positive lengths")
         corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
         return enclosing_capsule(corners * size)
     if shape is not None and kind == "mesh":
-        scale = urdf_tree.vector(shape.get("scale", "1 1 1"), f"{where}: mesh scale")
+        scale = urdf.vector(shape.get("scale", "1 1 1"), f"{where}: mesh scale")
         return enclosing_capsule(_read_stl(_mesh_file(path, shape.get("filename", ""), where), where) * scale)
     raise InputError(f"{where}: its geometry is {kind}; a box, cylinder, sphere or mesh is needed, or remove it")
 

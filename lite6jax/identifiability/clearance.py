@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from numpy import typing as npt
 
 from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.moves import cross, joint_turn
+from lite6jax.arms.se3 import cross, joint_turn
 from lite6jax.identifiability.capsules import Capsule, chain_capsules
 from lite6jax.recordings import require_radians
 

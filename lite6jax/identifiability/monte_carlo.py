@@ -12,8 +12,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.chains import joint_motion
-from lite6jax.arms.moves import Frame
-from lite6jax.arms.se3 import rotation_exp, rotation_log_components
+from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components
 from lite6jax.distribution.batches import Workers
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lite6jax.arms.chains import SixParameterForm, joint_motion
-from lite6jax.arms.moves import Frame, Turn, Twist, cross, joint_rate
+from lite6jax.arms.se3 import Frame, Turn, Twist, cross, joint_rate
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.sliding import Sliding

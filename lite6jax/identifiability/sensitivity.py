@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import joint_motion
-from lite6jax.arms.moves import Turn
+from lite6jax.arms.se3 import Turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import predict_frames
 from lite6jax.fitting.sampling import sample_within_limits

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lite6jax.arms.moves import Frame, Twist, cross
+from lite6jax.arms.se3 import Frame, Twist, cross
 from lite6jax.errors import InputError
 
 Quantity = Literal["position", "pose", "axis", "distance"]

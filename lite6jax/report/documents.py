@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lite6jax.arms.forms import Conversion
+from lite6jax.arms.files import Conversion
 from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation

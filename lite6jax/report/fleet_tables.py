@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.arms.forms import Conversion
+from lite6jax.arms.files import Conversion
 from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms import se3
+from lite6jax.arms import frames, se3
 
 EXACT = 4e-15
 AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [1, 1, 0], [0, 1, -1], [-3, 2, 5], [1, -7, -2]], float)
@@ -114,7 +114,7 @@ def test_roll_pitch_yaw_round_trip(roll, pitch, yaw):
     rpy = np.array([roll, pitch, yaw])
     R = se3.rotation_from_rpy(rpy)
     np.testing.assert_allclose(R, Rotation.from_euler("xyz", rpy).as_matrix(), atol=EXACT)
-    back = np.asarray(se3.rpy_from_rotation(R))
+    back = np.asarray(frames.rpy_from_rotation(R))
     np.testing.assert_allclose(se3.rotation_from_rpy(back), R, atol=EXACT)
     turns = (back - rpy) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-11)  # 1e-15 / cos(1.57) at the worst
@@ -125,13 +125,13 @@ def test_roll_pitch_yaw_round_trip(roll, pitch, yaw):
 @given(roll=angles, yaw=angles)
 def test_upright_pitch_reproduces_the_rotation(sign, off, roll, yaw):
     R = Rotation.from_euler("xyz", [roll, sign * (np.pi / 2 - off), yaw]).as_matrix()
-    np.testing.assert_allclose(se3.rotation_from_rpy(se3.rpy_from_rotation(R)), R, atol=EXACT)
+    np.testing.assert_allclose(se3.rotation_from_rpy(frames.rpy_from_rotation(R)), R, atol=EXACT)
 
 
 def test_exactly_upright_pitch():
     for sign in (1.0, -1.0):
         R = np.array([[0, 0, sign], [0, 1, 0], [-sign, 0, 0]])
-        np.testing.assert_allclose(se3.rpy_from_rotation(R), [0, sign * np.pi / 2, 0], atol=1e-15)
+        np.testing.assert_allclose(frames.rpy_from_rotation(R), [0, sign * np.pi / 2, 0], atol=1e-15)
 
 
 @given(quaternions)
@@ -155,10 +155,10 @@ def test_leading_axes_are_batches(shape):
     vectors = rng.uniform(-1, 1, (*shape, 3))
     R = np.asarray(se3.rotation_exp(vectors))
     assert R.shape == (*shape, 3, 3)
-    quaternion, rpy = se3.quaternion_from_rotation(R), se3.rpy_from_rotation(R)
+    quaternion, rpy = se3.quaternion_from_rotation(R), frames.rpy_from_rotation(R)
     T = np.asarray(se3.transform(R, vectors))
     assert (se3.rotation_log(R).shape, quaternion.shape, rpy.shape) == ((*shape, 3), (*shape, 4), (*shape, 3))
-    assert (se3.skew(vectors).shape, T.shape, se3.inverse(T).shape) == ((*shape, 3, 3), (*shape, 4, 4), (*shape, 4, 4))
+    assert (se3.skew(vectors).shape, T.shape) == ((*shape, 3, 3), (*shape, 4, 4))
     for at in np.ndindex(shape):
         # one XLA program may fuse differently from another
         np.testing.assert_allclose(se3.rotation_exp(vectors[at]), R[at], atol=EXACT)
@@ -168,11 +168,11 @@ def test_leading_axes_are_batches(shape):
         np.testing.assert_array_equal(T[at], np.block([[R[at], vectors[at][:, None]], [0, 0, 0, 1]]))
 
 
-def test_inverse_and_broadcasting_of_transforms():
+def test_broadcasting_of_transforms():
     rng = np.random.default_rng(1)
     R = Rotation.from_rotvec(rng.uniform(-3, 3, (4, 3))).as_matrix()
     T = np.asarray(se3.transform(R, rng.uniform(-1, 1, 3)))
-    np.testing.assert_allclose(se3.inverse(T), np.linalg.inv(T), atol=EXACT)
+    np.testing.assert_array_equal(T[:, :3, :3], R)
     np.testing.assert_array_equal(T[:, 3], np.tile([0, 0, 0, 1], (4, 1)))
 
 

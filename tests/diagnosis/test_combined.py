@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from report import diagnosed, torque_diagnosed
 from typed import flat, run
 
-from lite6jax.arms.consistency import is_consistent
-from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined
 from lite6jax.diagnosis.document import read_model, write_document

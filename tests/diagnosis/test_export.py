@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from domains.torque.moved import GRAVITY, motion_of, setup_of
 
-from lite6jax.arms.consistency import is_consistent
-from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters
-from lite6jax.arms.files import read_arm
-from lite6jax.arms.forms import export_file
+from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, is_consistent, link_parameters
+from lite6jax.arms.files import convert_file, read_arm
 from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
@@ -60,7 +58,7 @@ def test_what_was_found_stands_in_the_file(tmp_path, suffix):
         pytest.importorskip("mujoco")
     arm, left_out = diagnosed_arm(model)
     assert left_out == ("torque offset at joint1",)
-    done = export_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
+    done = convert_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
     again = read_arm(str(done.path))
     assert again.viscous_friction[1] == pytest.approx(0.8)
     assert again.coulomb_friction[2] == pytest.approx(0.5)
@@ -89,7 +87,7 @@ def test_the_arm_that_is_written_declares_what_was_found(tmp_path):
     declared = predict_torques(nothing, recording)
     np.testing.assert_allclose(declared, predict_torques(model, recording), rtol=0, atol=1e-9)
     assert np.abs(declared - predict_torques(replace(nothing, arm=model.arm), recording)).max() > 0.5
-    export_file(arm, tmp_path / "arm.yaml")
+    convert_file(arm, tmp_path / "arm.yaml")
     again = predict_torques(replace(nothing, arm=read_arm(str(tmp_path / "arm.yaml"))), recording)
     np.testing.assert_allclose(again, declared, rtol=0, atol=1e-9)
     twice, _ = diagnosed_arm(replace(model, arm=arm))
@@ -129,7 +127,7 @@ def test_a_spring_stands_in_the_file(tmp_path, suffix):
     )
     arm, left_out = diagnosed_arm(model)
     assert left_out == ("joint spring at joint4",)  # one that pushes away is none
-    done = export_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
+    done = convert_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
     again = read_arm(str(done.path))
     np.testing.assert_allclose(again.spring_stiffness, [0, 4.0, 0, 0, 0, 0], rtol=1e-12)
     np.testing.assert_allclose(again.spring_rest, [0, 0.3, 0, 0, 0, 0], rtol=1e-12)

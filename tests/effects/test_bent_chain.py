@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.convert import hayati_to_six_parameter
-from lite6jax.arms.forward_kinematics import Bend, sweep, sweep_order
-from lite6jax.arms.moves import base_frame, cross, displace, turn
+from lite6jax.arms.chains import Bend, SixParameterForm, sweep, sweep_order
+from lite6jax.arms.dh import hayati_to_six_parameter
+from lite6jax.arms.se3 import base_frame, cross, displace, turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.effects.catalogue import BUILT_IN, catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Altering, Bending

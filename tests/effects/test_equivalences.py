@@ -7,7 +7,7 @@ import pytest
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
 from lite6jax.effects.kinematic.joints import (

@@ -8,7 +8,7 @@ import pytest
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.effects.statics import Loads, inertia_of, loads
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions

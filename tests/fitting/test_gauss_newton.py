@@ -10,19 +10,19 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals
 from lite6jax.model import ModelForm, arm_model
-from tests.oracles.arms import LITE6_DH, random_kinematics, random_positions
+from tests.oracles.arms import LITE6_DH, parameters_of_table, random_kinematics, random_positions, table_of_parameters
 from tests.oracles.chains import hayati_poses
 from tests.oracles.transforms import origin_transform, perturb_poses
 
 ARMS, SAMPLES, MAX_STEPS = 4, 60, 50
 CHAIN = HayatiForm(6, (1,))
 FORM = ModelForm(CHAIN)
-NOMINAL = CHAIN.pack(np.zeros(4), LITE6_DH, [0.0])
+NOMINAL = parameters_of_table(CHAIN, np.zeros(4), LITE6_DH, [0.0])
 # The seed's tolerance, for each number: 0.8 mm and 0.15 deg.
 TOLERANCE = np.where(np.array(CHAIN.units) == "m", 0.8e-3, np.deg2rad(0.15))
 POSITION, ORIENTATION = 1e-4, 1e-3
@@ -34,7 +34,7 @@ solve = jax.jit(solve_chunk, static_argnums=0)
 
 
 def poses_of(parameters):
-    base, dh, beta = CHAIN.unpack(parameters)
+    base, dh, beta = table_of_parameters(CHAIN, parameters)
     return hayati_poses(base, dh, {1: beta[0]}, POSITIONS)
 
 
@@ -319,7 +319,7 @@ def many():
     positions = random_positions(rng, MANY, 6)
     measured = []
     for truth in random_truths(11):
-        base, dh, beta = CHAIN.unpack(truth)
+        base, dh, beta = table_of_parameters(CHAIN, truth)
         measured.append(perturb_poses(rng, hayati_poses(base, dh, {1: beta[0]}, positions), POSITION, ORIENTATION))
     return positions, np.array(measured)
 

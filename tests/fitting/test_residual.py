@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import turn
 from lite6jax.fitting.residual import (
     Observations,
     Robust,
@@ -20,7 +20,7 @@ from lite6jax.fitting.residual import (
     residuals,
 )
 from lite6jax.model import ArmModel, ModelForm, arm_model
-from tests.oracles.arms import LITE6_DH, random_kinematics, random_positions
+from tests.oracles.arms import LITE6_DH, parameters_of_table, random_kinematics, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import origin_transform, perturb_poses
 
@@ -48,7 +48,7 @@ def case(frame=True, tool=True, poses=True, isotropic=True, angle=0.05, samples=
     dh[1, 1] = 0
     base, beta = rng.uniform(-0.1, 0.1, 4), 0.05
     T_sensor_base, T_flange_tool = (origin_transform(row) for row in random_kinematics(rng, 2))
-    model = arm_model(CHAIN.pack(base, dh, np.array([beta])), T_sensor_base, T_flange_tool)
+    model = arm_model(parameters_of_table(CHAIN, base, dh, np.array([beta])), T_sensor_base, T_flange_tool)
     positions = random_positions(rng, samples, 6)
     expected = T_sensor_base @ hayati_poses(base, dh, {1: beta}, positions) @ T_flange_tool
     measured = perturb_poses(rng, expected, angle / 2, angle)

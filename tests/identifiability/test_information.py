@@ -13,7 +13,7 @@ from lite6jax.identifiability.information import TOLERANCE, experiment, plan_exp
 from lite6jax.identifiability.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, RecordingSettings
-from tests.oracles.arms import perturbed, random_positions
+from tests.oracles.arms import perturbed, random_positions, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 
 LITE6 = load_bundled("lite6")
@@ -40,7 +40,7 @@ def plain_poses(form, model, step, positions):
     n = form.chain.size
     values = np.asarray(model.geometry) + step[:n]
     if isinstance(form.chain, HayatiForm):
-        base, dh, beta = form.chain.unpack(values)
+        base, dh, beta = table_of_parameters(form.chain, values)
         poses = hayati_poses(base, dh, dict(zip(form.chain.parallel, beta, strict=True)), positions)
     else:
         poses = six_parameter_poses(values.reshape(-1, 6), positions)

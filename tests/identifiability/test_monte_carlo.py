@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from lite6jax import fit_fleet
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.forward_kinematics import hayati_fk
+from lite6jax.arms.chains import hayati_fk
 from lite6jax.errors import InputError
 from lite6jax.identifiability import monte_carlo
 from lite6jax.identifiability.determination import determine

@@ -44,3 +44,17 @@ def random_positions(rng, samples, dof):
 def lite6_positions(rng, samples):
     """(sample, 6) rad, uniform inside the limits of a Lite 6."""
     return rng.uniform(*LITE6_LIMITS.T, (samples, 6))
+
+
+def parameters_of_table(form, base, dh, beta=()):
+    """(size,) Hayati parameters of revolute joints, of the base's x y roll pitch, a DH table and the betas."""
+    links = np.zeros((form.dof, 6))
+    links[:, [0, 1, 2, 4]] = dh
+    links[list(form.parallel), 5] = beta
+    return form.pack(np.array([*base[:2], 0, 0, base[3], base[2]]), links)
+
+
+def table_of_parameters(form, parameters):
+    """The inverse of `parameters_of_table`."""
+    base, links = form.unpack(parameters)
+    return base[[0, 1, 5, 4]], links[:, [0, 1, 2, 4]], links[list(form.parallel), 5]

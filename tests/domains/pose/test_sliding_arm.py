@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lite6jax.arms.convert import six_parameter_to_hayati
+from lite6jax.arms.chains import six_parameter_fk
+from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
-from lite6jax.arms.forward_kinematics import six_parameter_fk
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.cli import main
 from lite6jax.diagnosis.document import read_model
