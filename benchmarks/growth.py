@@ -28,13 +28,13 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.convert import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
+from lite6jax.design.criteria import Determinant
+from lite6jax.design.design import choose
+from lite6jax.design.information import plan_experiment
+from lite6jax.design.sensor import Sensor
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.solution import Result
 from lite6jax.folders.listing import BATCH
-from lite6jax.identifiability.criteria import Determinant
-from lite6jax.identifiability.design import choose
-from lite6jax.identifiability.information import plan_experiment
-from lite6jax.identifiability.sensor import Sensor
 
 MILLION = 10**6
 KNOWN_WITHIN = 0.5

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE
 from benchmarks.seed_way import NOMINAL, sample_joints
-from lite6jax.identifiability.criteria import Determinant
-from lite6jax.identifiability.design import choose
-from lite6jax.identifiability.information import TOLERANCE, Experiment, plan_experiment
-from lite6jax.identifiability.monte_carlo import refit
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.design.criteria import Determinant
+from lite6jax.design.design import choose
+from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
+from lite6jax.design.monte_carlo import refit
+from lite6jax.design.sensor import Sensor
 from tests.oracles.chains import seed_poses
 
 OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"

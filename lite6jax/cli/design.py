@@ -25,7 +25,7 @@ from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.candidates import Filter
+    from lite6jax.design.candidates import Filter
 
 
 @final
@@ -96,11 +96,11 @@ class Design:
     def run(self) -> int:
         """Draws candidates, chooses, writes, prints."""
         from lite6jax.arms.files import read_arm
+        from lite6jax.design.candidates import all_pass, candidates, inside_limits
+        from lite6jax.design.discrimination import plan_discrimination
+        from lite6jax.design.planning import plan_poses
+        from lite6jax.design.route import shortest_round
         from lite6jax.fitting.source import read_source
-        from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
-        from lite6jax.identifiability.discrimination import plan_discrimination
-        from lite6jax.identifiability.planning import plan_poses
-        from lite6jax.identifiability.route import shortest_round
         from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
         from lite6jax.report import design_tables, screen
 
@@ -177,7 +177,7 @@ class Design:
         return DONE
 
     def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
-        from lite6jax.identifiability import candidates, capsules, clearance
+        from lite6jax.design import candidates, capsules, clearance
 
         if self.floor is not None and not math.isfinite(self.floor):
             raise InputError(f"--floor {self.floor}: give a height in mm")

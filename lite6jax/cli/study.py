@@ -16,7 +16,7 @@ from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.information import Experiment
+    from lite6jax.design.information import Experiment
     from lite6jax.recordings import Recording
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
@@ -61,8 +61,8 @@ class Setup:
         """
         import numpy as np
 
-        from lite6jax.identifiability.information import plan_experiment
-        from lite6jax.identifiability.sensor import sensor_named
+        from lite6jax.design.information import plan_experiment
+        from lite6jax.design.sensor import sensor_named
 
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
@@ -147,9 +147,9 @@ class Identify:
     def run(self) -> int:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
+        from lite6jax.design.identify import identify, identify_recording
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.identifiability.identify import identify, identify_recording
         from lite6jax.recordings import Recording, recording_file
 
         check_seed(self.seed)
@@ -273,7 +273,7 @@ class Sensitivity:
     def run(self) -> int:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
-        from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
+        from lite6jax.design.sensitivity import global_sensitivity, sensitivity
         from lite6jax.report import canvas, screen, study_tables
 
         check_seed(self.seed)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.candidates import Filter
-    from lite6jax.identifiability.torque.columns import TorqueModel
-    from lite6jax.identifiability.torque.fourier import Motion
-    from lite6jax.identifiability.torque.planning import MotionRoom
+    from lite6jax.design.candidates import Filter
+    from lite6jax.design.torque.columns import TorqueModel
+    from lite6jax.design.torque.fourier import Motion
+    from lite6jax.design.torque.planning import MotionRoom
     from lite6jax.recordings import Recording, RecordingSettings
 
 
@@ -60,7 +60,7 @@ class TorqueSetup:
         Raises:
             InputError: as `torque_model`.
         """
-        from lite6jax.identifiability.torque.columns import GRAVITY, torque_model
+        from lite6jax.design.torque.columns import GRAVITY, torque_model
 
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else GRAVITY)
@@ -73,8 +73,8 @@ class TorqueSetup:
         Raises:
             InputError: as `motion_limits` and `MotionRoom`.
         """
-        from lite6jax.identifiability.torque.fourier import motion_limits
-        from lite6jax.identifiability.torque.planning import MotionRoom
+        from lite6jax.design.torque.fourier import motion_limits
+        from lite6jax.design.torque.planning import MotionRoom
 
         limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
         return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
@@ -97,7 +97,7 @@ def identify_arm(setup: TorqueSetup, source: str, seed: int, as_json: bool) -> i
         InputError: an arm that cannot be read, or as `TorqueSetup`.
     """
     from lite6jax.arms.files import read_arm
-    from lite6jax.identifiability.torque.planning import random_motions
+    from lite6jax.design.torque.planning import random_motions
 
     arm = read_arm(source)
     room = setup.room(arm)
@@ -128,7 +128,7 @@ def identify_recording(setup: TorqueSetup, recording: "Recording", arm: "Arm", s
 def _identified(
     model: "TorqueModel", motion: "Motion", source: str, phrase: str, as_json: bool, notes: tuple[str, ...] = ()
 ) -> int:
-    from lite6jax.identifiability.torque.identify import identify_torques
+    from lite6jax.design.torque.identify import identify_torques
     from lite6jax.report import screen, torque_study_tables
 
     found = identify_torques(model, motion, notes=notes)
@@ -142,8 +142,8 @@ def _identified(
 def _recorded_motion(recording: "Recording") -> "tuple[Motion, list[str]]":
     import numpy as np
 
+    from lite6jax.design.torque.fourier import Motion
     from lite6jax.effects.motion import accelerated
-    from lite6jax.identifiability.torque.fourier import Motion
     from lite6jax.recordings.motion import motion_of_recording
 
     recording = recording.sorted_by_time()
@@ -188,12 +188,12 @@ def design_motion(
         InputError: as `plan_motion` and `plan_torque_discrimination`.
     """
     from lite6jax.arms.files import read_arm
+    from lite6jax.design.torque.columns import GRAVITY
+    from lite6jax.design.torque.discrimination import plan_torque_discrimination, rival_of
+    from lite6jax.design.torque.planning import plan_motion
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
     from lite6jax.effects.dynamic.torque_effect import TorqueEffect
     from lite6jax.effects.serialization import parse_effect
-    from lite6jax.identifiability.torque.columns import GRAVITY
-    from lite6jax.identifiability.torque.discrimination import plan_torque_discrimination, rival_of
-    from lite6jax.identifiability.torque.planning import plan_motion
     from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
     from lite6jax.report import screen, torque_study_tables
 
