@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from lite6jax.design.clearance import link_frames as link_frames, self_collision as self_collision
     from lite6jax.design.identify import identify as identify, identify_recording as identify_recording
     from lite6jax.design.information import Experiment as Experiment, plan_experiment as plan_experiment
-    from lite6jax.design.planning import plan_poses as plan_poses
+    from lite6jax.design.poses import plan_poses as plan_poses
     from lite6jax.design.sensitivity import (
         global_sensitivity as global_sensitivity,
         sensitivity as sensitivity,
@@ -126,7 +126,7 @@ _NAMES = {
     "lite6jax.design.clearance": ("link_frames", "self_collision"),
     "lite6jax.design.identify": ("identify", "identify_recording"),
     "lite6jax.design.information": ("Experiment", "plan_experiment"),
-    "lite6jax.design.planning": ("plan_poses",),
+    "lite6jax.design.poses": ("plan_poses",),
     "lite6jax.design.sensitivity": ("global_sensitivity", "sensitivity"),
     "lite6jax.design.sensor": ("Sensor",),
     "lite6jax.recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),

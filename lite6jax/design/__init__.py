@@ -1,1 +1,1 @@
-"""What a set of poses determines, how well, and which poses to record next."""
+"""What data determine of an arm, how well, and which poses to record or motions to make next."""

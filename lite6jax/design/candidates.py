@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, final
 
@@ -17,7 +17,8 @@ from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.design.clearance import SelfCollision, link_frames
 from lite6jax.errors import InputError
 
-Distance = Callable[[NDArray[np.floating]], NDArray[np.floating]]
+Array = NDArray[np.floating]
+Distance = Callable[[Array], Array]
 """Of `(sample, joint)` rad to `(sample,)` m."""
 
 _BATCH = 16384
@@ -38,26 +39,8 @@ class Filter:
     """
 
     name: str
-    accepts: Callable[[NDArray[np.floating]], NDArray[np.bool_]]
+    accepts: Callable[[Array], NDArray[np.bool_]]
     distance: Distance | None = None
-
-
-@final
-@dataclass(frozen=True)
-class Box:
-    """A box in the base's frame, along its axes.
-
-    Attributes:
-        lower: x, y, z of its least corner, m.
-        upper: of its greatest.
-    """
-
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        if not np.less(self.lower, self.upper).all():
-            raise InputError(f"box {self.lower} to {self.upper} m: empty; give the least x, y, z, then the greatest")
 
 
 @final
@@ -71,7 +54,7 @@ class Candidates:
         refused: of each filter, how many it was the first to refuse.
     """
 
-    joint_position: NDArray[np.floating]
+    joint_position: Array
     tried: int
     refused: dict[str, int]
 
@@ -97,7 +80,7 @@ def candidates(
     lower, upper = inside_limits(arm, limit_margin).T
     rng = np.random.default_rng(seed)
     refused = {condition.name: 0 for condition in filters}
-    kept: list[NDArray[np.floating]] = []
+    kept: list[Array] = []
     tried = passed = 0
     while passed < count:
         q = rng.uniform(lower, upper, (_BATCH, arm.dof))
@@ -117,7 +100,7 @@ def candidates(
     return Candidates(np.concatenate(kept)[:count], tried, refused)
 
 
-def inside_limits(arm: Arm, margin: float = 0.0) -> NDArray[np.floating]:
+def inside_limits(arm: Arm, margin: float = 0.0) -> Array:
     """The joint limits drawn in by a margin in rad, of prismatic joints at `LEVER`; `(joint, 2)` rad, or m.
 
     Raises:
@@ -149,18 +132,26 @@ def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np
     return passed
 
 
-def inside_box(arm: Arm, box: Box, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
+def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
     """The tool point is in a box, such as what a sensor sees.
 
     Args:
         arm: its chain.
-        box: in the base's frame.
+        lower: `(3,)` m, the least x, y, z of the box in the base's frame.
+        upper: the greatest.
         tool_point: `(3,)` m in the flange's frame.
+
+    Raises:
+        InputError: the box is empty.
     """
-    return _beyond("box", partial(_into_box, arm, box, np.asarray(tool_point, float)), or_at=True)
+    low, high, point = (np.asarray(corner, float) for corner in (lower, upper, tool_point))
+    if not (low < high).all():
+        corners = f"{tuple(low.tolist())} to {tuple(high.tolist())}"
+        raise InputError(f"box {corners} m: empty; give the least x, y, z, then the greatest")
+    return _beyond("box", partial(_into_box, arm, low, high, point))
 
 
-def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
+def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
     """Every joint that moves, the flange and the tool point are above a height.
 
     Args:
@@ -176,31 +167,31 @@ def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
     return _beyond("self-collision", partial(_apart, collision, margin))
 
 
-def _beyond(name: str, distance: Distance, or_at: bool = False) -> Filter:
-    """The condition that a distance is positive, or zero."""
-    return Filter(name, partial(_accepts, distance, or_at), distance)
+def _beyond(name: str, distance: Distance) -> Filter:
+    """The condition that a distance is positive."""
+    return Filter(name, partial(_positive, distance), distance)
 
 
 # functions of this module, and no lambdas: filters are sent to workers
 
 
-def _accepts(distance: Distance, or_at: bool, q: NDArray[np.floating]) -> NDArray[np.bool_]:
-    return distance(q) >= 0 if or_at else distance(q) > 0
+def _positive(distance: Distance, q: Array) -> NDArray[np.bool_]:
+    return distance(q) > 0
 
 
-def _into_box(arm: Arm, box: Box, point: NDArray[np.floating], q: NDArray[np.floating]) -> NDArray[np.floating]:
+def _into_box(arm: Arm, lower: Array, upper: Array, point: Array, q: Array) -> Array:
     T = link_frames(arm, q)[-1]
     position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
-    return np.minimum(position - box.lower, box.upper - position).min(1)
+    return np.minimum(position - lower, upper - position).min(1)
 
 
-def _over_floor(arm: Arm, height: float, point: NDArray[np.floating], q: NDArray[np.floating]) -> NDArray[np.floating]:
+def _over_floor(arm: Arm, height: float, point: Array, q: Array) -> Array:
     F = link_frames(arm, q)
     tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
     return np.minimum(F[1:, 2, 3].min(0), tool) - height
 
 
-def _apart(collision: SelfCollision, margin: float, q: NDArray[np.floating]) -> NDArray[np.floating]:
+def _apart(collision: SelfCollision, margin: float, q: Array) -> Array:
     return collision.clearance(q) - margin
 
 
@@ -212,39 +203,26 @@ def user_filter(reference: str) -> Filter:
     Raises:
         InputError: no such file or function, or an error in either; here, or where the filter is applied.
     """
-    return Filter(reference, _loaded(reference))
+    _user_function.cache_clear()  # a file may have changed since it was loaded
+    _user_function(reference)
+    return Filter(reference, partial(_accepts_of_user, reference))
 
 
-@final
-@dataclass(frozen=True)
-class _UserCondition:
-    """A user's function, checked where it is called; sent to another process as its reference.
-
-    Attributes:
-        reference: `FILE.py:function`.
-        function: as it was loaded.
-    """
-
-    reference: str
-    function: Callable[[NDArray[np.floating]], Any]
-
-    def __call__(self, q: NDArray[np.floating]) -> NDArray[np.bool_]:
-        try:
-            mask = np.asarray(self.function(q.copy()))
-        except Exception as error:
-            raise InputError(f"{self.reference}: fails ({_one_line(error)}); correct it") from error
-        if mask.shape != (len(q),) or mask.dtype != bool:
-            raise InputError(
-                f"{self.reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return "
-                f"({len(q)},) bool"
-            )
-        return mask
-
-    def __reduce__(self) -> tuple[Callable[[str], "_UserCondition"], tuple[str]]:
-        return _loaded, (self.reference,)
+def _accepts_of_user(reference: str, q: Array) -> NDArray[np.bool_]:
+    function = _user_function(reference)
+    try:
+        mask = np.asarray(function(q.copy()))
+    except Exception as error:
+        raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
+    if mask.shape != (len(q),) or mask.dtype != bool:
+        raise InputError(
+            f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
+        )
+    return mask
 
 
-def _loaded(reference: str) -> _UserCondition:
+@cache
+def _user_function(reference: str) -> Callable[[Array], Any]:
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py") or not name.isidentifier():
         raise InputError(f"filter {reference!r}: write FILE.py:function")
@@ -263,7 +241,7 @@ def _loaded(reference: str) -> _UserCondition:
     if not callable(function):
         there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
-    return _UserCondition(reference, function)
+    return function
 
 
 def _one_line(error: Exception) -> str:

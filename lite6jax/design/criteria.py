@@ -4,11 +4,14 @@ Every criterion has two functions of an information matrix M: `value`, by which 
 and `smooth`, which rises with it and has a gradient everywhere, by which they are sought. Both are plain JAX.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,7 +21,7 @@ _SHARP = 16
 """Kiefer's p for the smallest eigenvalue: at 34 parameters the p-mean is within 25 % of it, and smooth."""
 _SHARES = 1e-9
 """What share of a quadratic form may lie in directions that nothing determines; rounding leaves 1e-12."""
-DETERMINED = 1e-10
+_DETERMINED = 1e-10
 """An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
 _OBSERVABLE = 1e-20
 """A parameter's information over the largest, under which no candidate depends on it."""
@@ -59,7 +62,7 @@ class Determinant(NamedTuple):
         return Determinant(jnp.asarray(2 * np.linalg.slogdet(coordinates.basis)[1]))
 
     def efficiency(self, value: float, reference: float, rank: int) -> float:
-        """How many times the poses of `value` a design of `reference` would have to repeat to reach it."""
+        """How often a design of `reference` would have to be repeated to reach `value`, of `rank` directions."""
         return float(np.exp((value - reference) / rank))
 
 
@@ -92,8 +95,6 @@ class Average(NamedTuple):
         if self.weight is None:
             return Average(jnp.asarray(T.T @ T))
         W = np.asarray(self.weight, float)
-        if W.shape != (len(T), len(T)):
-            raise InputError(f"weight of shape {W.shape}: the rows have {len(T)} parameters; give one weight for each")
         V = T @ coordinates.basis  # orthonormal
         lost = 1 - np.trace(V.T @ W @ V) / max(np.trace(W), np.finfo(float).tiny)
         if lost > _SHARES:
@@ -104,7 +105,7 @@ class Average(NamedTuple):
         return Average(jnp.asarray(T.T @ W @ T))
 
     def efficiency(self, value: float, reference: float, rank: int) -> float:
-        """How many times the poses of `value` a design of `reference` would have to repeat to reach it."""
+        """How often a design of `reference` would have to be repeated to reach `value`, of `rank` directions."""
         return float(np.divide(reference, value))
 
 
@@ -144,7 +145,7 @@ class Smallest(NamedTuple):
         return Smallest(jnp.asarray(coordinates.basis))
 
     def efficiency(self, value: float, reference: float, rank: int) -> float:
-        """How many times the poses of `value` a design of `reference` would have to repeat to reach it."""
+        """How often a design of `reference` would have to be repeated to reach `value`, of `rank` directions."""
         return float(np.divide(value, reference))
 
 
@@ -158,11 +159,11 @@ class Discrimination(NamedTuple):
 
     Attributes:
         effects: u of each direction, `(parameter,)`.
-        rivals: Q of each direction, `(parameter, free)`.
+        alternatives: Q of each direction, `(parameter, free)`.
     """
 
     effects: tuple[Array, ...]
-    rivals: tuple[Array, ...]
+    alternatives: tuple[Array, ...]
 
     def noncentralities(self, M: Array) -> Array:
         """Δ of each direction."""
@@ -174,7 +175,7 @@ class Discrimination(NamedTuple):
             rest = u - Q @ cho_solve(factor, Q.T @ (M @ u))
             return rest @ M @ rest  # free of the cancellation in the difference of two large numbers
 
-        return jnp.stack([unexplained(u, Q) for u, Q in zip(self.effects, self.rivals, strict=True)])
+        return jnp.stack([unexplained(u, Q) for u, Q in zip(self.effects, self.alternatives, strict=True)])
 
     def value(self, M: Array) -> Array:
         """The smallest Δ."""
@@ -193,17 +194,11 @@ class Discrimination(NamedTuple):
             InputError: effects that no candidate shows, or that the rival explains wholly.
         """
         S = coordinates.inward
-        effects, rivals = [], []
-        for u, Q in zip(self.effects, self.rivals, strict=True):
-            u, Q = np.asarray(u, float), np.asarray(Q, float)
-            if u.shape != (S.shape[1],) or Q.shape[:1] != u.shape:
-                raise InputError(
-                    f"criterion T: effects of shape {u.shape} and rivals {Q.shape}: the rows have {S.shape[1]}"
-                    " parameters; make both for these"
-                )
-            U, sizes, _ = np.linalg.svd(S @ Q, full_matrices=False)
+        effects, alternatives = [], []
+        for u, Q in zip(self.effects, self.alternatives, strict=True):
+            U, sizes, _ = np.linalg.svd(S @ np.asarray(Q, float), full_matrices=False)
             U = U[:, sizes > 1e-10 * max(sizes.max(initial=0.0), np.finfo(float).tiny)]
-            shown = S @ u
+            shown = S @ np.asarray(u, float)
             rest = shown - U @ (U.T @ shown)
             if not rest @ rest > _SHARES * (shown @ shown):
                 raise InputError(
@@ -211,11 +206,11 @@ class Discrimination(NamedTuple):
                     " other candidates, another sensor, or fewer free parameters"
                 )
             effects.append(jnp.asarray(shown))
-            rivals.append(jnp.asarray(U))
-        return Discrimination(tuple(effects), tuple(rivals))
+            alternatives.append(jnp.asarray(U))
+        return Discrimination(tuple(effects), tuple(alternatives))
 
     def efficiency(self, value: float, reference: float, rank: int) -> float:
-        """How many times the poses of `value` a design of `reference` would have to repeat to reach it."""
+        """How often a design of `reference` would have to be repeated to reach `value`, of `rank` directions."""
         return float(np.divide(value, reference))
 
 
@@ -226,55 +221,28 @@ CRITERIA = {"D": Determinant(), "A": Average(), "E": Smallest()}
 """The criteria that need nothing further, by the letter the literature gives them."""
 
 
-def workspace(rows: ArrayLike) -> Average:
-    """I-optimality: minus the mean variance of the errors `(pose, row, parameter)` summed over their rows.
-
-    Raises:
-        InputError: another shape, no pose, or a number that is not finite.
-    """
-    J = np.asarray(rows, float)
-    if J.ndim != 3 or 0 in J.shape or not np.isfinite(J).all():
-        raise InputError(f"workspace rows of shape {J.shape}: give finite (pose, row, parameter)")
-    flat = J.reshape(-1, J.shape[2])
-    return Average(jnp.asarray(flat.T @ flat / len(J)))
+def workspace(rows: Array | NDArray[np.floating]) -> Average:
+    """I-optimality: minus the mean variance of the errors `(pose, row, parameter)` summed over their rows."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return Average(jnp.asarray(flat.T @ flat / len(rows)))
 
 
-def discrimination(
-    parameters: int, rival_a: ArrayLike, rival_b: ArrayLike, beta_a: ArrayLike, beta_b: ArrayLike | None = None
-) -> Discrimination:
-    """The criterion that separates two rival models, which share all parameters but their own.
+def discrimination(scale: NDArray[np.floating], *models: tuple[ArrayLike, ArrayLike]) -> Discrimination:
+    """The criterion that separates two models, which share all parameters but their own.
 
     Args:
-        parameters: how many columns the rows have.
-        rival_a: the columns that only model a has.
-        rival_b: the columns that only model b has.
-        beta_a: a's hypothesised values, in the scaled units of the columns.
-        beta_b: b's; None tests b against a only.
-
-    Raises:
-        InputError: columns that are not there or that both claim, a value missing, or all values zero.
+        scale: `(parameter,)` SI, the units of the rows' columns.
+        models: of each the columns that only it has, and its hypothesised values in SI units. A model whose values are
+            all zero is only what another is tested against.
     """
-    columns = [np.atleast_1d(np.asarray(rival)) for rival in (rival_a, rival_b)]
-    claimed = np.concatenate(columns)
-    if claimed.dtype.kind not in "iu" or claimed.min() < 0 or claimed.max() >= parameters:
-        raise InputError(f"criterion T: the rivals' columns are {claimed.tolist()}; name some of 0 to {parameters - 1}")
-    if len(set(claimed.tolist())) != len(claimed):
-        raise InputError(f"criterion T: the rivals' columns {claimed.tolist()} repeat; what both have is common")
-    effects, rivals = [], []
-    for own, beta, name in zip(columns, (beta_a, beta_b), "ab", strict=True):
-        if beta is None:
-            continue
-        beta = np.atleast_1d(np.asarray(beta, float))
-        if beta.shape != own.shape or not np.isfinite(beta).all() or not beta.any():
-            raise InputError(
-                f"criterion T: beta_{name} of shape {beta.shape} for {len(own)} columns; give one finite value for"
-                " each, not all zero"
-            )
-        u = np.zeros(parameters)
-        u[own] = beta
-        effects.append(jnp.asarray(u))
-        rivals.append(jnp.asarray(np.delete(np.eye(parameters), own, axis=1)))
-    return Discrimination(tuple(effects), tuple(rivals))
+    effects, alternatives = [], []
+    for own, values in ((np.asarray(own, int), np.asarray(values, float)) for own, values in models):
+        if values.any():
+            effect = np.zeros(len(scale))
+            effect[own] = values / scale[own]
+            effects.append(jnp.asarray(effect))
+            alternatives.append(jnp.asarray(np.delete(np.eye(len(scale)), own, axis=1)))
+    return Discrimination(tuple(effects), tuple(alternatives))
 
 
 def inverse(M: Array) -> Array:
@@ -282,43 +250,6 @@ def inverse(M: Array) -> Array:
     L = jnp.linalg.cholesky(M)
     half = solve_triangular(L, jnp.eye(len(M)), lower=True)
     return half.T @ half
-
-
-def determined_coordinates(rows: ArrayLike, prior: ArrayLike | None = None) -> Coordinates:
-    """The directions of parameter space that candidates and a prior determine.
-
-    Args:
-        rows: `(candidate, row, parameter)`, whitened, columns scaled to be comparable.
-        prior: `(parameter, parameter)` information beside the candidates', if any.
-
-    Raises:
-        InputError: a wrong shape, a number that is not finite, a prior that is no information, nothing determined.
-    """
-    J, P = checked_rows(rows, prior)
-    flat = J.reshape(-1, J.shape[2])
-    return coordinates_of(P + flat.T @ flat, len(J))
-
-
-def checked_rows(rows: ArrayLike, prior: ArrayLike | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows and prior in double precision, the prior symmetric, or zero where there is none.
-
-    Raises:
-        InputError: as `determined_coordinates`.
-    """
-    J = np.asarray(rows, np.float64)
-    if J.ndim != 3 or 0 in J.shape:
-        raise InputError(f"rows of shape {J.shape}: give (candidate, row, parameter), none of them empty")
-    if not np.isfinite(np.sum(J)) and not np.isfinite(J).all():
-        worst = int(np.argmin(np.isfinite(J).all((1, 2))))
-        raise InputError(f"rows of candidate {worst} have a number that is not finite; leave it out")
-    size = J.shape[2]
-    P = np.zeros((size, size)) if prior is None else np.asarray(prior, np.float64)
-    if P.shape != (size, size) or not np.isfinite(P).all():
-        raise InputError(f"prior of shape {P.shape}: give a finite ({size}, {size}) for the rows' {size} parameters")
-    largest = np.abs(P).max()
-    if np.abs(P - P.T).max() > 1e-9 * largest or np.linalg.eigvalsh(P)[0] < -1e-9 * largest:
-        raise InputError("prior: no information matrix (not symmetric, or a negative eigenvalue); give JᵀJ or C⁻¹")
-    return J, (P + P.T) / 2
 
 
 def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordinates:
@@ -331,7 +262,7 @@ def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordin
     observable = squares > _OBSERVABLE * squares.max()  # the others are rounding, which must not be scaled up
     units = np.sqrt(np.where(observable, squares, max(float(squares.max()), np.finfo(float).tiny)))
     eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # in units of the columns' own lengths
-    kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
+    kept = eigenvalues > _DETERMINED * max(eigenvalues[-1], 0.0)
     if not kept.any():
         raise InputError("rows: all zero; no candidate depends on any parameter")
     scale, V = np.sqrt(eigenvalues[kept] / candidates), V[:, kept]
@@ -346,3 +277,18 @@ def determined_value(criterion: Criterion, M: Array) -> Array:
     eigenvalues = jnp.linalg.eigvalsh(M)
     value = criterion.value(M)
     return jnp.where((eigenvalues[0] > DESIGN_DETERMINES * eigenvalues[-1]) & jnp.isfinite(value), value, -jnp.inf)
+
+
+def one_by_one(judge: Callable[[Array], Array], arrays: Array) -> Array:
+    """`judge` of each array, one after the other: as fast as jax.vmap at these sizes, and it always returns.
+
+    On a CPU a batched factorisation waits, on a thread of XLA's pool, for tasks in that same pool; two independent ones
+    on two cores wait for ever (jaxlib 0.10, `ParallelBatchMap`). A single matrix needs no task.
+    """
+    return lax.map(judge, arrays)
+
+
+@jax.jit
+def determined_values(criterion: Criterion, informations: Array) -> Array:
+    """As `determined_value`, of each of some matrices `(…, k, k)`."""
+    return one_by_one(partial(determined_value, criterion), informations)

@@ -1,5 +1,10 @@
-"""What a set of poses determines: singular values, rank, the null space in words, the precision to expect."""
+"""What the columns of a least-squares problem determine: rank, the null space in words, the precision to expect.
 
+Columns are those of poses or of torques: how whitened readings change per typical size of each parameter. The order in
+which columns are taken says which parameter stands for those that it is confounded with.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -7,25 +12,20 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.chains import HayatiForm
-from lite6jax.design.information import Experiment
-from lite6jax.design.sensor import Quantity
-from lite6jax.model import ModelForm
+from lite6jax.arms.joint_units import as_revolute
 
 Array = NDArray[np.floating]
 
+NARROW = float(np.deg2rad(10.0))
+"""A joint that moves over less than this tells little of what stands on either side of it; rad."""
 _DEPENDENT = 1e-8
 """Sine of a column to the span of those before it, below which it adds nothing; rounding leaves 1e-15."""
-_ON_AXIS = 1e-6
-"""m."""
 _UNOBSERVABLE = 1e-10
 """Length of a column over the longest, below which readings do not depend on the parameter."""
 _TAKES_PART = 1e-6
-"""Share of a parameter in a dependency, in tolerances, below which it is rounding."""
-
-
+"""Share of a parameter in a dependency, in typical sizes, below which it is rounding."""
 _QUOTED = {"m": 1e-3, "rad": float(np.deg2rad(1.0))}
-"""How far a parameter is moved in a statement: 1 mm, 1 degree; an effect's number by its typical size."""
+"""How far a parameter is moved in a statement: 1 mm, 1 degree; another one by its typical size."""
 
 
 class Dependency(NamedTuple):
@@ -65,43 +65,53 @@ class BaseParameter(NamedTuple):
     """A combination that readings do determine: a parameter plus what it carries of those held.
 
     Attributes:
-        name: the parameter that stands for it.
-        unit: `m` or `rad`.
-        adds: the held ones it carries, their factors (in SI units) and their units.
+        terms: name and factor of each parameter in it, SI; the first stands for it with factor 1.
+        units: of these parameters, SI.
+        scale: its typical size, in the unit of the first.
     """
 
-    name: str
-    unit: str
-    adds: tuple[tuple[str, float, str], ...]
+    terms: tuple[tuple[str, float], ...]
+    units: tuple[str, ...]
+    scale: float
+
+    @property
+    def name(self) -> str:
+        """The parameter that stands for it."""
+        return self.terms[0][0]
+
+    @property
+    def unit(self) -> str:
+        """SI, of the parameter that stands for it."""
+        return self.units[0]
 
     @property
     def statement(self) -> str:
         """As a sum, in mm and degrees."""
         return self.name + "".join(
             f" {'−' if factor < 0 else '+'} {_factor(abs(factor), self.unit, unit)}{name}"
-            for name, factor, unit in self.adds
+            for (name, factor), unit in zip(self.terms[1:], self.units[1:], strict=True)
         )
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Determination:
-    """Which of an experiment's parameters are identifiable from readings at some joint positions, and how precisely.
+    """Which parameters of a least-squares problem are identifiable, and how precisely.
 
     Attributes:
         names, units: of the unknown parameters, `(size,)`.
-        scale: `(size,)` the tolerance of each, m or rad.
+        scale: `(size,)` the tolerance or typical size of each, SI.
         samples: how many readings.
-        singular_values: `(size,)`, falling: standard deviations of all readings together per tolerance of a direction.
-            Those beyond the rank are rounding.
-        open_directions: `(size, k)`, orthonormal, in tolerances: what neither readings nor prior determine.
+        singular_values: `(size,)`, falling: standard deviations of all readings together per typical size of a
+            direction. Those beyond the rank are rounding.
+        open_directions: `(size, k)`, orthonormal, in typical sizes: what neither readings nor prior determine.
         rank: how many combinations of them the readings determine.
         free: `(size,)` bool, a largest set of parameters that the readings and the prior determine together;
             the others are held.
         dependencies: one for each parameter that is confounded with those before it.
-        base: the combinations that are determined, where they are more than a parameter.
-        theory: how many the best poses determine, by counting; None where it is not known.
-        covariance: `(size, size)` of the free ones in m and rad, prior included; zero where held.
+        base: the combinations that the readings determine, in the order of the parameters that stand for them.
+        covariance: `(size, size)` of the free ones in SI units, prior included; zero where held.
+        theory: how many the best readings determine, by counting; None where it is not known.
     """
 
     names: tuple[str, ...]
@@ -114,8 +124,8 @@ class Determination:
     free: NDArray[np.bool_]
     dependencies: tuple[Dependency, ...]
     base: tuple[BaseParameter, ...]
-    theory: int | None
     covariance: Array
+    theory: int | None = None
 
     @property
     def size(self) -> int:
@@ -124,7 +134,7 @@ class Determination:
 
     @cached_property
     def standard_deviation(self) -> Array:
-        """`(size,)` predicted, m and rad; zero where held."""
+        """`(size,)` predicted, SI; zero where held."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @cached_property
@@ -145,115 +155,68 @@ class Determination:
         return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
 
 
-def determine(experiment: Experiment, joint_position: ArrayLike) -> Determination:
-    """What readings at `joint_position` `(sample, joint)` rad determine.
+def determination_of(
+    root: Array,
+    names: Sequence[str],
+    units: Sequence[str],
+    scale: Array,
+    samples: int,
+    order: Sequence[int] | None = None,
+    prior: Array | None = None,
+    theory: int | None = None,
+) -> Determination:
+    """What the columns of a least-squares problem determine.
 
-    Raises:
-        InputError: joints that the arm does not have.
+    Args:
+        root: `(row, size)` any R with RᵀR the readings' information, its columns per `scale` of each parameter.
+        names, units, scale, samples, theory: as in `Determination`.
+        order: in which columns stand for those that they are confounded with; as they are where not given.
+        prior: `(size,)` the information of the prior about each, in these sizes; none where not given.
     """
-    R = experiment.root(joint_position)
-    return determination_of(experiment, R, len(np.asarray(joint_position)))
-
-
-def determination_of(experiment: Experiment, root: Array, samples: int) -> Determination:
-    """As `determine`, from an R `(size, size)` with RᵀR the readings' information, in tolerances."""
-    names, units, unit = experiment.names, experiment.units, experiment.unit
-    singular = np.linalg.svd(root, compute_uv=False)
-    order = _order(experiment)
+    names, units = tuple(names), tuple(units)
+    order = range(len(names)) if order is None else order
     determined, shares = independent_columns(root, order)
-    dependencies = []
-    carried: dict[int, list[tuple[str, float, str]]] = {int(k): [] for k in np.flatnonzero(determined)}
+    dependencies, carried = [], {int(i): [(int(i), 1.0)] for i in np.flatnonzero(determined)}
     for k in map(int, np.flatnonzero(~determined)):
-        ratio = shares[k] / unit[k] * unit  # of SI units, not of tolerances
+        ratio = shares[k] * scale / scale[k]  # of SI units
         partners = np.flatnonzero(np.abs(shares[k]) > _TAKES_PART)
         # a column that others can copy: its move is undone by theirs the other way round
-        dependencies.append(
-            Dependency(
-                names[k],
-                units[k],
-                _QUOTED.get(units[k], float(unit[k])),
-                tuple((names[i], units[i], -float(ratio[i])) for i in partners),
-            )
-        )
+        undone = tuple((names[i], units[i], -float(ratio[i])) for i in partners)
+        dependencies.append(Dependency(names[k], units[k], _QUOTED.get(units[k], float(scale[k])), undone))
         for i in partners:
-            carried[int(i)].append((names[k], float(ratio[i]), units[k]))
-    base = tuple(BaseParameter(names[i], units[i], tuple(adds)) for i, adds in carried.items() if adds)
-
-    known = np.sqrt(np.diagonal(experiment.prior))
-    free = independent_columns(np.vstack([root, np.diag(known)]), order)[0] if known.any() else determined
-    H = (root.T @ root + experiment.prior)[np.ix_(free, free)]
+            carried[int(i)].append((k, float(ratio[i])))
+    base = tuple(
+        BaseParameter(
+            tuple((names[k], factor) for k, factor in terms),
+            tuple(units[k] for k, _ in terms),
+            float(np.sqrt(sum((factor * scale[k]) ** 2 for k, factor in terms))),
+        )
+        for terms in carried.values()
+    )
+    known = np.zeros(len(names)) if prior is None else np.sqrt(prior)
+    rows = np.vstack([root, np.diag(known)])
+    free = independent_columns(rows, order)[0] if known.any() else determined
+    length = np.linalg.norm(rows[:, free], axis=0)
+    half = np.linalg.inv(np.linalg.qr(rows[:, free] / length, mode="r")) * (scale[free] / length)[:, None]
     covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(free, free)] = _inverse(H) * np.outer(unit[free], unit[free])
-    whole = experiment.movable.all() and not experiment.physics.effects
+    covariance[np.ix_(free, free)] = half @ half.T
     return Determination(
         names=names,
         units=units,
-        scale=unit,
+        scale=scale,
         samples=samples,
-        singular_values=singular,
-        open_directions=_null(np.vstack([root, np.diag(known)]), len(names) - int(free.sum())),
+        singular_values=np.linalg.svd(root, compute_uv=False),
+        open_directions=_null(rows, int(np.sum(~free))),
         rank=int(determined.sum()),
         free=free,
         dependencies=tuple(dependencies),
         base=base,
-        theory=count(experiment.form, experiment.sensor.quantity, on_last_axis(experiment)) if whole else None,
         covariance=covariance,
+        theory=theory,
     )
 
 
-def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> int | None:
-    """How many parameters the best poses determine of a generic arm, by counting.
-
-    By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
-    1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all observable in
-    full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
-    4 n + 2 of six parameters. A prismatic joint has a direction only, 2 numbers less; where it is the last, six
-    parameters determine the whole flange: 4 n + 4. Positions depend on the flange's pose through the point (3) only,
-    and one axis or one distance leaves three motions of the whole arm unobservable.
-
-    Args:
-        form: the parameters.
-        quantity: what is read.
-        on_last_axis: whether the point read lies on the last joint's axis, which then does not move it. Six
-            parameters then have three observable numbers less; Hayati's form, whose last a moves the point off the
-            axis, is counted as off it.
-
-    Returns:
-        None where an arm of one joint, or of prismatic joints and less than three others, moves too little for the
-        count to hold.
-    """
-    n, sliding = form.chain.dof, form.chain.sliding
-    hayati, last_slides = isinstance(form.chain, HayatiForm), n - 1 in sliding
-    axes = 4 * n - 2 * len(sliding)
-    if quantity == "pose":
-        return axes + (6 if form.tool else 4 if hayati or last_slides else 2)
-    if (n == 1 and quantity != "position") or (sliding and (n - len(sliding) < 3 or last_slides)):
-        return None
-    observable = axes + 3 if form.tool or hayati else axes - 1 if on_last_axis else axes + 2
-    return observable if quantity == "position" else observable - 3
-
-
-def on_last_axis(experiment: Experiment) -> bool:
-    """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
-    return bool(np.hypot(*np.asarray(experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
-
-
-def _order(experiment: Experiment) -> list[int]:
-    """Sensor frame and tool first, effects last: what is held is then named after the geometry, or is an effect."""
-    geometry = int(experiment.movable[: experiment.form.chain.size].sum())
-    rigid = int(experiment.movable[: experiment.form.size].sum())
-    return [*range(geometry, rigid), *range(geometry), *range(rigid, experiment.size)]
-
-
-def _null(root: Array, size: int) -> Array:
-    """The `size` directions along which a matrix changes least, orthonormal, with its columns made comparable first."""
-    length = np.linalg.norm(root, axis=0)
-    scale = np.where(length > _UNOBSERVABLE * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
-    right = np.linalg.svd(root / scale)[2]
-    return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
-
-
-def independent_columns(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
+def independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
     """Columns that are independent, taken one by one in `order`; of the others, their coordinates `(size,)` in these.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
@@ -265,30 +228,39 @@ def independent_columns(root: Array, order: list[int]) -> tuple[NDArray[np.bool_
     shares: dict[int, Array] = {}
     Q = np.zeros((len(root), 0))
     for k in order:
-        if length[k] <= _UNOBSERVABLE * largest:
-            shares[k] = np.zeros(size)
-            continue
-        rest = root[:, k] / length[k]
-        for _ in range(2):  # twice is enough (Kahan): once leaves rounding in proportion to what was removed
-            rest = rest - Q @ (Q.T @ rest)
-        remaining = float(np.linalg.norm(rest))
-        if remaining > _DEPENDENT:
-            Q = np.column_stack([Q, rest / remaining])
-            free[k] = True
-            continue
         share = np.zeros(size)
-        taken = np.flatnonzero(free)
-        scaled = root[:, taken] / length[taken]
-        share[taken] = np.linalg.lstsq(scaled, root[:, k], rcond=None)[0] / length[taken]
+        if length[k] > _UNOBSERVABLE * largest:
+            rest = root[:, k] / length[k]
+            for _ in range(2):  # twice is enough (Kahan): once leaves rounding in proportion to what was removed
+                rest = rest - Q @ (Q.T @ rest)
+            remaining = float(np.linalg.norm(rest))
+            if remaining > _DEPENDENT:
+                Q = np.column_stack([Q, rest / remaining])
+                free[k] = True
+                continue
+            taken = np.flatnonzero(free)
+            scaled = root[:, taken] / length[taken]
+            share[taken] = np.linalg.lstsq(scaled, root[:, k], rcond=None)[0] / length[taken]
         shares[k] = share
     return free, shares
 
 
-def _inverse(H: Array) -> Array:
-    """Of a positive definite matrix, scaled to a unit diagonal first."""
-    root = np.sqrt(np.diagonal(H))
-    inverse = np.linalg.inv(H / np.outer(root, root)) / np.outer(root, root)
-    return (inverse + inverse.T) / 2
+def _null(root: Array, size: int) -> Array:
+    """The `size` directions along which a matrix changes least, orthonormal, with its columns made comparable first."""
+    length = np.linalg.norm(root, axis=0)
+    scale = np.where(length > _UNOBSERVABLE * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
+    right = np.linalg.svd(root / scale)[2]
+    return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
+
+
+def narrow_joints(span: Array, slides: NDArray[np.bool_]) -> list[tuple[int, float]]:
+    """Joints, counted from 0, that hardly move, and their range.
+
+    Args:
+        span: `(joint,)` rad, or m of prismatic joints.
+        slides: `(joint,)`, which are prismatic.
+    """
+    return [(int(j), float(span[j])) for j in np.flatnonzero(as_revolute(span, "rad", slides) < NARROW)]
 
 
 def _shown(unit: str) -> tuple[float, str]:
@@ -309,3 +281,46 @@ def _factor(factor: float, to: str, of: str) -> str:
     below = of_shown.strip()
     per = f"/({below})" if "/" in below else f"/{below}" if below else ""
     return f"{value:.3g} {to_shown.strip() or '1'}{per} "
+
+
+@final
+@dataclass(frozen=True)
+class Observability:
+    """The five indices of Y. Sun and J. Hollerbach, "Observability index selection for robot calibration", ICRA 2008.
+
+    With σ₁ ≥ … ≥ σ_L the singular values of the identification Jacobian of m poses; higher is better. They depend on
+    how the parameters are scaled, O1's ranking of pose sets excepted.
+
+    Attributes:
+        O1: (σ₁ … σ_L)^(1/L) / √m, the volume of the ellipsoid of the observable parameters (J. Borm, C. Menq,
+            IJRR 10(5), 1991): D-optimality.
+        O2: σ_L / σ₁, the inverse of the condition number (M. Driels, U. Pathre, J. Robotic Systems 7(2), 1990).
+        O3: σ_L, the smallest singular value (A. Nahvi, J. Hollerbach, V. Hayward, ICRA 1994): E-optimality.
+        O4: σ_L² / σ₁, the noise amplification index (A. Nahvi, J. Hollerbach, ICRA 1996).
+        O5: 1 / Σ 1/σᵢ, the harmonic mean over L (Sun and Hollerbach): close to A-optimality.
+        condition: σ₁ / σ_L.
+        noise_amplification: 1 / σ_L, how much of a unit of noise the worst direction of the parameters receives.
+    """
+
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+    O5: float
+    condition: float
+    noise_amplification: float
+
+
+def observability(singular_values: ArrayLike, samples: int) -> Observability:
+    """The indices of the determined singular values `(rank,)`, above 0, of `samples` poses."""
+    s = np.sort(np.asarray(singular_values, float))[::-1]
+    first, last = float(s[0]), float(s[-1])
+    return Observability(
+        O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(samples)),
+        O2=last / first,
+        O3=last,
+        O4=last**2 / first,
+        O5=float(1 / np.sum(1 / s)),
+        condition=first / last,
+        noise_amplification=1 / last,
+    )

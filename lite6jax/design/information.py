@@ -5,10 +5,10 @@ tolerance that it plausibly has. What follows, indices, designs and null spaces,
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import compress
-from typing import Any, Literal, final
+from typing import Literal, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -17,16 +17,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm
-from lite6jax.design.readings import Numbers, reading_columns, total_information
+from lite6jax.arms.chains import SixParameterForm, joint_motion
+from lite6jax.arms.moves import Frame, Twist, cross, joint_rate
 from lite6jax.design.sensor import Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.statics import inertia_of
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.chunks import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.model import ArmModel, ModelForm
+from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
+from lite6jax.model import ArmModel, ModelForm, predict_frames_with
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.units import real_array
 
@@ -35,9 +38,126 @@ Chain = Literal["hayati", "six_parameter"]
 Approach = Literal["sequence", "zero"]
 
 TOLERANCE = {"m": 0.8e-3, "rad": float(np.deg2rad(0.15))}
-"""What assembly leaves in a length and an angle of a Lite 6, one standard deviation (the seed's simulated test)."""
+"""What assembly leaves in a length and an angle of a Lite 6, one standard deviation."""
 
-RIGID = Physics()
+
+class Numbers(NamedTuple):
+    """What readings depend on beside the joints. A pytree.
+
+    Attributes:
+        model: of the rigid arm.
+        values: of its effects.
+        kinematics: `(6 n,)` of the nominal six-parameter chain, whose frames the masses are given in.
+        inertia: its masses, or None where they are not known.
+        payload: kg.
+    """
+
+    model: ArmModel
+    values: jax.Array
+    kinematics: jax.Array
+    inertia: Inertia | None
+    payload: float | jax.Array
+
+
+class Reader(NamedTuple):
+    """What is read of which model at rest. Hashable: the static argument of compiled functions.
+
+    Their other arguments are `numbers`, joint positions `(sample, joint)` rad, and the direction `(sample, joint)` in
+    which each pose was approached.
+
+    Attributes:
+        form: of the geometry, the sensor's frame and the tool.
+        physics: the effects. The parameters are those of a step of `form`, then the numbers of `physics`.
+        sensor: what is read.
+    """
+
+    form: ModelForm
+    physics: Physics
+    sensor: Sensor
+
+    @property
+    def size(self) -> int:
+        """How many parameters."""
+        return self.form.size + self.physics.size
+
+    def tool(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, step: jax.Array) -> Frame:
+        """The tool's frame in the sensor's coordinates, a step `(parameter,)` away from `numbers`; plain JAX."""
+        form, chain = self.form, self.form.chain
+        model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
+        if not self.physics.effects:
+            return predict_frames(form, model, joint_motion(chain, joint_position.T))[1]
+        samples = joint_position.shape[0]
+        motion = Motion(
+            joint_position=joint_position.T,
+            joint_velocity=None,
+            direction=direction.T,
+            time=None,
+            run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
+            temperature_rise=None,
+            payload=jnp.full(samples, numbers.payload),
+            sliding=Sliding(chain.sliding),
+        )
+        statics: Inertia | Loads | None = numbers.inertia
+        if statics is not None and not isinstance(chain, SixParameterForm):  # its frames are not those of the masses
+            nominal = SixParameterForm(chain.dof, chain.sliding)
+            joint = joint_motion(nominal, joint_position.T)
+            statics = loads(nominal, numbers.kinematics, joint, motion.payload, statics)
+        return predict_frames_with(chain, self.physics, model, values, motion, statics)[1]
+
+    @partial(jax.jit, static_argnums=0)
+    def columns(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array) -> jax.Array:
+        """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit."""
+        if self.physics.effects:  # they have no closed form in common
+
+            def moved(step: jax.Array) -> Frame:
+                return self.tool(numbers, joint_position, direction, step)
+
+            zero = jnp.zeros(self.size)
+            tool = moved(zero)
+
+            def change(entry: jax.Array) -> jax.Array:
+                return self.sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1]))
+
+            columns = jax.lax.map(change, jnp.eye(self.size))
+        else:
+            joint = joint_motion(self.form.chain, joint_position.T)
+            tool = predict_frames(self.form, numbers.model, joint)[1]
+            columns = twist_columns(self.form, numbers.model, joint, partial(self.sensor.change, tool))
+            columns = columns[step_order(self.form)]
+        if not self.sensor.joint_noise:
+            return columns
+        return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
+
+    def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
+        """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
+
+        With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
+        Prismatic joints are read without noise.
+
+        Returns:
+            `(row, row, sample)`.
+        """
+        chain = self.form.chain
+        joint = joint_motion(chain, joint_position.T)
+        tool = predict_frames(self.form, numbers.model, joint)[1]
+
+        def change(direction: jax.Array) -> jax.Array:
+            rate = joint_rate(joint, direction, chain.sliding)
+            moved = jax.jvp(lambda j: predict_frames(self.form, numbers.model, j)[1], (joint,), (rate,))[1]
+            return self.sensor.change(tool, _twist(tool, moved))
+
+        turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
+        J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
+        unit = jnp.eye(J.shape[1])
+        L = jnp.linalg.cholesky(unit + self.sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
+        return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
+
+
+def _twist(frame: Frame, moved: Frame) -> Twist:
+    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
+    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
+    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
+    return Twist(moved.origin - cross(spin, frame.origin), spin)
 
 
 @final
@@ -69,7 +189,7 @@ class Experiment:
     movable: NDArray[np.bool_]
     precision: Array
     scale: Array
-    physics: Physics = RIGID
+    physics: Physics = field(default_factory=Physics)
     values: tuple[float, ...] = ()
     payload: float = 0.0
     approach: Approach = "sequence"
@@ -96,8 +216,28 @@ class Experiment:
 
     @cached_property
     def prior(self) -> Array:
-        """`(size, size)`, the information of the prior, in these units."""
+        """`(size, size)`, the information of the prior, in these units; diagonal."""
         return np.diag(self.precision[self.movable] * self.unit**2)
+
+    @property
+    def reader(self) -> Reader:
+        """What is read of which model."""
+        return Reader(self.form, self.physics, self.sensor)
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """What readings depend on beside the joints."""
+        arm = self.arm
+        inertia = None
+        if arm.mass is not None and arm.center_of_mass is not None:
+            inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
+        return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
+
+    def direction(self, joint_position: Array) -> Array:
+        """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached positions `(sample, joint)`."""
+        if self.approach == "zero":
+            return np.sign(joint_position)
+        return np.sign(np.diff(joint_position, axis=0, prepend=np.zeros((1, joint_position.shape[1]))))
 
     def rows(self, joint_position: ArrayLike) -> Array:
         """How readings change with the parameters.
@@ -112,12 +252,12 @@ class Experiment:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
         q = checked_joints(self, joint_position)
-        columns = np.asarray(_columns(self, q, direction(self, q)))
+        columns = np.asarray(self.reader.columns(self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
     def traced_rows(self, joint_position: jax.Array) -> jax.Array:
-        """As `rows`, of and to JAX arrays, unchecked: to be differentiated by the joint positions."""
-        columns = _columns(self, joint_position, direction(self, joint_position))
+        """As `rows` of poses approached from zero, to be differentiated by the joint positions; unchecked."""
+        columns = self.reader.columns(self.numbers, joint_position, jnp.sign(joint_position))
         return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
     def root(self, joint_position: ArrayLike) -> Array:
@@ -127,21 +267,26 @@ class Experiment:
         eigenvalue of RᵀR would lose half the digits.
         """
         R = np.zeros((0, self.size))
-        q = checked_joints(self, joint_position)
-        for first, (block, towards) in zip(range(0, len(q), BLOCK), _blocks(self, q), strict=True):
-            columns = np.asarray(_columns(self, block, towards))[self.movable, :, : len(q) - first]
-            R = np.linalg.qr(np.concatenate([R, columns.reshape(self.size, -1).T * self.unit]), mode="r")
+        for columns in self._columns(joint_position):
+            J = np.asarray(columns)[self.movable].reshape(self.size, -1)
+            R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
         return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
 
     def information(self, joint_position: ArrayLike) -> Array:
         """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
+        H = jnp.zeros((len(self.movable),) * 2)
+        for columns in self._columns(joint_position):
+            J = columns.reshape(len(H), -1)
+            H = H + J @ J.T
+        return np.asarray(H)[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
+
+    def _columns(self, joint_position: ArrayLike) -> Iterator[jax.Array]:
+        """`(parameter, row, sample)` per SI unit, in blocks of one shape, for which the readings are compiled once."""
         q = checked_joints(self, joint_position)
-        blocks, directions = map(np.stack, zip(*_blocks(self, q), strict=True))
-        weight = pad(np.ones(len(q)), 0, blocks.shape[0] * blocks.shape[1]).reshape(blocks.shape[:2])
-        H = np.asarray(
-            total_information(self.form, self.physics, self.sensor, self.numbers, blocks, directions, weight)
-        )
-        return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
+        direction, size = self.direction(q), min(len(q), BLOCK)
+        for first in range(0, len(q), size):
+            block = (pad(part[first : first + size], 0, size) for part in (q, direction))
+            yield self.reader.columns(self.numbers, *block)[..., : len(q) - first]
 
     def with_sensor(self, sensor: Sensor) -> "Experiment":
         """The same model with another sensor."""
@@ -157,51 +302,17 @@ class Experiment:
         Raises:
             InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
         """
-        physics = Physics(tuple(effects))
+        physics, rigid = Physics(tuple(effects)), self.form.size
         extended = replace(
             self,
-            movable=np.concatenate([self.movable[: self.form.size], np.ones(physics.size, bool)]),
-            precision=np.concatenate([self.precision[: self.form.size], np.zeros(physics.size)]),
-            scale=np.concatenate([self.scale[: self.form.size], physics.typical]),
+            movable=np.concatenate([self.movable[:rigid], np.ones(physics.size, bool)]),
+            precision=np.concatenate([self.precision[:rigid], np.zeros(physics.size)]),
+            scale=np.concatenate([self.scale[:rigid], physics.typical]),
             physics=physics,
             values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
         )
         extended.rows(np.zeros((1, self.arm.dof)))  # raises now rather than after a long computation
         return extended
-
-    @cached_property
-    def numbers(self) -> "Numbers":
-        """What readings depend on beside the joints."""
-        arm = self.arm
-        inertia = None
-        if arm.mass is not None and arm.center_of_mass is not None:
-            inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
-        return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
-
-
-def direction(experiment: Experiment, q: Any) -> Any:
-    """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached, as recordings define it at rest.
-
-    Args:
-        experiment: its `approach` says from where.
-        q: `(sample, joint)` rad, NumPy or JAX.
-    """
-    if experiment.approach == "zero" or not isinstance(q, np.ndarray):
-        return jnp.sign(q) if isinstance(q, jax.Array) else np.sign(q)
-    return np.sign(np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1]))))
-
-
-def _columns(experiment: Experiment, q: ArrayLike, direction: ArrayLike) -> jax.Array:
-    e = experiment
-    return reading_columns(e.form, e.physics, e.sensor, e.numbers, q, direction)  # type: ignore[arg-type]
-
-
-def _blocks(experiment: Experiment, q: Array) -> Iterator[tuple[Array, Array]]:
-    """Joint positions and directions in blocks of one shape, for which the readings are compiled once."""
-    directions = direction(experiment, q)
-    size = min(len(q), BLOCK)
-    for first in range(0, len(q), size):
-        yield pad(q[first : first + size], 0, size), pad(directions[first : first + size], 0, size)
 
 
 def checked_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
@@ -249,11 +360,10 @@ def plan_experiment(
     sensor = sensor_named(sensor) if isinstance(sensor, str) else sensor
     geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof, arm.sliding)
     values = arm.hayati if chain == "hayati" else arm.kinematics.ravel()
-    form = ModelForm(geometry, frame, tool)
     T_joint_tool = np.array(arm.T_joint_flange)
     T_joint_tool[:3, 3] += T_joint_tool[:3, :3] @ np.asarray(tool_at, float)
     model = ArmModel(values, np.eye(4), T_joint_tool)  # type: ignore[arg-type]
-    return experiment(arm, form, model, sensor)
+    return experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
 
 
 def experiment(
@@ -276,7 +386,7 @@ def experiment(
     )
 
 
-def recorded(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
+def recording_experiment(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
     """The experiment of a recording: what its sidecar leaves unknown, measured by its sensor.
 
     Raises:
@@ -290,11 +400,5 @@ def recorded(recording: Recording, arm: Arm | None = None, geometry: Geometry = 
         )
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"
-    return experiment(
-        problem.arm,
-        problem.form,
-        problem.start,
-        Sensor(quantity, position, orientation, joint_noise=problem.joint_noise),
-        problem.movable,
-        problem.precision,
-    )
+    sensor = Sensor(quantity, position, orientation, joint_noise=problem.joint_noise)
+    return experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)

@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import joint_motion
-from lite6jax.arms.moves import Turn
 from lite6jax.design.information import TOLERANCE, Chain, Experiment, plan_experiment
 from lite6jax.design.sensor import BARE
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import predict_frames
 from lite6jax.fitting.sampling import sample_within_limits
-from lite6jax.model import ArmModel, ModelForm
+from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
@@ -71,9 +70,9 @@ class Sensitivity(PublicResult):
         edges = np.linspace(q.min(0), q.max(0), bins + 1)
         means = np.full((q.shape[1], bins, len(self.names)), np.nan)
         for j in range(q.shape[1]):
-            place = np.clip(np.searchsorted(edges[:, j], q[:, j], side="right") - 1, 0, bins - 1)
-            for b in np.unique(place):
-                means[j, b] = np.sqrt(np.mean(self.position[place == b] ** 2, 0))
+            into = np.clip(np.searchsorted(edges[:, j], q[:, j], side="right") - 1, 0, bins - 1)
+            for b in np.unique(into):
+                means[j, b] = np.sqrt(np.mean(self.position[into == b] ** 2, 0))
         return ((edges[1:] + edges[:-1]) / 2).T, means
 
     def over_workspace(self, cell: float = 0.05) -> tuple[Array, Array, Array]:
@@ -104,30 +103,25 @@ def sensitivity(
         arm: an `Arm` or a bundled name.
         joint_position: `(sample, joint)` rad; drawn inside the limits where not given.
         chain: the parameters; a factory file's six a joint, to which tolerances apply, or Hayati's.
-        tolerance: one standard deviation of a length (`m`) and an angle (`rad`); the seed's 0.8 mm and 0.15° where not
-            given.
+        tolerance: one standard deviation of a length (`m`) and an angle (`rad`); 0.8 mm and 0.15° where not given.
         samples, seed: of the joint positions drawn.
 
     Raises:
         InputError: tolerances of which none moves the flange.
     """
-    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
-    q = _positions(experiment, joint_position, samples, seed)
-    size = np.array([tolerance[unit] for unit in experiment.units])
+    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, samples, seed)
     rows = experiment.rows(q) / experiment.unit
     per_unit = np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, 1), 0))
     if not (per_unit * size).any():
         raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")
     rows = rows * size
-    model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    _, tool = predict_frames(experiment.form, model, joint_motion(experiment.form.chain, jnp.asarray(q).T))
     return Sensitivity(
         names=experiment.names,
         units=experiment.units,
         tolerance=size,
         joint_position=q,
         sliding=experiment.arm.sliding,
-        flange_position=np.asarray(tool.origin).T,
+        flange_position=np.asarray(predict(experiment.form.chain, experiment.model, q))[:, :3, 3],
         per_unit=per_unit,
         position=np.linalg.norm(rows[:, :3], axis=1),
         orientation=np.linalg.norm(rows[:, 3:], axis=1),
@@ -189,9 +183,7 @@ def global_sensitivity(
         raise InputError("Sobol indices need SALib; install it with: pip install 'lite6jax[sensitivity]'") from error
     if arms < 2 or arms & (arms - 1):
         raise InputError(f"{arms} arms: Sobol's sequence fills space evenly at powers of 2; give one, such as 1024")
-    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
-    q = _positions(experiment, joint_position, poses, seed)
-    size = np.array([tolerance[unit] for unit in experiment.units])
+    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, poses, seed)
     problem = {
         "num_vars": experiment.size,
         "names": list(experiment.names),
@@ -222,14 +214,14 @@ def arm_errors(experiment: Experiment, steps: Array, joint_position: Array, meas
     """
     count = -(-len(steps) // _TOGETHER) * _TOGETHER
     padded = np.concatenate([steps, np.zeros((count - len(steps), steps.shape[1]))])
-    model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    joint = joint_motion(experiment.form.chain, jnp.asarray(joint_position).T)
-    errors = _errors(experiment.form, measure, model, joint, padded.reshape(-1, _TOGETHER, steps.shape[1]))
+    blocks = padded.reshape(-1, _TOGETHER, steps.shape[1])
+    errors = _errors(experiment.form, measure, experiment.model, joint_position, blocks)
     return np.asarray(errors).reshape(-1)[: len(steps)]
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _errors(form: ModelForm, measure: Measure, model: ArmModel, joint: Turn, steps: jax.Array) -> jax.Array:
+def _errors(form: ModelForm, measure: Measure, model: ArmModel, q: ArrayLike, steps: jax.Array) -> jax.Array:
+    joint = joint_motion(form.chain, jnp.asarray(q).T)
     nominal = predict_frames(form, model, joint)[1].origin
 
     def one(step: jax.Array) -> jax.Array:
@@ -240,7 +232,11 @@ def _errors(form: ModelForm, measure: Measure, model: ArmModel, joint: Turn, ste
     return jax.lax.map(jax.vmap(one), steps)
 
 
-def _positions(experiment: Experiment, joint_position: ArrayLike | None, samples: int, seed: int) -> Array:
-    if joint_position is None:
-        return sample_within_limits(experiment.arm, samples, seed)
-    return np.asarray(joint_position, float)
+def _assembled(
+    arm: Arm | str, joint_position: ArrayLike | None, chain: Chain, tolerance: dict[str, float], samples: int, seed: int
+) -> tuple[Experiment, Array, Array]:
+    """The arm with all its geometry unknown, joint positions `(sample, joint)`, and each parameter's tolerance."""
+    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
+    drawn = joint_position is None
+    q = sample_within_limits(experiment.arm, samples, seed) if drawn else np.asarray(joint_position, float)
+    return experiment, q, np.array([tolerance[unit] for unit in experiment.units])

@@ -3,7 +3,6 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -152,19 +151,3 @@ def sensor_named(name: str) -> Sensor:
     if name not in SENSORS:
         raise InputError(f"sensor {name!r}: is none of {', '.join(SENSORS)}")
     return SENSORS[name]
-
-
-def joint_whitener(changes: Array, joint_noise: float) -> Array:
-    """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
-
-    Args:
-        changes: `(row, joint, sample)`, the whitened reading's change per rad of each joint.
-        joint_noise: rad.
-
-    Returns:
-        `(sample, row, row)` L⁻¹ of I + σ² J Jᵀ = L Lᵀ.
-    """
-    J = jnp.moveaxis(changes, -1, 0)
-    spread = jnp.eye(J.shape[1]) + joint_noise**2 * J @ jnp.swapaxes(J, 1, 2)
-    lower = jnp.linalg.cholesky(spread)
-    return jax.scipy.linalg.solve_triangular(lower, jnp.broadcast_to(jnp.eye(J.shape[1]), lower.shape), lower=True)

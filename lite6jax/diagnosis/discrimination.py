@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.design.candidates import candidates
-from lite6jax.design.discrimination import plan_discrimination
 from lite6jax.design.information import experiment
-from lite6jax.design.route import shortest_round
+from lite6jax.design.poses import plan_discrimination, shortest_round
 from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem

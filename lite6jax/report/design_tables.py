@@ -7,8 +7,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.design.candidates import Candidates
-from lite6jax.design.discrimination import DiscriminationPlan
-from lite6jax.design.planning import MOST_POSES, Plan
+from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.report.cells import listing, number
 from lite6jax.report.study_tables import described
 

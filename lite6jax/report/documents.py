@@ -15,12 +15,10 @@ import numpy as np
 
 from lite6jax.arms.forms import Conversion
 from lite6jax.controller.calibration import CalibrationRead
-from lite6jax.design.discrimination import DiscriminationPlan
 from lite6jax.design.identify import Identification
-from lite6jax.design.planning import Plan
+from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
-from lite6jax.design.torque.discrimination import TorqueDiscrimination
-from lite6jax.design.torque.planning import TorquePlan
+from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lite6jax.design.discrimination import DiscriminationPlan
 from lite6jax.design.identify import Identification
-from lite6jax.design.planning import Plan
+from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document

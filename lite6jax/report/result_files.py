@@ -12,9 +12,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lite6jax.design.discrimination import DiscriminationPlan
 from lite6jax.design.identify import Identification
-from lite6jax.design.planning import Plan
+from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text

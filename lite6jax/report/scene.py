@@ -16,8 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
-from lite6jax.design.capsules import Capsule, chain_capsules
-from lite6jax.design.clearance import link_frames
+from lite6jax.design.clearance import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.estimation.terms import Terms

@@ -6,9 +6,8 @@ To add a kind, let its class inherit `lite6jax.results.PublicResult` and registe
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.design.discrimination import DiscriminationPlan
 from lite6jax.design.identify import Identification
-from lite6jax.design.planning import Plan
+from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document

@@ -13,8 +13,15 @@ from scipy.optimize import minimize
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.design.capsules import Capsule, chain_capsules, enclosing_capsule, urdf_capsules
-from lite6jax.design.clearance import link_frames, segment_distance, self_collision
+from lite6jax.design.clearance import (
+    Capsule,
+    chain_capsules,
+    enclosing_capsule,
+    link_frames,
+    segment_distance,
+    self_collision,
+    urdf_capsules,
+)
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses
@@ -116,48 +123,34 @@ def test_a_folded_planar_arm():
 
 
 def test_many_poses_agree_with_one_at_a_time_in_plain_numpy():
+    """Pairs that always overlap are disabled: link 4 has no length, so that links 3 and 5 of the wrist meet."""
     arm = load_bundled("lite6")
     collision = self_collision(arm)
-    rng = np.random.default_rng(3)
-    q = rng.uniform(*arm.joint_limits.T, (4100, 6))
+    capsules = collision.capsules
+    assert ("link3", "link5") in collision.disabled
+    assert not {(capsules[j].name, capsules[i].name) for i, j in collision.pairs} & set(collision.disabled)
+    assert all(abs(capsules[i].link - capsules[j].link) > 1 for i, j in collision.pairs)
+    q = np.random.default_rng(3).uniform(*arm.joint_limits.T, (4100, 6))
     found = collision.clearance(q)
     assert found.shape == (4100,)
     for n in (0, 1, 2, 4095, 4096, 4099):
-        frames = [
-            np.eye(4),
-            *(six_parameter_poses(arm.kinematics[: i + 1], q[n : n + 1, : i + 1])[0] for i in range(6)),
-        ]
-        ends = [
-            [frames[c.link][:3, :3] @ p + frames[c.link][:3, 3] for p in (c.start, c.end)] for c in collision.capsules
-        ]
+        moved = (six_parameter_poses(arm.kinematics[: i + 1], q[n : n + 1, : i + 1])[0] for i in range(6))
+        frames = [np.eye(4), *moved]
+        ends = [[frames[c.link][:3, :3] @ p + frames[c.link][:3, 3] for p in (c.start, c.end)] for c in capsules]
         apart = [
-            distance_of_segments(*ends[i], *ends[j]) - collision.capsules[i].radius - collision.capsules[j].radius
+            distance_of_segments(*ends[i], *ends[j]) - capsules[i].radius - capsules[j].radius
             for i, j in collision.pairs
         ]
         assert found[n] == pytest.approx(min(apart), abs=1e-10)
 
 
-def test_pairs_that_always_overlap_are_disabled_and_said():
-    """The Lite 6's wrist: link 4 has no length, so that links 3 and 5 meet."""
-    collision = self_collision(load_bundled("lite6"))
-    assert ("link3", "link5") in collision.disabled
-    named = {(collision.capsules[j].name, collision.capsules[i].name) for i, j in collision.pairs}
-    assert not named & set(collision.disabled)
-    assert all(abs(collision.capsules[i].link - collision.capsules[j].link) > 1 for i, j in collision.pairs)
-    rest = collision.clearance(np.zeros((1, 6)))
-    assert rest.shape == (1,)
-
-
 def test_an_arm_too_short_to_meet_itself_is_always_clear():
-    collision = self_collision(planar([1.0]))
-    np.testing.assert_array_equal(collision.clearance(np.zeros((3, 1))), np.inf)
+    np.testing.assert_array_equal(self_collision(planar([1.0])).clearance(np.zeros((3, 1))), np.inf)
 
 
 def test_default_radius_is_a_twentieth_of_the_reach_and_a_tool_lengthens_the_last_link():
-    arm = planar([1.0, 0.5])
-    capsules = chain_capsules(arm, tool_point=[0.1, 0.0, 0.2])
-    assert [c.name for c in capsules] == ["link1", "link2"]
-    assert {c.radius for c in capsules} == {0.075}
+    capsules = chain_capsules(planar([1.0, 0.5]), tool_point=[0.1, 0.0, 0.2])
+    assert [(c.name, c.radius) for c in capsules] == [("link1", 0.075), ("link2", 0.075)]
     np.testing.assert_allclose(capsules[-1].end, [0.6, 0, 0.2])
 
 
@@ -272,8 +265,7 @@ def test_meshes_are_enclosed(tmp_path, filename, place, content):
 
 def test_a_sphere_is_a_capsule_without_length(tmp_path):
     (capsule,) = urdf_capsules(write_urdf(tmp_path, {"world": shape('<sphere radius="0.2"/>', xyz="1 2 3")}))
-    np.testing.assert_array_equal([capsule.start, capsule.end], [[1, 2, 3]] * 2)
-    assert capsule.radius == 0.2
+    np.testing.assert_array_equal([*capsule.start, *capsule.end, capsule.radius], [1, 2, 3, 1, 2, 3, 0.2])
 
 
 @pytest.mark.parametrize(

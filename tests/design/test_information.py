@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
-from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recorded
+from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recording_experiment
 from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
@@ -108,22 +108,17 @@ def test_root_and_information_are_those_of_the_rows(sensor):
     np.testing.assert_allclose(setup.information(q), rows.T @ rows, rtol=0, atol=1e-12 * scale)
 
 
-def test_many_poses_in_blocks_are_the_sum_of_few():
+def test_many_poses_in_blocks_and_few():
     setup = plan_experiment("lite6", "tracker")
     q = random_positions(np.random.default_rng(2), 5003, 6)
     whole = setup.information(q)
     parts = sum(setup.information(q[k : k + 1000]) for k in range(0, 5003, 1000))
     np.testing.assert_allclose(whole, parts, rtol=0, atol=1e-12 * np.abs(whole).max())
-    R = setup.root(q)
+    R, few = setup.root(q), setup.root(Q[:2])
     np.testing.assert_allclose(R.T @ R, whole, rtol=0, atol=1e-11 * np.abs(whole).max())
-
-
-def test_fewer_readings_than_parameters():
-    setup = plan_experiment("lite6", "tracker")
-    R = setup.root(Q[:2])
     rows = setup.rows(Q[:2]).reshape(-1, setup.size)
-    assert R.shape == (34, 34)
-    np.testing.assert_allclose(R.T @ R, rows.T @ rows, rtol=0, atol=1e-9)
+    assert few.shape == (34, 34)
+    np.testing.assert_allclose(few.T @ few, rows.T @ rows, rtol=0, atol=1e-9)
 
 
 def test_noise_of_the_joints_is_carried_through_the_arm():
@@ -147,19 +142,15 @@ def test_noise_of_the_joints_is_carried_through_the_arm():
         np.testing.assert_allclose(got[k].T @ got[k], want, rtol=0, atol=1e-6 * np.abs(want).max())
 
 
-def test_units_of_the_tolerances():
-    setup = plan_experiment("lite6", "tracker_6d")
-    assert dict(zip(setup.units, setup.unit, strict=True)) == TOLERANCE
-    assert {"m": 0.8e-3, "rad": pytest.approx(np.deg2rad(0.15))} == TOLERANCE
-
-
-def test_the_tool_point_stands_where_it_is_said():
+def test_the_tool_point_and_the_tolerances():
     flange = np.eye(4)
     flange[:3, :3], flange[:3, 3] = Rotation.random(random_state=1).as_matrix(), (0.1, 0.2, 0.3)
     arm = replace(LITE6, T_joint_flange=flange)
-    setup = plan_experiment(arm, "tracker", tool_at=(0.1, 0.0, 0.02))
+    setup = plan_experiment(arm, "tracker_6d", tool_at=(0.1, 0.0, 0.02))
     want = arm.T_joint_flange @ np.array([0.1, 0.0, 0.02, 1.0])
     np.testing.assert_allclose(setup.model.T_flange_tool[:, 3], want, atol=1e-15)
+    assert dict(zip(setup.units, setup.unit, strict=True)) == TOLERANCE
+    assert {"m": 0.8e-3, "rad": pytest.approx(np.deg2rad(0.15))} == TOLERANCE
 
 
 def recording(**settings):
@@ -177,13 +168,15 @@ def recording(**settings):
 
 
 def test_a_recording_is_the_experiment_its_sidecar_says():
-    found = recorded(recording(pose_frame="unknown", tool="none", position_noise_m=3e-5, joint_noise_rad=1e-5))
+    found = recording_experiment(
+        recording(pose_frame="unknown", tool="none", position_noise_m=3e-5, joint_noise_rad=1e-5)
+    )
     assert found.form == ModelForm(LITE6.form, frame=True)
     assert found.sensor == Sensor("position", 3e-5, joint_noise=1e-5)
     oriented = recording(
         pose_frame="base", tool="unknown", position_noise_m=3e-5, orientation_noise_rad=2e-4, oriented=True
     )
-    found = recorded(oriented)
+    found = recording_experiment(oriented)
     assert found.form == ModelForm(LITE6.form, tool=True)
     assert found.sensor == Sensor("pose", 3e-5, 2e-4)
 
@@ -226,4 +219,4 @@ def test_a_recording_that_leaves_nothing_unknown(tmp_path):
     with pytest.raises(
         InputError, match=r"run.csv: its sidecar declares geometry, .* nothing is left to identify; use --geo"
     ):
-        recorded(known)
+        recording_experiment(known)

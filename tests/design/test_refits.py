@@ -7,10 +7,9 @@ from scipy.stats import chi2
 from lite6jax import fit_fleet
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.forward_kinematics import hayati_fk
-from lite6jax.design import monte_carlo
-from lite6jax.design.determination import determine
+from lite6jax.design import identify
+from lite6jax.design.identify import determine, refit
 from lite6jax.design.information import experiment, plan_experiment
-from lite6jax.design.monte_carlo import refit
 from lite6jax.design.sensor import Sensor
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_positions
@@ -85,7 +84,7 @@ def test_seeds():
 
 
 def test_refits_have_the_same_bytes_for_any_number_of_processes(monkeypatch):
-    monkeypatch.setattr(monte_carlo, "BATCH", 4)
+    monkeypatch.setattr(identify, "BATCH", 4)
     setup = plan_experiment("lite6", Sensor("pose", 2e-5, 1e-4, joint_noise=1e-5), frame=False)
     here, one, two = (refit(setup, Q[:12], 10, seed=2, processes=count) for count in (None, 1, 2))
     assert here.errors.shape == (10, 28)

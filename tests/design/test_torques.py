@@ -4,14 +4,16 @@ import re
 
 import numpy as np
 import pytest
+from domains.torque import slid
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.design.torque.columns import torque_model
-from lite6jax.design.torque.fourier import Motion
-from lite6jax.design.torque.identify import identify_torques, structure_of
+from lite6jax.arms.description import write_arm
+from lite6jax.cli import main
+from lite6jax.design.motions import Motion
+from lite6jax.design.torques import identify_torques, structure_of, torque_model
 from lite6jax.errors import InputError
-from lite6jax.report.torque_study_tables import combination
+from lite6jax.report.torque_study_tables import combination, torque_identification_report
 from tests.oracles.arms import random_kinematics
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
@@ -100,7 +102,7 @@ def test_standard_deviations_are_those_of_least_squares():
     draws = np.random.default_rng(5).standard_normal((len(W), 4000))
     spread = np.linalg.lstsq(W / sigma[:, None], draws, rcond=None)[0].std(1)
     np.testing.assert_allclose(found.standard_deviation, spread, rtol=0.06)
-    scaled = W / sigma[:, None] * [item.scale for item in found.structure.base]
+    scaled = W / sigma[:, None] * found.structure.scale
     assert found.condition == pytest.approx(np.linalg.cond(scaled), rel=1e-3)
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(scaled.T @ scaled)[1], rel=1e-3)
 
@@ -156,11 +158,24 @@ def test_known_links_leave_friction():
     ],
 )
 def test_what_is_refused(change, says):
-    arguments = {"noise": 0.1, "gravity": GRAVITY, "motion": random_states(3)} | change
-
-    def study():
-        model = torque_model(Arm("an arm", chain(3)), arguments["noise"], arguments["gravity"])
-        identify_torques(model, arguments["motion"])
-
+    given = {"noise": 0.1, "gravity": GRAVITY, "motion": random_states(3)} | change
     with pytest.raises(InputError, match=re.escape(says)):
-        study()
+        identify_torques(torque_model(Arm("an arm", chain(3)), given["noise"], given["gravity"]), given["motion"])
+
+
+def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
+    arm = str(write_arm(slid.arm(), tmp_path / "telescope.yaml"))
+    assert main(["identify", arm, "--torque"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "±0.05 Nm, 0.05 Nm, 0.5 N (one standard deviation" in said
+    assert "of prismatic joints, P: N·s/m, N, N, kg" in said
+    assert "J3 P " in said
+    model = torque_model(slid.arm())
+    structure = structure_of(model)
+    units = {item.name: item.unit for item in structure.base}
+    names = ("joint3 viscous", "joint3 rotor inertia", "joint2 Coulomb")
+    assert [units[name] for name in names] == ["N·s/m", "kg", "Nm"]
+    q, dq, ddq = slid.moved(seconds=4.0)[1:]
+    few = identify_torques(model, Motion(*(part.T * [[1], [1], [0.04]] for part in (q, dq, ddq))), structure=structure)
+    assert few.narrow() == [(2, pytest.approx(0.04 * np.ptp(q[:, 2])))]
+    assert "No joint" not in " ".join(str(part) for part in torque_identification_report(few, "a", "b"))
