@@ -136,9 +136,9 @@ class Design:
             from lite6jax.report import documents
 
             print(documents.text(documents.document(found), written))
-            return DONE
-        screen.show(report)
-        screen.written(written)
+        else:
+            screen.show(report)
+            screen.written(written)
         return DONE
 
     def _check_options(self) -> None:
@@ -247,8 +247,8 @@ class Design:
         filters: list[Filter] = []
         disabled: tuple[tuple[str, str], ...] = ()
         if self.box is not None:
-            corners = [[value / 1e3 for value in corner] for corner in (self.box[:3], self.box[3:])]
-            filters.append(candidates.inside_box(arm, *corners, at))
+            low, high = ([value / 1e3 for value in corner] for corner in (self.box[:3], self.box[3:]))
+            filters.append(candidates.inside_box(arm, low, high, at))
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.collision_geometry is not None:

@@ -12,10 +12,12 @@ from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
+    from rich.console import RenderableType
 
     from lite6jax.arms.arm import Arm
     from lite6jax.design.candidates import Filter
@@ -79,16 +81,14 @@ class Setup:
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        x, y, z = self.center
-        sensor = replace(sensor, direction=self.axis, center=(x / 1e3, y / 1e3, z / 1e3))
-        x, y, z = self.tool_at
+        center, tool_at = (tuple(value / 1e3 for value in numbers) for numbers in (self.center, self.tool_at))
         setup = plan_experiment(
             arm,
-            sensor,
+            replace(sensor, direction=self.axis, center=center),
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
-            tool_at=(x / 1e3, y / 1e3, z / 1e3),
+            tool_at=tool_at,  # type: ignore[arg-type]
         )
         if not self.effect:
             return setup
@@ -233,7 +233,7 @@ class Identify:
         check_processes(self.processes, self.scheduler)
         if not self.refits and (self.processes is not None or self.scheduler is not None):
             raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
-        names = [f"{stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
+        names = [f"{stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
 
@@ -245,8 +245,10 @@ class Identify:
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             assert isinstance(recording, Recording)  # by its suffix
-        exerted = recording is not None and (recording.joint_torque is not None or recording.motor_current is not None)
-        if self.torque.torque or (exerted and recording.position is None):
+        of_torques = self.torque.torque
+        if recording is not None and recording.position is None:
+            of_torques |= recording.joint_torque is not None or recording.motor_current is not None
+        if of_torques:
             return self._identify_torques(recording, nominal)
         self.torque.refuse_unused()
         return self._identify_poses(recording, nominal, names)
@@ -254,7 +256,7 @@ class Identify:
     def _identify_poses(self, recording: "Recording | None", nominal: "Arm | None", names: list[str]) -> int:
         from lite6jax.design.identify import identify, identify_recording
         from lite6jax.effects.serialization import parse_effect
-        from lite6jax.report import screen, study_tables
+        from lite6jax.report import study_tables
 
         refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
         if recording is None:
@@ -276,22 +278,17 @@ class Identify:
             found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
         written = []
         if self.figures:
-            from lite6jax.report import canvas, study_figures
+            from lite6jax.report import canvas
 
-            kinds = (study_figures.singular_values, study_figures.correlation, study_figures.deviations)
-            drawings = {name: draw(found, self.source) for name, draw in zip(names, kinds, strict=True)}
-            written = canvas.save(drawings, self.figures, self.force)
-        if self.json:
-            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
-        else:
-            screen.show(study_tables.identification_report(found, self.source, drawn=recording is None))
-            screen.written(written)
-        return DONE
+            drawn = found.plot(self.source).values()
+            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        report = study_tables.identification_report(found, self.source, drawn=recording is None)
+        return self._present(found, report, written)
 
     def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
         from lite6jax.design.motions import random_motions, recorded_motion
         from lite6jax.design.torques import identify_torques
-        from lite6jax.report import screen, torque_study_tables
+        from lite6jax.report import torque_study_tables
         from lite6jax.report.cells import torque_units
 
         poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
@@ -316,10 +313,17 @@ class Identify:
                 are = "are" if len(each) > 1 else "is"
                 notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
         found = identify_torques(model, motion, notes=tuple(notes))
+        report = torque_study_tables.torque_identification_report(found, self.source, phrase)
+        return self._present(found, report)
+
+    def _present(self, found: Any, report: "Iterable[RenderableType]", written: "Iterable[Path]" = ()) -> int:
+        from lite6jax.report import screen
+
         if self.json:
             print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
         else:
-            screen.show(torque_study_tables.torque_identification_report(found, self.source, phrase))
+            screen.show(report)
+            screen.written(written)
         return DONE
 
     def _read_arm(self, recording: "Recording | None", nominal: "Arm | None") -> "Arm":
@@ -371,14 +375,16 @@ class Sensitivity:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.design.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import canvas, screen, study_tables
+        from lite6jax.report import screen, study_tables
 
         check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
-        names = [f"{stem(self.source)}_{what}" for what in ("sensitivity_by_joint", "sensitivity_workspace")]
+        names = [f"{stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
         if self.figures:
+            from lite6jax.report import canvas
+
             canvas.check_names(self.figures, names, self.force)
         arm = read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
@@ -388,16 +394,15 @@ class Sensitivity:
             over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
         written = []
         if self.figures:
-            from lite6jax.report import study_figures
+            from lite6jax.report import canvas
 
-            kinds = (study_figures.sensitivity_by_joint, study_figures.sensitivity_over_workspace)
-            drawings = {name: draw(found, self.source) for name, draw in zip(names, kinds, strict=True)}
-            written = canvas.save(drawings, self.figures, self.force)
+            drawn = found.plot(self.source).values()
+            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
         if self.json:
             from lite6jax.report import documents
 
             print(documents.text(documents.of_sensitivity(found, over_arms), written))
-            return DONE
-        screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
-        screen.written(written)
+        else:
+            screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
+            screen.written(written)
         return DONE

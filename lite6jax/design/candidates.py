@@ -4,10 +4,9 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +26,7 @@ _FEWEST = 1e-3
 _ENOUGH_TRIED = 100_000
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Filter:
+class Filter(NamedTuple):
     """A condition on joint positions.
 
     Attributes:
@@ -43,9 +40,7 @@ class Filter:
     distance: Distance | None = None
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(NamedTuple):
     """Joint positions that pass every filter.
 
     Attributes:

@@ -5,11 +5,10 @@ Capsules come from the arm's chain or from a URDF's collision geometry.
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import final
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 import jax
@@ -43,9 +42,7 @@ _BLOCK = 4096
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Capsule:
+class Capsule(NamedTuple):
     """All points within `radius` of a segment, in m, in the frame of the link that carries it.
 
     Attributes:
@@ -217,9 +214,7 @@ def _read_stl(path: Path, where: str) -> npt.NDArray[np.float64]:
     return vertices
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class SelfCollision:
+class SelfCollision(NamedTuple):
     """The capsules of an arm and the pairs of them that must stay apart.
 
     Attributes:

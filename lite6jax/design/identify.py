@@ -142,14 +142,18 @@ def predict_accuracy(experiment: Experiment, determination: Determination, joint
     J = experiment.with_sensor(BARE).rows(joint_position)
     variance = np.sum((J / experiment.unit @ determination.covariance) * (J / experiment.unit), 2)
     lost = J @ determination.open_directions
-    parts = (slice(3), slice(3, 6))
-    determined = [bool(np.linalg.norm(lost[:, part]) <= _UNDETERMINED * np.linalg.norm(J[:, part])) for part in parts]
-    return Accuracy(*(float(np.sqrt(np.mean(variance[:, part].sum(1)))) for part in parts), *determined)
+    position, orientation = slice(3), slice(3, 6)
+
+    def rms(part: slice) -> float:
+        return float(np.sqrt(np.mean(variance[:, part].sum(1))))
+
+    def determined(part: slice) -> bool:
+        return bool(np.linalg.norm(lost[:, part]) <= _UNDETERMINED * np.linalg.norm(J[:, part]))
+
+    return Accuracy(rms(position), rms(orientation), determined(position), determined(orientation))
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Refits:
+class Refits(NamedTuple):
     """Estimates of simulated readings beside their prediction.
 
     Attributes:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
-from typing import Literal, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -127,6 +127,14 @@ class Reader(NamedTuple):
         if not self.sensor.joint_noise:
             return columns
         return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
+
+    @partial(jax.jit, static_argnums=0)
+    def information(
+        self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, weight: jax.Array
+    ) -> jax.Array:
+        """The information `(parameter, parameter)` in SI units of readings with weights `(sample,)` 0 or 1."""
+        J = (self.columns(numbers, joint_position, direction) * weight).reshape(self.size, -1)
+        return J @ J.T
 
     def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
         """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
@@ -267,26 +275,23 @@ class Experiment:
         eigenvalue of RᵀR would lose half the digits.
         """
         R = np.zeros((0, self.size))
-        for columns in self._columns(joint_position):
-            J = np.asarray(columns)[self.movable].reshape(self.size, -1)
+        for q, direction, weight in self._blocks(joint_position):
+            columns = np.asarray(self.reader.columns(self.numbers, q, direction))
+            J = columns[self.movable][..., weight > 0].reshape(self.size, -1)
             R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
         return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
 
     def information(self, joint_position: ArrayLike) -> Array:
         """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
-        H = jnp.zeros((len(self.movable),) * 2)
-        for columns in self._columns(joint_position):
-            J = columns.reshape(len(H), -1)
-            H = H + J @ J.T
-        return np.asarray(H)[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
+        H = np.asarray(sum(self.reader.information(self.numbers, *block) for block in self._blocks(joint_position)))
+        return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
 
-    def _columns(self, joint_position: ArrayLike) -> Iterator[jax.Array]:
-        """`(parameter, row, sample)` per SI unit, in blocks of one shape, for which the readings are compiled once."""
+    def _blocks(self, joint_position: ArrayLike) -> Iterator[tuple[Any, Any, Any]]:
+        """Joint positions, directions and weights in blocks of one shape, compiled once; weight 0 of the filling."""
         q = checked_joints(self, joint_position)
-        direction, size = self.direction(q), min(len(q), BLOCK)
+        parts, size = (q, self.direction(q), np.ones(len(q))), min(len(q), BLOCK)
         for first in range(0, len(q), size):
-            block = (pad(part[first : first + size], 0, size) for part in (q, direction))
-            yield self.reader.columns(self.numbers, *block)[..., : len(q) - first]
+            yield tuple(pad(part[first : first + size], 0, size) for part in parts)  # type: ignore[misc]
 
     def with_sensor(self, sensor: Sensor) -> "Experiment":
         """The same model with another sensor."""

@@ -163,9 +163,7 @@ def limit_series(
     return Series(centre, size[:, None] * plain.cosine, size[:, None] * plain.sine, period)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class MotionLimits:
+class MotionLimits(NamedTuple):
     """What a motion keeps to.
 
     Attributes:
@@ -209,9 +207,7 @@ def motion_limits(
     return MotionLimits(np.clip(position, middle - widest, middle + widest), *limits)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(NamedTuple):
     """A motion to execute, sample by sample, from rest to rest.
 
     Attributes:

@@ -12,9 +12,8 @@ them exactly, ranked anew for each pose by the same products, until the foremost
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import final
+from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +31,9 @@ from lite6jax.design.criteria import (
     one_by_one,
 )
 from lite6jax.errors import InputError
+
+Floats = NDArray[np.floating]
+Indices = NDArray[np.integer]
 
 _RIDGE = 1e-7
 """Of a candidate's mean information: keeps M invertible while poses are few; what is reported is without it."""
@@ -81,11 +83,11 @@ class Pool:
         self.rows = self.inside(J)
         self.size = min(_FOREMOST, len(J))
 
-    def inside(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inside(self, rows: Floats) -> Floats:
         """Rows `(pose, row, parameter)` in coordinates, `(pose, row, k)`."""
         return (rows.reshape(-1, rows.shape[2]) @ self.coordinates.outward).reshape(*rows.shape[:2], -1)
 
-    def accumulated(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def accumulated(self, rows: Floats) -> Floats:
         """The information of the prior and of the first 1, 2, … of rows `(pose, row, k)`, `(pose, k, k)`."""
         return self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0)
 
@@ -95,13 +97,11 @@ class Pool:
         return _blocks(self.rows)
 
     @property
-    def ridged(self) -> NDArray[np.float64]:
+    def ridged(self) -> Floats:
         """`base` with what keeps it invertible."""
         return self.base + _RIDGE * np.eye(len(self.base))
 
-    def foremost(
-        self, criterion: Criterion, chosen: NDArray[np.integer]
-    ) -> tuple[NDArray[np.integer], tuple[Array, Array], NDArray[np.float64]]:
+    def foremost(self, criterion: Criterion, chosen: Indices) -> tuple[Indices, tuple[Array, Array], Floats]:
         """`chosen` and the others with the largest gain beside them, `(size,)`; their rows, and `_blocks` of these; and
         the information of the chosen."""
         flat = self.rows[chosen].reshape(-1, self.rows.shape[2])
@@ -113,9 +113,7 @@ class Pool:
         return names, (jnp.asarray(self.rows[names]), _blocks(self.rows[names])), M
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Design:
+class Design(NamedTuple):
     """Chosen poses, best first.
 
     Attributes:
@@ -126,8 +124,8 @@ class Design:
         cycles: how often the exchange went through all poses, the last time in vain unless the limit was reached.
     """
 
-    indices: NDArray[np.integer]
-    values: NDArray[np.floating]
+    indices: Indices
+    values: Floats
     rank: int
     exchanges: int
     cycles: int
@@ -166,7 +164,7 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
     return Design(indices, values, rank, exchanges, cycles)
 
 
-def _build(criterion: Criterion, pool: Pool, count: int) -> NDArray[np.integer]:
+def _build(criterion: Criterion, pool: Pool, count: int) -> Indices:
     """Candidates chosen one after the other, `(count,)`."""
     chosen = np.zeros(0, np.int64)
     while len(chosen) < count:
@@ -178,7 +176,7 @@ def _build(criterion: Criterion, pool: Pool, count: int) -> NDArray[np.integer]:
     return chosen[:count]
 
 
-def exchange(criterion: Criterion, pool: Pool, chosen: NDArray[np.integer]) -> tuple[NDArray[np.integer], int, int]:
+def exchange(criterion: Criterion, pool: Pool, chosen: Indices) -> tuple[Indices, int, int]:
     """A design improved until no exchange with the then foremost candidates does, the exchanges and rounds made.
 
     Args:
@@ -200,7 +198,7 @@ def exchange(criterion: Criterion, pool: Pool, chosen: NDArray[np.integer]) -> t
     return chosen, exchanges, made
 
 
-def _blocks(rows: NDArray[np.float64]) -> Array:
+def _blocks(rows: Floats) -> Array:
     """`(block, k, row, candidate)` in single precision, filled up with zeros."""
     total, height, k = rows.shape
     width = min(max(_COLUMNS // height, 1), total)
@@ -306,9 +304,7 @@ def _order(criterion: Criterion, rows: Array, base: Array) -> tuple[Array, Array
     return order, determined_values(criterion, base + jnp.cumsum(products[order], 0))
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Refinement:
+class Refinement(NamedTuple):
     """Poses moved to where the criterion is better.
 
     Attributes:
@@ -318,10 +314,10 @@ class Refinement:
         values: `(iteration,)`, the best so far.
     """
 
-    joint_position: NDArray[np.floating]
+    joint_position: Floats
     value: float
     start_value: float
-    values: NDArray[np.floating]
+    values: Floats
 
 
 def refine(
@@ -330,7 +326,7 @@ def refine(
     criterion: Criterion,
     limits: ArrayLike,
     prior: ArrayLike | None = None,
-    feasible: Callable[[NDArray[np.floating]], NDArray[np.bool_]] | None = None,
+    feasible: Callable[[Floats], NDArray[np.bool_]] | None = None,
     iterations: int = 60,
 ) -> Refinement:
     """Moves poses uphill in the criterion, inside the limits, and never to worse.

@@ -144,12 +144,11 @@ class TorqueModel:
         own = np.stack([dq, direction(dq, self.arm.slides), np.ones_like(q), ddq], 1)
         joints = np.zeros((dof, dof, *own.shape[1:]))
         joints[np.arange(dof), np.arange(dof)] = own
-        found = [joints.reshape(dof, -1, samples)]
-        if self.inertial:
-            found.insert(0, link_columns(self.arm, motion, self.gravity))
+        links = [link_columns(self.arm, motion, self.gravity)] if self.inertial else []
         chosen = np.arange(len(self.names)) if chosen is None else chosen
         scale = np.ones(len(chosen)) if scale is None else scale
-        return np.concatenate(found, 1)[:, chosen] * (scale[:, None] / self.noise[:, None, None])
+        found = np.concatenate([*links, joints.reshape(dof, -1, samples)], 1)
+        return found[:, chosen] * (scale[:, None] / self.noise[:, None, None])
 
     def root(self, motion: Motion) -> Array:
         """`(column, column)` upper triangular R with RᵀR = the information of a motion about the unknowns."""
