@@ -286,7 +286,7 @@ class Identify:
         return self._present(found, report, written)
 
     def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
-        from lite6jax.design.motions import random_motions, recorded_motion
+        from lite6jax.design.motions import random_motions, read_motion
         from lite6jax.design.torques import identify_torques
         from lite6jax.report import torque_study_tables
         from lite6jax.report.cells import torque_units
@@ -304,7 +304,7 @@ class Identify:
             model, motion = self.torque.model(arm), trajectory.motion
             phrase = f"a random motion of {room.duration:g} s inside the limits, {len(trajectory.time)} samples"
         else:
-            motion, assumed = recorded_motion(recording)
+            motion, assumed = read_motion(recording)
             model = self.torque.model(arm, recording.settings)
             phrase, notes = f"{recording.samples} samples of a recording", [*recording.notes, *assumed]
             if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:

@@ -112,7 +112,7 @@ def urdf_capsules(
         name = element.get("name", "")
         for collision in element.findall("collision"):
             where = f"{path}: link {name!r}: collision"
-            start, end, radius = _enclosed(path, collision, where)
+            start, end, radius = _enclose_shape(path, collision, where)
             T_link_shape = T @ frames.transform_from_row(urdf_tree.origin(collision, where))
             start, end = (T_link_shape[:3, :3] @ p + T_link_shape[:3, 3] for p in (start, end))
             capsules.append(Capsule(name, link, start, end, radius))
@@ -121,7 +121,7 @@ def urdf_capsules(
     return capsules
 
 
-def _enclosed(path: str | Path, collision: ET.Element, where: str) -> Segment:
+def _enclose_shape(path: str | Path, collision: ET.Element, where: str) -> Segment:
     shape = next(iter(collision.iterfind("geometry/*")), None)
     kind = "nothing" if shape is None else shape.tag
 
@@ -144,14 +144,14 @@ def _enclosed(path: str | Path, collision: ET.Element, where: str) -> Segment:
         size = urdf_tree.vector(shape.get("size", ""), f"{where}: box size")
         if not (size > 0).all():
             raise InputError(f"{where}: box size {shape.get('size')!r}; write three positive lengths")
-        return enclosing_capsule(np.array([*product((-0.5, 0.5), repeat=3)]) * size)
+        return enclose_points(np.array([*product((-0.5, 0.5), repeat=3)]) * size)
     if shape is not None and kind == "mesh":
         scale = urdf_tree.vector(shape.get("scale", "1 1 1"), f"{where}: mesh scale")
-        return enclosing_capsule(_read_stl(_mesh_file(path, shape.get("filename", ""), where), where) * scale)
+        return enclose_points(_read_stl(_mesh_file(path, shape.get("filename", ""), where), where) * scale)
     raise InputError(f"{where}: its geometry is {kind}; a box, cylinder, sphere or mesh is needed, or remove it")
 
 
-def enclosing_capsule(points: Floats) -> Segment:
+def enclose_points(points: Floats) -> Segment:
     """Start, end and radius of a capsule along the longest principal axis of points `(point, 3)`, that holds them all.
 
     Its axis passes through the middle of their extents, and its ends are drawn in as far as the caps allow.

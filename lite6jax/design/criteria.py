@@ -272,7 +272,7 @@ def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordin
     return Coordinates(outward, inward, inward @ determined)
 
 
-def determined_value(criterion: Criterion, M: Array) -> Array:
+def evaluate(criterion: Criterion, M: Array) -> Array:
     """The criterion, or −inf where M does not determine all directions."""
     eigenvalues = jnp.linalg.eigvalsh(M)
     value = criterion.value(M)
@@ -289,6 +289,6 @@ def one_by_one(judge: Callable[[Array], Array], arrays: Array) -> Array:
 
 
 @jax.jit
-def determined_values(criterion: Criterion, informations: Array) -> Array:
-    """As `determined_value`, of each of some matrices `(…, k, k)`."""
-    return one_by_one(partial(determined_value, criterion), informations)
+def evaluate_each(criterion: Criterion, informations: Array) -> Array:
+    """As `evaluate`, of each of some matrices `(…, k, k)`."""
+    return one_by_one(partial(evaluate, criterion), informations)

@@ -20,14 +20,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.moves import Frame
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
-from lite6jax.design.determination import (
-    Determination,
-    Observability,
-    determination_of,
-    narrow_joints,
-    observability,
-)
-from lite6jax.design.information import Experiment, Numbers, Reader, checked_joints, recording_experiment
+from lite6jax.design.determination import Determination, Observability, determination_of, narrow_joints, observability
+from lite6jax.design.information import Experiment, Numbers, Reader, check_joints, recording_experiment
 from lite6jax.design.sensor import BARE, Quantity, Sensor
 from lite6jax.distribution.batches import outcomes
 from lite6jax.effects.effect import Effect
@@ -285,7 +279,7 @@ def identify(
     """
     require_type("experiment", experiment, Experiment, "an Experiment, as lite6jax.plan_experiment makes it")
     arm = experiment.arm
-    q = sample_within_limits(arm, poses, seed) if joint_position is None else checked_joints(experiment, joint_position)
+    q = sample_within_limits(arm, poses, seed) if joint_position is None else check_joints(experiment, joint_position)
     determination = determine(experiment, q)
     workspace = sample_within_limits(arm, WORKSPACE, seed + 1)
     rank = determination.rank
@@ -370,7 +364,7 @@ def refit(
     draws = islice(_draws(experiment, q, free, count, seed), count)
     batches = -(-count // BATCH)
     work = outcomes(
-        _refitted,
+        _fit_draws,
         ((k, list(islice(draws, BATCH))) for k in range(batches)),
         (experiment, q, free, determination.covariance),
         died=lambda one: _rows(np.full((1, determination.rank), np.nan), np.full(1, np.inf)),
@@ -404,7 +398,7 @@ def _draws(experiment: Experiment, q: Array, free: NDArray[np.bool_], count: int
         yield from zip(noise, read_out, prior * random.standard_normal((together, len(prior))), strict=True)
 
 
-def _refitted(
+def _fit_draws(
     draws: Sequence[Draw], experiment: Experiment, q: Array, free: NDArray[np.bool_], covariance: Array
 ) -> pa.Table:
     """The errors and the length of the last step of each refit."""

@@ -259,11 +259,11 @@ class Experiment:
         Raises:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
-        q = checked_joints(self, joint_position)
+        q = check_joints(self, joint_position)
         columns = np.asarray(self.reader.columns(self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
-    def traced_rows(self, joint_position: jax.Array) -> jax.Array:
+    def traceable_rows(self, joint_position: jax.Array) -> jax.Array:
         """As `rows` of poses approached from zero, to be differentiated by the joint positions; unchecked."""
         columns = self.reader.columns(self.numbers, joint_position, jnp.sign(joint_position))
         return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
@@ -288,7 +288,7 @@ class Experiment:
 
     def _blocks(self, joint_position: ArrayLike) -> Iterator[tuple[Any, Any, Any]]:
         """Joint positions, directions and weights in blocks of one shape, compiled once; weight 0 of the filling."""
-        q = checked_joints(self, joint_position)
+        q = check_joints(self, joint_position)
         parts, size = (q, self.direction(q), np.ones(len(q))), min(len(q), BLOCK)
         for first in range(0, len(q), size):
             yield tuple(pad(part[first : first + size], 0, size) for part in parts)  # type: ignore[misc]
@@ -320,7 +320,7 @@ class Experiment:
         return extended
 
 
-def checked_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
+def check_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
     """Joint positions `(sample, joint)` rad of an experiment's arm.
 
     Raises:

@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
-from lite6jax.design.criteria import Criterion, determined_value
+from lite6jax.design.criteria import Criterion, evaluate
 from lite6jax.distribution.batches import Workers
 from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
@@ -71,7 +71,7 @@ class Motion(NamedTuple):
     ddq: Numbers
 
 
-def recorded_motion(recording: Recording) -> tuple[Motion, list[str]]:
+def read_motion(recording: Recording) -> tuple[Motion, list[str]]:
     """The motion of a recording, and what was assumed of it, a sentence each.
 
     Raises:
@@ -282,7 +282,7 @@ class MotionRoom:
         """The motion at so many equidistant instants of a period; NumPy."""
         return Motion(*(np.asarray(part) for part in _motion(free, self.bounds, self.harmonics, count)))
 
-    def centred(self, middle: Matrix, free: Free) -> Free:
+    def centre_at(self, middle: Matrix, free: Free) -> Free:
         """The motion moved to have its middle at joint positions `(joint,)`, or as near as the limits allow."""
         lower, upper = self.limits.position.T
         half = np.ptp(self.motion(free, _PEAK_POINTS * self.harmonics).q, axis=1) / 2
@@ -321,7 +321,7 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Fre
         share = 1.0
         while share >= _SMALLEST:
             size = _FULL if share == 1 else float(np.log(share / (1 - share)))
-            free = room.centred(middle, Free(shape, np.zeros(dof), np.full(dof, size)))
+            free = room.centre_at(middle, Free(shape, np.zeros(dof), np.full(dof, size)))
             if room.passes(free):
                 passed.append(free)
                 break
@@ -435,12 +435,12 @@ def _pull_back(free: Free, bounds: tuple[Array, ...], harmonics: int, change: Mo
     return jax.vjp(lambda free: _motion(free, bounds, harmonics, count), free)[1](change)[0]
 
 
-_value = jax.jit(determined_value)
+_value = jax.jit(evaluate)
 
 
 @jax.jit
 def _value_and_slope(criterion: Criterion, M: Array) -> tuple[Array, Array]:
-    return determined_value(criterion, M), jax.grad(criterion.smooth)(M)
+    return evaluate(criterion, M), jax.grad(criterion.smooth)(M)
 
 
 class MotionSearch(NamedTuple):
@@ -490,14 +490,14 @@ def compute_each(
         InputError: a process was ended.
     """
     batches = [motions[first : first + together] for first in range(0, len(motions), together)]
-    done = dict(workers.outcomes(_computed, enumerate(batches), (function,), died=_died))
+    done = dict(workers.outcomes(_compute, enumerate(batches), (function,), died=_fail))
     return [pickle.loads(found) for number in range(len(batches)) for found in done[number]["found"].to_pylist()]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _computed(motions: Sequence[Free], function: Callable[[Free], Any]) -> pa.Table:
+def _compute(motions: Sequence[Free], function: Callable[[Free], Any]) -> pa.Table:
     return pa.table({"found": [pickle.dumps(function(free)) for free in motions]})
 
 
-def _died(free: Free) -> pa.Table:
+def _fail(free: Free) -> pa.Table:
     raise InputError("a process that works on the design was ended; free memory, or give --processes 1")

@@ -11,7 +11,7 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.design.criteria import CRITERIA, Criterion, determined_values, discrimination, workspace
+from lite6jax.design.criteria import CRITERIA, Criterion, discrimination, evaluate_each, workspace
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import Experiment
 from lite6jax.design.selection import Design, Pool, Refinement, choose, refine
@@ -131,7 +131,7 @@ def plan_poses(
         """The accuracy after the first 1, 2, … of some poses, by their rows in coordinates."""
         if judged is None:
             return np.full(len(rows), np.inf)
-        return np.sqrt(-np.asarray(determined_values(judged, pool.accumulated(rows))))
+        return np.sqrt(-np.asarray(evaluate_each(judged, pool.accumulated(rows))))
 
     achieved = curve(rows)
     needed, more, reached = None, count, achieved
@@ -146,7 +146,7 @@ def plan_poses(
     if not prior.any():
         inside, rank = by.within(pool.coordinates), design.rank
         ends = [pool.accumulated(some)[-1] for some in (rows, *(pool.rows[draw[:count]] for draw in draws))]
-        own, *others = np.asarray(determined_values(inside, np.stack(ends))).tolist()
+        own, *others = np.asarray(evaluate_each(inside, np.stack(ends))).tolist()
         # a draw that does not determine all parameters does not reach the design, however often it is repeated
         efficiency = np.array([by.efficiency(own, value, rank) if np.isfinite(value) else np.inf for value in others])
     return Plan(
@@ -239,7 +239,7 @@ def plan_discrimination(
     inside = by.within(pool.coordinates)
 
     def distances(informations: Array) -> Array:
-        squares = np.asarray(determined_values(inside, informations))
+        squares = np.asarray(evaluate_each(inside, informations))
         return np.sqrt(np.where(np.isfinite(squares), squares, np.nan))
 
     draws = _random_draws(len(q), count, seed)
@@ -283,7 +283,7 @@ def _refine_chosen(
     moved = None
     if move:
         within = experiment.arm.joint_limits if limits is None else limits
-        moved = refine(chosen, experiment.traced_rows, by, within, prior=prior, feasible=feasible)
+        moved = refine(chosen, experiment.traceable_rows, by, within, prior=prior, feasible=feasible)
         chosen = moved.joint_position
     return chosen, moved, pool.inside(experiment.rows(chosen))
 

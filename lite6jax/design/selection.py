@@ -25,8 +25,8 @@ from lite6jax.design.criteria import (
     DESIGN_DETERMINES,
     Criterion,
     coordinates_of,
-    determined_value,
-    determined_values,
+    evaluate,
+    evaluate_each,
     inverse,
     one_by_one,
 )
@@ -301,7 +301,7 @@ def _order(criterion: Criterion, rows: Array, base: Array) -> tuple[Array, Array
     count = len(rows)
     ridged = base + _RIDGE * jnp.eye(len(base))
     order, _ = lax.fori_loop(0, count, body, (jnp.full(count, count), ridged))
-    return order, determined_values(criterion, base + jnp.cumsum(products[order], 0))
+    return order, evaluate_each(criterion, base + jnp.cumsum(products[order], 0))
 
 
 class Refinement(NamedTuple):
@@ -362,7 +362,7 @@ def refine(
     def judged(q: Array) -> tuple[Array, Array]:
         flat = rows_of(q).reshape(-1, outward.shape[0]) @ outward
         M = base + flat.T @ flat
-        return criterion.smooth(M), determined_value(criterion, M)
+        return criterion.smooth(M), evaluate(criterion, M)
 
     judge = jax.jit(jax.value_and_grad(judged, has_aux=True))
     (height, value), gradient = (jax.tree.map(np.asarray, part) for part in judge(q))

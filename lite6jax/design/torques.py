@@ -554,10 +554,7 @@ class TorqueDiscrimination:
 
 
 def plan_torque_discrimination(
-    model: TorqueModel,
-    room: MotionRoom,
-    rivals: Sequence[tuple[TorqueEffect, ArrayLike]],
-    search: MotionSearch,
+    model: TorqueModel, room: MotionRoom, rivals: Sequence[tuple[TorqueEffect, ArrayLike]], search: MotionSearch
 ) -> TorqueDiscrimination:
     """The motion in which two rivals differ most after everything else that is unknown is refitted.
 

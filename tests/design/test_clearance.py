@@ -16,7 +16,7 @@ from lite6jax.arms.urdf import read_urdf
 from lite6jax.design.clearance import (
     Capsule,
     chain_capsules,
-    enclosing_capsule,
+    enclose_points,
     link_frames,
     segment_distance,
     self_collision,
@@ -162,7 +162,7 @@ def contains(capsule, points):
 @pytest.mark.parametrize("size", [(1.0, 0.2, 0.3), (1.0, 1.0, 1.0), (0.1, 2.0, 0.1), (0.5, 0.5, 0.1)])
 def test_a_box_is_enclosed_along_its_longest_side(size):
     corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
-    start, end, radius = enclosing_capsule(corners)
+    start, end, radius = enclose_points(corners)
     assert contains((start, end, radius), corners)
     a, b, c = sorted(size)
     assert radius == pytest.approx(np.hypot(a, b) / 2)
@@ -173,9 +173,9 @@ def test_any_cloud_is_enclosed():
     rng = np.random.default_rng(4)
     for shape in rng.uniform(0.01, 1, (30, 3)):
         points = rng.standard_normal((50, 3)) * shape + 1
-        assert contains(enclosing_capsule(points), points)
+        assert contains(enclose_points(points), points)
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 0]])
-    assert contains(enclosing_capsule(flat), flat)
+    assert contains(enclose_points(flat), flat)
 
 
 JOINTS = (

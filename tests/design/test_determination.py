@@ -38,10 +38,7 @@ def test_planar_arms_by_hand():
     setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
     found = determine(setup, random_positions(np.random.default_rng(0), 30, 2))
     assert found.rank == 10
-    assert dependencies(found) == {
-        "joint2_z": {"joint1_z": -1},
-        "joint2_yaw": {"joint1_yaw": -1, "joint2_y": 0.3},
-    }
+    assert dependencies(found) == {"joint2_z": {"joint1_z": -1}, "joint2_yaw": {"joint1_yaw": -1, "joint2_y": 0.3}}
     assert [d.statement for d in found.dependencies] == [
         "joint2_z and joint1_z move together: joint2_z +1 mm is undone by joint1_z −1 mm.",
         "joint2_yaw, joint2_y and joint1_yaw move together: joint2_yaw +1 deg is undone by joint2_y +5.24 mm, "

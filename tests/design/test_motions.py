@@ -21,13 +21,7 @@ from lite6jax.design.motions import (
     motion_limits,
     random_motions,
 )
-from lite6jax.design.torques import (
-    effect_columns,
-    plan_motion,
-    plan_torque_discrimination,
-    structure_of,
-    torque_model,
-)
+from lite6jax.design.torques import effect_columns, plan_motion, plan_torque_discrimination, structure_of, torque_model
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset

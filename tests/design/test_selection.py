@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lite6jax.design import selection
-from lite6jax.design.criteria import CRITERIA, Smallest, determined_values, discrimination, workspace
+from lite6jax.design.criteria import CRITERIA, Smallest, discrimination, evaluate_each, workspace
 from lite6jax.design.selection import Pool, choose, exchange, refine
 from lite6jax.errors import InputError
 
@@ -184,7 +184,7 @@ def test_many_candidates_fill_several_blocks_and_the_same_call_gives_the_same():
     found, again = (choose(pool, 10, CRITERIA["A"]) for _ in range(2))
     np.testing.assert_array_equal(found.indices, again.indices)
     drawn = np.stack([information(rows[rng.choice(7000, 10, replace=False)]) for _ in range(50)])
-    assert found.value > determined_values(CRITERIA["A"], drawn).max()
+    assert found.value > evaluate_each(CRITERIA["A"], drawn).max()
     assert found.indices.max() < 7000
 
 
@@ -286,6 +286,4 @@ def test_criteria_in_coordinates_are_the_same_criteria():
     M = information(rows[:5])
     reduced = pool.accumulated(pool.rows[:5])
     for name, kind in KINDS.items():
-        assert determined_values(kind.within(pool.coordinates), reduced)[-1] == pytest.approx(
-            ORACLES[name](M), rel=1e-9
-        )
+        assert evaluate_each(kind.within(pool.coordinates), reduced)[-1] == pytest.approx(ORACLES[name](M), rel=1e-9)
