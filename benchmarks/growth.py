@@ -28,13 +28,13 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
+from lite6jax.design.criteria import Determinant
+from lite6jax.design.information import plan_experiment
+from lite6jax.design.selection import Pool, choose
+from lite6jax.design.sensor import Sensor
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.solution import Result
 from lite6jax.folders.place import BATCH
-from lite6jax.identifiability.criteria import Determinant
-from lite6jax.identifiability.design import choose
-from lite6jax.identifiability.information import plan_experiment
-from lite6jax.identifiability.sensor import Sensor
 
 MILLION = 10**6
 KNOWN_WITHIN = 0.5
@@ -187,7 +187,7 @@ def _joints(dof: int) -> Callable[[], tuple[Any, str]]:
 def _candidates(count: int) -> Callable[[], tuple[Any, str]]:
     experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
     rows = experiment.rows(sample_joints(count, np.random.default_rng(0)))
-    return lambda: (choose(rows, 40, Determinant()), "")
+    return lambda: (choose(Pool(rows), 40, Determinant()), "")
 
 
 def _files(sizes: Sequence[int], folder: Path) -> tuple[Growth, list[Record]]:

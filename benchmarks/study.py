@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE
 from benchmarks.seed_way import NOMINAL, sample_joints
-from lite6jax.identifiability.criteria import Determinant
-from lite6jax.identifiability.design import choose
-from lite6jax.identifiability.information import TOLERANCE, Experiment, plan_experiment
-from lite6jax.identifiability.monte_carlo import refit
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.design.criteria import Determinant
+from lite6jax.design.identify import refit
+from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
+from lite6jax.design.selection import Pool, choose
+from lite6jax.design.sensor import Sensor
 from tests.oracles.chains import seed_poses
 
 OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"
@@ -57,8 +57,8 @@ def _information(experiment: Experiment, q: np.ndarray) -> Iterator[Record]:
 def _design(experiment: Experiment, q: np.ndarray, count: int) -> Iterator[Record]:
     rows = experiment.rows(q)
     work = f"{count} of {len(q)} poses"
-    first, _ = timed(lambda: choose(rows, count, Determinant()))
-    seconds, design = median_time(lambda: choose(rows, count, Determinant()), 3)
+    first, _ = timed(lambda: choose(Pool(rows), count, Determinant()))
+    seconds, design = median_time(lambda: choose(Pool(rows), count, Determinant()), 3)
     taken, rival = timed(lambda: plain_exchange(rows, count))
     ours, theirs = log_determinant(rows[design.indices]), log_determinant(rows[rival])
     wrong = disagreement(np.array(design.value), np.array(ours), 1e-6, "the criterion")

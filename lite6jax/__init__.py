@@ -68,21 +68,21 @@ if TYPE_CHECKING:
     from lite6jax.estimation.options import EngineOptions as EngineOptions
     from lite6jax.fitting.fleet import fit_fleet as fit_fleet, fit_fleet_calibrations as fit_fleet_calibrations
     from lite6jax.fitting.solution import FleetSolution as FleetSolution, Result as Result, Solution as Solution
-    from lite6jax.identifiability.candidates import (
+    from lite6jax.design.candidates import (
         above_floor as above_floor,
         all_pass as all_pass,
         candidates as candidates,
         clear_of_itself as clear_of_itself,
     )
-    from lite6jax.identifiability.clearance import link_frames as link_frames, self_collision as self_collision
-    from lite6jax.identifiability.identify import identify as identify, identify_recording as identify_recording
-    from lite6jax.identifiability.information import Experiment as Experiment, plan_experiment as plan_experiment
-    from lite6jax.identifiability.planning import plan_poses as plan_poses
-    from lite6jax.identifiability.sensitivity import (
+    from lite6jax.design.clearance import link_frames as link_frames, self_collision as self_collision
+    from lite6jax.design.identify import identify as identify, identify_recording as identify_recording
+    from lite6jax.design.information import Experiment as Experiment, plan_experiment as plan_experiment
+    from lite6jax.design.poses import plan_poses as plan_poses
+    from lite6jax.design.sensitivity import (
         global_sensitivity as global_sensitivity,
         sensitivity as sensitivity,
     )
-    from lite6jax.identifiability.sensor import Sensor as Sensor
+    from lite6jax.design.sensor import Sensor as Sensor
     from lite6jax.recordings import (
         Recording as Recording,
         RecordingSettings as RecordingSettings,
@@ -124,13 +124,13 @@ _NAMES = {
     "lite6jax.domains.pose.fit": ("fit",),
     "lite6jax.fitting.fleet": ("fit_fleet", "fit_fleet_calibrations"),
     "lite6jax.fitting.solution": ("FleetSolution", "Result", "Solution"),
-    "lite6jax.identifiability.candidates": ("above_floor", "all_pass", "candidates", "clear_of_itself"),
-    "lite6jax.identifiability.clearance": ("link_frames", "self_collision"),
-    "lite6jax.identifiability.identify": ("identify", "identify_recording"),
-    "lite6jax.identifiability.information": ("Experiment", "plan_experiment"),
-    "lite6jax.identifiability.planning": ("plan_poses",),
-    "lite6jax.identifiability.sensitivity": ("global_sensitivity", "sensitivity"),
-    "lite6jax.identifiability.sensor": ("Sensor",),
+    "lite6jax.design.candidates": ("above_floor", "all_pass", "candidates", "clear_of_itself"),
+    "lite6jax.design.clearance": ("link_frames", "self_collision"),
+    "lite6jax.design.identify": ("identify", "identify_recording"),
+    "lite6jax.design.information": ("Experiment", "plan_experiment"),
+    "lite6jax.design.poses": ("plan_poses",),
+    "lite6jax.design.sensitivity": ("global_sensitivity", "sensitivity"),
+    "lite6jax.design.sensor": ("Sensor",),
     "lite6jax.recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
     "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),
 }

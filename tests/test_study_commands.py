@@ -9,8 +9,8 @@ import pytest
 from typed import flat, refused, run
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.identifiability.identify import identify, identify_recording
-from lite6jax.identifiability.information import plan_experiment
+from lite6jax.design.identify import identify, identify_recording
+from lite6jax.design.information import plan_experiment
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from tests.oracles.arms import random_positions
 from tests.oracles.chains import six_parameter_poses

@@ -1,13 +1,13 @@
-"""The command that chooses poses to record, for the parameters or to discriminate between two effects."""
+"""The command that designs poses to record or a motion to make, to identify parameters or to separate effects."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, final
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli import torque_study
 from lite6jax.cli.arguments import (
     Folder,
     Processes,
@@ -18,14 +18,26 @@ from lite6jax.cli.arguments import (
     refuse_inputs,
 )
 from lite6jax.cli.exit_codes import DONE
-from lite6jax.cli.study import Setup
-from lite6jax.cli.torque_study import TorqueSetup
+from lite6jax.cli.study import Setup, TorqueSetup
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.candidates import Filter
+    from lite6jax.design.candidates import Filter
+    from lite6jax.design.poses import DiscriminationPlan, Plan
+    from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
+    from lite6jax.recordings import Recording
+
+
+class _Designed(NamedTuple):
+    """A design, what is written of it, and its report."""
+
+    found: "Plan | DiscriminationPlan | TorquePlan | TorqueDiscrimination"
+    recording: "Recording"
+    report: "Iterable[RenderableType]"
 
 
 @final
@@ -94,26 +106,52 @@ class Design:
     """Replace files that exist."""
 
     def run(self) -> int:
-        """Draws candidates, chooses, writes, prints."""
+        """Draws candidates or motions, chooses, writes, prints."""
         from lite6jax.arms.files import read_arm
-        from lite6jax.fitting.source import read_source
-        from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
-        from lite6jax.identifiability.discrimination import plan_discrimination
-        from lite6jax.identifiability.planning import plan_poses
-        from lite6jax.identifiability.route import shortest_round
-        from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
-        from lite6jax.report import design_tables, screen
+        from lite6jax.recordings import sidecar_path, write_recording
+        from lite6jax.report import screen
 
+        sidecar = sidecar_path(self.out)
         check_writable(self.out, self.force)
-        check_writable(sidecar_path(self.out), self.force)
+        check_writable(sidecar, self.force)
         filters = (reference.rpartition(":")[0] for reference in self.filter)
-        read = [self.source, self.recorded, self.collision_geometry, *filters]
-        refuse_inputs([self.out, sidecar_path(self.out)], read)
+        refuse_inputs([self.out, sidecar], [self.source, self.recorded, self.collision_geometry, *filters])
         check_seed(self.seed)
         check_processes(self.processes, self.scheduler)
+        self._check_options()
+        of_motion = self.torque.torque
+        name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, [name], self.force)
+        found, recording, report = (self._design_motion if of_motion else self._design_poses)(read_arm(self.source))
+        written = [write_recording(recording, self.out, self.force), sidecar]
+        if self.figures:
+            from lite6jax.report import canvas, study_figures
+
+            draw = study_figures.designed_motion if of_motion else study_figures.accuracy_by_count
+            written += canvas.save({name: draw(found, self.source)}, self.figures, self.force)  # type: ignore[arg-type]
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(found), written))
+        else:
+            screen.show(report)
+            screen.written(written)
+        return DONE
+
+    def _check_options(self) -> None:
         if self.torque.torque:
-            return self._design_motion()
-        torque_study.refuse_without_torque(self.torque)
+            others = ("poses", "accuracy", "criterion", "candidates", "recorded", "refine")
+            default = {item.name: item.default for item in fields(self)}
+            given = [f"--{name}" for name in others if getattr(self, name) != default[name]]
+            if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
+                given.append("the options of a sensor")
+            if given:
+                raise InputError(f"--torque: designs a motion; leave {given[0]} out")
+            return
+        self.torque.refuse_unused()
         if self.processes is not None or self.scheduler is not None:
             raise InputError(
                 "--processes, --scheduler: apply only to the design of a motion; add --torque, or leave them out"
@@ -124,12 +162,15 @@ class Design:
             )
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
-        name = f"{self.out.stem}_accuracy"
-        if self.figures:
-            from lite6jax.report import canvas
 
-            canvas.check_names(self.figures, [name], self.force)
-        arm = read_arm(self.source)
+    def _design_poses(self, arm: "Arm") -> _Designed:
+        from lite6jax.design.candidates import all_pass, candidates, inside_limits
+        from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.fitting.source import read_source
+        from lite6jax.recordings import Recording, RecordingSettings
+        from lite6jax.report import design_tables
+
         experiment = self.setup.experiment(arm)
         recorded = None
         if self.recorded is not None:
@@ -149,35 +190,56 @@ class Design:
         }
         accuracy = None if self.accuracy is None else self.accuracy / 1e3
         if self.discriminate is None:
-            found = plan_poses(
-                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **options
-            )
+            options |= {"criterion": self.criterion, "accuracy": accuracy}
+            found = plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
-            from lite6jax.effects.serialization import parse_effect
-
-            rivals = (parse_effect(self.discriminate[0]), parse_effect(self.discriminate[1], neutral=True))
+            one, other = self.discriminate
+            rivals = (parse_effect(one), parse_effect(other, neutral=True))
             found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[shortest_round(found.joint_position)]
         settings = RecordingSettings(arm=arm_reference(self.source, self.out), motion="static")
-        planned = Recording.assembled(q, settings=settings, sliding=experiment.arm.sliding)
-        written = [write_recording(planned, self.out, self.force)]
-        written.append(sidecar_path(self.out))
-        if self.figures:
-            from lite6jax.report import canvas, study_figures
+        planned = Recording.assembled(q, settings=settings, sliding=arm.sliding)
+        report = design_tables.design_report(found, drawn, disabled, self.source, accuracy)
+        return _Designed(found, planned, report)
 
-            drawing = study_figures.accuracy_by_count(found, self.source)
-            written += canvas.save({name: drawing}, self.figures, self.force)
-        if self.json:
-            from lite6jax.report import documents
+    def _design_motion(self, arm: "Arm") -> _Designed:
+        from lite6jax.design.motions import MotionSearch
+        from lite6jax.design.torques import GRAVITY, plan_motion, plan_torque_discrimination
+        from lite6jax.effects.dynamic.catalogue import BUILT_IN
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.recordings import Recording, RecordingSettings
+        from lite6jax.report import torque_study_tables
 
-            print(documents.text(documents.document(found), written))
-            return DONE
-        screen.show(design_tables.design_report(found, drawn, disabled, self.source, accuracy))
-        screen.written(written)
-        return DONE
+        filters, disabled = self._filters(arm)
+        room = self.torque.room(arm, filters, math.radians(self.limit_margin))
+        search = MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
+        if self.discriminate is None:
+            found = plan_motion(self.torque.model(arm), room, search)
+            report = torque_study_tables.torque_plan_report(found, disabled, self.source)
+        else:
+            model = self.torque.model(arm, unknown=False)
+            one, other = self.discriminate
+            rivals = [parse_effect(one, BUILT_IN, False, arm.sliding), parse_effect(other, BUILT_IN, True, arm.sliding)]
+            found = plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
+            report = torque_study_tables.torque_discrimination_report(found, disabled, self.source)
+        time, motion = found.trajectory.time, found.trajectory.motion
+        settings = RecordingSettings(
+            arm=arm_reference(self.source, self.out),
+            motion="trajectory",
+            gravity_m_per_s2=self.torque.gravity or GRAVITY,
+        )
+        recording = Recording.assembled(
+            motion.q.T,
+            time=time,
+            joint_velocity=motion.dq.T,
+            joint_acceleration=motion.ddq.T,
+            settings=settings,
+            sliding=arm.sliding,
+        )
+        return _Designed(found, recording, report)
 
     def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
-        from lite6jax.identifiability import candidates, capsules, clearance
+        from lite6jax.design import candidates, clearance
 
         if self.floor is not None and not math.isfinite(self.floor):
             raise InputError(f"--floor {self.floor}: give a height in mm")
@@ -185,16 +247,16 @@ class Design:
         filters: list[Filter] = []
         disabled: tuple[tuple[str, str], ...] = ()
         if self.box is not None:
-            low, high = (tuple(value / 1e3 for value in corner) for corner in (self.box[:3], self.box[3:]))
-            filters.append(candidates.inside_box(arm, candidates.Box(low, high), at))  # type: ignore[arg-type]
+            low, high = ([value / 1e3 for value in corner] for corner in (self.box[:3], self.box[3:]))
+            filters.append(candidates.inside_box(arm, low, high, at))
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.collision_geometry is not None:
             file, _, tip = str(self.collision_geometry).partition("#")
-            shapes = capsules.urdf_capsules(file, arm, tip=tip or None)
+            shapes = clearance.urdf_capsules(file, arm, tip=tip or None)
         elif self.link_radius != 0:
             radius = None if self.link_radius is None else self.link_radius / 1e3
-            shapes = capsules.chain_capsules(arm, radius, at)
+            shapes = clearance.chain_capsules(arm, radius, at)
         else:
             shapes = []
         if shapes:
@@ -203,35 +265,3 @@ class Design:
             filters.append(candidates.clear_of_itself(apart))
         filters += map(candidates.user_filter, self.filter)
         return filters, disabled
-
-    def _design_motion(self) -> int:
-        from lite6jax.arms.files import read_arm
-
-        others = (*("poses", "accuracy", "criterion", "candidates", "recorded", "refine"),)
-        default = {item.name: item.default for item in fields(self)}
-        given = [name for name in others if getattr(self, name) != default[name]]
-        if given or replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
-            raise InputError(
-                f"--torque: designs a motion; leave {f'--{given[0]}' if given else 'the options of a sensor'} out"
-            )
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, [torque_study.figure_name(self.out)], self.force)
-        filters, disabled = self._filters(read_arm(self.source))
-        return torque_study.design_motion(
-            self.torque,
-            self.source,
-            self.out,
-            arm_reference(self.source, self.out),
-            filters,
-            disabled,
-            math.radians(self.limit_margin),
-            self.discriminate,
-            self.seed,
-            self.processes,
-            self.scheduler,
-            self.figures,
-            self.force,
-            self.json,
-        )

@@ -1,23 +1,30 @@
-"""Commands that study an arm: what poses determine of its parameters, and which parameters its error comes from."""
+"""Commands that study an arm: what poses or torques determine of it, and which parameters its error comes from."""
 
 import json
 import math
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli import torque_study
 from lite6jax.cli.arguments import ArmName, Folder, Processes, Scheduler, check_processes, check_seed, stem
 from lite6jax.cli.exit_codes import DONE
-from lite6jax.cli.torque_study import TorqueSetup
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.console import RenderableType
+
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.information import Experiment
-    from lite6jax.recordings import Recording
+    from lite6jax.design.candidates import Filter
+    from lite6jax.design.information import Experiment
+    from lite6jax.design.motions import MotionRoom
+    from lite6jax.design.torques import TorqueModel
+    from lite6jax.recordings import Recording, RecordingSettings
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 Known = Literal["known", "unknown"]
@@ -61,8 +68,8 @@ class Setup:
         """
         import numpy as np
 
-        from lite6jax.identifiability.information import plan_experiment
-        from lite6jax.identifiability.sensor import sensor_named
+        from lite6jax.design.information import plan_experiment
+        from lite6jax.design.sensor import sensor_named
 
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
@@ -74,16 +81,14 @@ class Setup:
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        x, y, z = self.center
-        sensor = replace(sensor, direction=self.axis, center=(x / 1e3, y / 1e3, z / 1e3))
-        x, y, z = self.tool_at
+        center, tool_at = (tuple(value / 1e3 for value in numbers) for numbers in (self.center, self.tool_at))
         setup = plan_experiment(
             arm,
-            sensor,
+            replace(sensor, direction=self.axis, center=center),
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
-            tool_at=(x / 1e3, y / 1e3, z / 1e3),
+            tool_at=tool_at,  # type: ignore[arg-type]
         )
         if not self.effect:
             return setup
@@ -98,6 +103,81 @@ class Setup:
                     f"{', '.join(self.effect)}: needs the frames of links; add --chain six_parameter"
                 ) from error
             raise
+
+
+@final
+@dataclass(frozen=True)
+class TorqueSetup:
+    """Joint torques in place of poses, and the motion in which they are measured."""
+
+    torque: bool = False
+    """Study the torques of a motion: base parameters of the links, friction and rotor inertia of the joints."""
+    torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
+    """One standard deviation of a torque, Nm, one number or one per joint (N of a prismatic one); of a recording as its
+    sidecar declares, else 0.05, and 0.5 N."""
+    inertial: Literal["declared", "unknown"] | None = None
+    """Whether the links' masses and inertias are known as declared, or unknown; declared for --discriminate only."""
+    gravity: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    """Gravity in the arm's base frame, m/s²; of a recording as its sidecar declares, else 0 0 -9.81."""
+    duration: Annotated[float, arg(metavar="S")] = 10.0
+    """Duration of the motion of an arm, from rest to rest."""
+    harmonics: int = 5
+    """Harmonics of each joint's Fourier series; the base frequency is that of the duration."""
+    rate: Annotated[float, arg(metavar="HZ")] = 100.0
+    """Samples a second."""
+    velocity: Annotated[tuple[float, ...], arg(metavar="DEG/S…")] = (180.0,)
+    """The greatest velocity, one number or one per joint (mm/s of a prismatic one); the default is that of a Lite 6.
+    Of one number, a prismatic joint has what that is at 0.1 m: 180 deg/s is 314 mm/s."""
+    acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
+    """The greatest acceleration, likewise."""
+
+    def model(self, arm: "Arm", declared: "RecordingSettings | None" = None, unknown: bool = True) -> "TorqueModel":
+        """What is unknown of an arm, and the noise.
+
+        Args:
+            declared: of a recording.
+            unknown: whether the links' parameters are, where --inertial does not say.
+
+        Raises:
+            InputError: as `torque_model`.
+        """
+        from lite6jax.design.torques import GRAVITY, torque_model
+
+        noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
+        gravity = self.gravity or (declared.gravity_m_per_s2 if declared else GRAVITY)
+        inertial = unknown if self.inertial is None else self.inertial == "unknown"
+        return torque_model(arm, noise, gravity, inertial)
+
+    def room(self, arm: "Arm", filters: "Sequence[Filter]" = (), margin: float = 0.0) -> "MotionRoom":
+        """Where a motion may be.
+
+        Raises:
+            InputError: as `motion_limits` and `MotionRoom`.
+        """
+        from lite6jax.design.motions import MotionRoom, motion_limits
+
+        limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
+        return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
+
+    def refuse_unused(self) -> None:
+        """Refuses options of torques where poses are studied.
+
+        Raises:
+            InputError: as said.
+        """
+        given = [field.name for field in fields(self) if getattr(self, field.name) != field.default]
+        if given:
+            raise InputError(f"--{given[0].replace('_', '-')}: is for torques; add --torque")
+
+
+def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
+    """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
+    import numpy as np
+
+    from lite6jax.report.cells import joint_units
+
+    scales, _ = joint_units(arm.sliding, arm.dof)
+    return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
 
 
 @final
@@ -146,97 +226,118 @@ class Identify:
 
     def run(self) -> int:
         """Computes, draws, prints."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.effects.serialization import parse_effect
         from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.identifiability.identify import identify, identify_recording
         from lite6jax.recordings import Recording, recording_file
 
         check_seed(self.seed)
         check_processes(self.processes, self.scheduler)
         if not self.refits and (self.processes is not None or self.scheduler is not None):
             raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
-        names = [f"{stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
+        names = [f"{stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
 
             canvas.check_names(self.figures, names, self.force)
-        refits: dict[str, Any] = {
-            "refits": self.refits,
-            "seed": self.seed,
-            "processes": self.processes,
-            "scheduler": self.scheduler,
-        }
-        file = recording_file(self.source)
-        drawn = file is None
-        if self.torque.torque:
-            self._refuse_with_torque()
-            if file is None:
-                return torque_study.identify_arm(self.torque, self.source, self.seed, self.json)
-        if file is None:
-            torque_study.refuse_without_torque(self.torque)
-            if self.poses < 1:
-                raise InputError(f"--poses {self.poses}: give at least 1")
-            if self.geometry != "declared" or self.arm is not None:
-                raise InputError(f"{self.source}: is an arm; --geometry and --arm are for recordings, leave them out")
-            found = identify(self.setup.experiment(read_arm(self.source)), poses=self.poses, **refits)
-        else:
+        nominal = recording = None
+        if recording_file(self.source) is not None:
             nominal = load_nominal(self.arm)
             recording = read_source(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             assert isinstance(recording, Recording)  # by its suffix
-            torques = recording.joint_torque is not None or recording.motor_current is not None
-            if self.torque.torque or (recording.position is None and torques):
-                self._refuse_with_torque()
-                arm = nominal or self._declared_arm(recording, file)
-                return torque_study.identify_recording(self.torque, recording, arm, self.source, self.json)
-            torque_study.refuse_without_torque(self.torque)
-            if recording.position is None:
-                arm = nominal or self._declared_arm(recording, file)
-                found = identify(self.setup.experiment(arm), recording.joint_position, **refits)
-            else:
-                if replace(self.setup, effect=()) != Setup():
-                    raise InputError(
-                        f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a"
-                        " set-up but --effect"
-                    )
-                effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
-                found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
+        of_torques = self.torque.torque
+        if recording is not None and recording.position is None:
+            of_torques |= recording.joint_torque is not None or recording.motor_current is not None
+        if of_torques:
+            return self._identify_torques(recording, nominal)
+        self.torque.refuse_unused()
+        return self._identify_poses(recording, nominal, names)
 
-        from lite6jax.report import screen, study_tables
+    def _identify_poses(self, recording: "Recording | None", nominal: "Arm | None", names: list[str]) -> int:
+        from lite6jax.design.identify import identify, identify_recording
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.report import study_tables
 
+        refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
+        if recording is None:
+            if self.poses < 1:
+                raise InputError(f"--poses {self.poses}: give at least 1")
+            if self.geometry != "declared" or self.arm is not None:
+                raise InputError(f"{self.source}: is an arm; --geometry and --arm are for recordings, leave them out")
+        if recording is None or recording.position is None:
+            q = None if recording is None else recording.joint_position
+            experiment = self.setup.experiment(self._read_arm(recording, nominal))
+            found = identify(experiment, q, poses=self.poses, **refits)
+        else:
+            if replace(self.setup, effect=()) != Setup():
+                raise InputError(
+                    f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a set-up"
+                    " but --effect"
+                )
+            effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
+            found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
         written = []
         if self.figures:
-            from lite6jax.report import canvas, study_figures
+            from lite6jax.report import canvas
 
-            drawings = (
-                study_figures.singular_values(found, self.source),
-                study_figures.correlation(found, self.source),
-                study_figures.deviations(found, self.source),
-            )
-            written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
-        if self.json:
-            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
-        else:
-            screen.show(study_tables.identification_report(found, self.source, drawn))
-            screen.written(written)
-        return DONE
+            drawn = found.plot(self.source).values()
+            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        report = study_tables.identification_report(found, self.source, drawn=recording is None)
+        return self._present(found, report, written)
 
-    def _declared_arm(self, recording: "Recording", file: Path) -> "Arm":
-        from lite6jax.arms.files import read_arm
+    def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
+        from lite6jax.design.motions import random_motions, read_motion
+        from lite6jax.design.torques import identify_torques
+        from lite6jax.report import torque_study_tables
+        from lite6jax.report.cells import torque_units
 
-        if recording.settings.arm is None:
-            raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-        return read_arm(recording.settings.arm_reference(file.parent))
-
-    def _refuse_with_torque(self) -> None:
-        given = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
-        if given or self.figures is not None:
+        poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
+        if poses or self.figures is not None:
             raise InputError(
                 f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the"
                 " options of a sensor"
             )
+        arm, notes = self._read_arm(recording, nominal), []
+        if recording is None:
+            room = self.torque.room(arm)
+            trajectory = room.trajectory(random_motions(room, self.seed, 1)[0])
+            model, motion = self.torque.model(arm), trajectory.motion
+            phrase = f"a random motion of {room.duration:g} s inside the limits, {len(trajectory.time)} samples"
+        else:
+            motion, assumed = read_motion(recording)
+            model = self.torque.model(arm, recording.settings)
+            phrase, notes = f"{recording.samples} samples of a recording", [*recording.notes, *assumed]
+            if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:
+                each = dict.fromkeys(zip(model.noise.tolist(), torque_units(arm.sliding, arm.dof), strict=True))
+                said = " and ".join(f"{noise:g} {unit}" for noise, unit in each)
+                are = "are" if len(each) > 1 else "is"
+                notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
+        found = identify_torques(model, motion, notes=tuple(notes))
+        report = torque_study_tables.torque_identification_report(found, self.source, phrase)
+        return self._present(found, report)
+
+    def _present(self, found: Any, report: "Iterable[RenderableType]", written: "Iterable[Path]" = ()) -> int:
+        from lite6jax.report import screen
+
+        if self.json:
+            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+        else:
+            screen.show(report)
+            screen.written(written)
+        return DONE
+
+    def _read_arm(self, recording: "Recording | None", nominal: "Arm | None") -> "Arm":
+        """The arm itself, or that of a recording."""
+        from lite6jax.arms.files import read_arm
+        from lite6jax.recordings import recording_file
+
+        if nominal is not None or recording is None:
+            return nominal or read_arm(self.source)
+        file = recording_file(self.source)
+        assert file is not None
+        if recording.settings.arm is None:
+            raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
+        return read_arm(recording.settings.arm_reference(file.parent))
 
 
 @final
@@ -273,15 +374,17 @@ class Sensitivity:
     def run(self) -> int:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
-        from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import canvas, screen, study_tables
+        from lite6jax.design.sensitivity import global_sensitivity, sensitivity
+        from lite6jax.report import screen, study_tables
 
         check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
-        names = [f"{stem(self.source)}_{what}" for what in ("sensitivity_by_joint", "sensitivity_workspace")]
+        names = [f"{stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
         if self.figures:
+            from lite6jax.report import canvas
+
             canvas.check_names(self.figures, names, self.force)
         arm = read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
@@ -291,18 +394,15 @@ class Sensitivity:
             over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
         written = []
         if self.figures:
-            from lite6jax.report import study_figures
+            from lite6jax.report import canvas
 
-            drawings = (
-                study_figures.sensitivity_by_joint(found, self.source),
-                study_figures.sensitivity_over_workspace(found, self.source),
-            )
-            written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
+            drawn = found.plot(self.source).values()
+            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
         if self.json:
             from lite6jax.report import documents
 
             print(documents.text(documents.of_sensitivity(found, over_arms), written))
-            return DONE
-        screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
-        screen.written(written)
+        else:
+            screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
+            screen.written(written)
         return DONE

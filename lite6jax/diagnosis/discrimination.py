@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.design.candidates import candidates
+from lite6jax.design.information import experiment
+from lite6jax.design.poses import plan_discrimination, shortest_round
+from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.composition import missing
@@ -13,11 +17,6 @@ from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.identifiability.candidates import candidates
-from lite6jax.identifiability.discrimination import plan_discrimination
-from lite6jax.identifiability.information import experiment
-from lite6jax.identifiability.route import shortest_round
-from lite6jax.identifiability.sensor import Sensor
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]

@@ -6,9 +6,8 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.identifiability.candidates import Candidates
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.planning import MOST_POSES, Plan
+from lite6jax.design.candidates import Candidates
+from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.report.cells import listing, number
 from lite6jax.report.study_tables import described
 

@@ -15,6 +15,10 @@ import numpy as np
 
 from lite6jax.arms.files import Conversion
 from lite6jax.controller.calibration import CalibrationRead
+from lite6jax.design.identify import Identification
+from lite6jax.design.poses import DiscriminationPlan, Plan
+from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
@@ -22,12 +26,6 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.fleet import Row
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan
-from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
-from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
-from lite6jax.identifiability.torque.planning import TorquePlan
 from lite6jax.report.cells import STATISTICS
 from lite6jax.report.compensation_tables import reason_text
 

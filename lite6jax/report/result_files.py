@@ -12,6 +12,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lite6jax.design.identify import Identification
+from lite6jax.design.poses import DiscriminationPlan, Plan
+from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis, Finding
@@ -23,10 +26,6 @@ from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import FleetSolution, Result, Solution, write_solution
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan
-from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.writing import write_table
 from lite6jax.report import combined, documents, page, torque_page

@@ -16,11 +16,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
+from lite6jax.design.clearance import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.estimation.terms import Terms
-from lite6jax.identifiability.capsules import Capsule, chain_capsules
-from lite6jax.identifiability.clearance import link_frames
 from lite6jax.recordings import Recording
 from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.data_faults import fault_name

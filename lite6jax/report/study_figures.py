@@ -7,12 +7,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan
-from lite6jax.identifiability.sensitivity import Sensitivity
-from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
-from lite6jax.identifiability.torque.planning import TorquePlan
+from lite6jax.design.identify import Identification
+from lite6jax.design.poses import DiscriminationPlan, Plan
+from lite6jax.design.sensitivity import Sensitivity
+from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
 from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, label_joint
 from lite6jax.report.cells import SCREEN, joint_units
 

@@ -8,12 +8,11 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.identifiability.determination import Dependency, Determination, on_last_axis
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.information import Experiment
-from lite6jax.identifiability.monte_carlo import Refits
-from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.design.determination import Dependency, Determination
+from lite6jax.design.identify import Identification, Refits, on_last_axis
+from lite6jax.design.information import Experiment
+from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, joint_units, listing, number, plus_minus

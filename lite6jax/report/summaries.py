@@ -6,6 +6,9 @@ To add a kind, let its class inherit `lite6jax.results.PublicResult` and registe
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.design.identify import Identification
+from lite6jax.design.poses import DiscriminationPlan, Plan
+from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
@@ -17,10 +20,6 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan
-from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
 from lite6jax.report.cells import each_with_unit, joint_units, number, torque_units

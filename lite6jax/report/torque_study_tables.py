@@ -9,11 +9,18 @@ from rich.text import Text
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_sizes, joint_unit
-from lite6jax.identifiability.identify import NARROW
-from lite6jax.identifiability.torque.columns import JOINT, JOINT_UNITS, TorqueModel
-from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
-from lite6jax.identifiability.torque.identify import WELL, Structure, TorqueIdentification
-from lite6jax.identifiability.torque.planning import MotionRoom, TorquePlan
+from lite6jax.design.determination import NARROW
+from lite6jax.design.motions import MotionRoom
+from lite6jax.design.torques import (
+    JOINT,
+    JOINT_UNITS,
+    WELL,
+    Structure,
+    TorqueDiscrimination,
+    TorqueIdentification,
+    TorqueModel,
+    TorquePlan,
+)
 from lite6jax.report.cells import each_with_unit, joint_units, listing, plus_minus, ranges, torque_units
 
 _MOST_GAINS = 8

@@ -8,8 +8,8 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.design.sensor import SENSORS, Sensor
 from lite6jax.errors import InputError
-from lite6jax.identifiability.sensor import SENSORS, Sensor
 from lite6jax.recordings.settings import PoseSource
 
 Array = NDArray[np.floating]

@@ -1,0 +1,243 @@
+"""Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
+
+import importlib.util
+import os
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_sizes
+from lite6jax.design.clearance import SelfCollision, link_frames
+from lite6jax.errors import InputError
+
+Array = NDArray[np.floating]
+Distance = Callable[[Array], Array]
+"""Of `(sample, joint)` rad to `(sample,)` m."""
+
+_BATCH = 16384
+_FEWEST = 1e-3
+"""A smaller share that passes indicates a mistake in the filters."""
+_ENOUGH_TRIED = 100_000
+
+
+class Filter(NamedTuple):
+    """A condition on joint positions.
+
+    Attributes:
+        name: what messages call it.
+        accepts: `(sample, joint)` rad to `(sample,)` bool.
+        distance: `(sample, joint)` rad to `(sample,)` m from what is refused, negative inside it; None where unknown.
+    """
+
+    name: str
+    accepts: Callable[[Array], NDArray[np.bool_]]
+    distance: Distance | None = None
+
+
+class Candidates(NamedTuple):
+    """Joint positions that pass every filter.
+
+    Attributes:
+        joint_position: `(candidate, joint)` rad.
+        tried: how many were drawn for them.
+        refused: of each filter, how many it was the first to refuse.
+    """
+
+    joint_position: Array
+    tried: int
+    refused: dict[str, int]
+
+
+def candidates(
+    arm: Arm, count: int, seed: int = 0, filters: Sequence[Filter] = (), limit_margin: float = 0.0
+) -> Candidates:
+    """Joint positions drawn evenly inside the limits, until `count` pass all filters.
+
+    Args:
+        arm: whose limits.
+        count: how many.
+        seed: the same gives the same.
+        filters: applied in this order.
+        limit_margin: rad, how far each joint stays from its limits.
+
+    Raises:
+        InputError: no room between the limits, or fewer than one in a thousand passes: the line names the filter that
+            refused most.
+    """
+    if count < 1:
+        raise InputError(f"{count} candidates: give 1 or more")
+    lower, upper = inside_limits(arm, limit_margin).T
+    rng = np.random.default_rng(seed)
+    refused = {condition.name: 0 for condition in filters}
+    kept: list[Array] = []
+    tried = passed = 0
+    while passed < count:
+        q = rng.uniform(lower, upper, (_BATCH, arm.dof))
+        tried += len(q)
+        for condition in filters:
+            accepted = condition.accepts(q)
+            refused[condition.name] += int(np.sum(~accepted))
+            q = q[accepted]
+        kept.append(q)
+        passed += len(q)
+        if tried >= _ENOUGH_TRIED and passed < min(_FEWEST * tried, count):
+            worst = max(refused, key=lambda name: refused[name])
+            raise InputError(
+                f"candidates: {passed} of {tried} joint positions pass; {worst} refused"
+                f" {100 * refused[worst] / tried:.3g} % of them; widen it"
+            )
+    return Candidates(np.concatenate(kept)[:count], tried, refused)
+
+
+def inside_limits(arm: Arm, margin: float = 0.0) -> Array:
+    """The joint limits drawn in by a margin in rad, of prismatic joints at `LEVER`; `(joint, 2)` rad, or m.
+
+    Raises:
+        InputError: a margin below zero, or one that leaves a joint no room.
+    """
+    if not 0 <= margin < np.inf:
+        raise InputError(f"limit margin {margin:g} rad: give zero or more")
+    limits = arm.joint_limits + np.outer(joint_sizes(margin, "rad", arm.slides), [1, -1])
+    for i, (lower, upper) in enumerate(limits):
+        if not lower < upper:
+            raise InputError(f"limit margin {np.rad2deg(margin):g}°: leaves joint{i + 1} no room; give a smaller one")
+    return limits
+
+
+def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np.bool_]:
+    """Which joint positions pass every filter.
+
+    Args:
+        filters: in the order in which they are applied.
+        joint_position: `(sample, joint)` rad.
+
+    Returns:
+        `(sample,)` bool.
+    """
+    q = np.asarray(joint_position, float)
+    passed = np.ones(len(q), bool)
+    for condition in filters:
+        passed[passed] = condition.accepts(q[passed])
+    return passed
+
+
+def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+    """The tool point is in a box, such as what a sensor sees.
+
+    Args:
+        arm: its chain.
+        lower: `(3,)` m, the least x, y, z of the box in the base's frame.
+        upper: the greatest.
+        tool_point: `(3,)` m in the flange's frame.
+
+    Raises:
+        InputError: the box is empty.
+    """
+    low, high, point = (np.asarray(corner, float) for corner in (lower, upper, tool_point))
+    if not (low < high).all():
+        corners = f"{tuple(low.tolist())} to {tuple(high.tolist())}"
+        raise InputError(f"box {corners} m: empty; give the least x, y, z, then the greatest")
+    return _beyond("box", partial(_into_box, arm, low, high, point))
+
+
+def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+    """Every joint that moves, the flange and the tool point are above a height.
+
+    Args:
+        arm: its chain.
+        height: in the base's frame, m.
+        tool_point: `(3,)` m in the flange's frame.
+    """
+    return _beyond("floor", partial(_over_floor, arm, height, np.asarray(tool_point, float)))
+
+
+def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
+    """The arm's capsules keep a clearance of more than `margin`, m."""
+    return _beyond("self-collision", partial(_apart, collision, margin))
+
+
+def _beyond(name: str, distance: Distance) -> Filter:
+    """The condition that a distance is positive."""
+    return Filter(name, partial(_positive, distance), distance)
+
+
+# functions of this module, and no lambdas: filters are sent to workers
+
+
+def _positive(distance: Distance, q: Array) -> NDArray[np.bool_]:
+    return distance(q) > 0
+
+
+def _into_box(arm: Arm, lower: Array, upper: Array, point: Array, q: Array) -> Array:
+    T = link_frames(arm, q)[-1]
+    position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
+    return np.minimum(position - lower, upper - position).min(1)
+
+
+def _over_floor(arm: Arm, height: float, point: Array, q: Array) -> Array:
+    F = link_frames(arm, q)
+    tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
+    return np.minimum(F[1:, 2, 3].min(0), tool) - height
+
+
+def _apart(collision: SelfCollision, margin: float, q: Array) -> Array:
+    return collision.clearance(q) - margin
+
+
+def user_filter(reference: str) -> Filter:
+    """A function of the user's own, from `FILE.py:function`: `(sample, joint)` rad to `(sample,)` bool.
+
+    Loading it runs the file; so does a worker that the filter is sent to.
+
+    Raises:
+        InputError: no such file or function, or an error in either; here, or where the filter is applied.
+    """
+    _user_function.cache_clear()  # a file may have changed since it was loaded
+    _user_function(reference)
+    return Filter(reference, partial(_accepts_of_user, reference))
+
+
+def _accepts_of_user(reference: str, q: Array) -> NDArray[np.bool_]:
+    function = _user_function(reference)
+    try:
+        mask = np.asarray(function(q.copy()))
+    except Exception as error:
+        raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
+    if mask.shape != (len(q),) or mask.dtype != bool:
+        raise InputError(
+            f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
+        )
+    return mask
+
+
+@cache
+def _user_function(reference: str) -> Callable[[Array], Any]:
+    file, separator, name = reference.rpartition(":")
+    if not separator or not file.endswith(".py") or not name.isidentifier():
+        raise InputError(f"filter {reference!r}: write FILE.py:function")
+    if not os.path.isfile(file):
+        raise InputError(f"{file}: no such file; a filter is FILE.py:function")
+    spec = importlib.util.spec_from_file_location(f"lite6jax_filter_{Path(file).stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses and type hints look their module up there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{file}: cannot be loaded ({_one_line(error)}); correct it") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
+    return function
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,409 @@
+"""The information that a sensor's readings at given joint positions carry about a model's parameters.
+
+Everything here is dimensionless: a reading counts in standard deviations of its noise, a parameter in units of the
+tolerance that it plausibly has. What follows, indices, designs and null spaces, then does not depend on units.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import compress
+from typing import Any, Literal, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms import bundled
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import SixParameterForm, joint_motion
+from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
+from lite6jax.design.sensor import Sensor, sensor_named
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
+from lite6jax.errors import InputError, require_type
+from lite6jax.fitting.chunks import BLOCK, pad
+from lite6jax.fitting.problem import Geometry, recording_problem
+from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
+from lite6jax.model import ArmModel, ModelForm, predict_frames_with
+from lite6jax.recordings import Recording, require_radians
+from lite6jax.recordings.units import real_array
+
+Array = NDArray[np.floating]
+Chain = Literal["hayati", "six_parameter"]
+Approach = Literal["sequence", "zero"]
+
+TOLERANCE = {"m": 0.8e-3, "rad": float(np.deg2rad(0.15))}
+"""What assembly leaves in a length and an angle of a Lite 6, one standard deviation."""
+
+
+class Numbers(NamedTuple):
+    """What readings depend on beside the joints. A pytree.
+
+    Attributes:
+        model: of the rigid arm.
+        values: of its effects.
+        kinematics: `(6 n,)` of the nominal six-parameter chain, whose frames the masses are given in.
+        inertia: its masses, or None where they are not known.
+        payload: kg.
+    """
+
+    model: ArmModel
+    values: jax.Array
+    kinematics: jax.Array
+    inertia: Inertia | None
+    payload: float | jax.Array
+
+
+class Reader(NamedTuple):
+    """What is read of which model at rest. Hashable: the static argument of compiled functions.
+
+    Their other arguments are `numbers`, joint positions `(sample, joint)` rad, and the direction `(sample, joint)` in
+    which each pose was approached.
+
+    Attributes:
+        form: of the geometry, the sensor's frame and the tool.
+        physics: the effects. The parameters are those of a step of `form`, then the numbers of `physics`.
+        sensor: what is read.
+    """
+
+    form: ModelForm
+    physics: Physics
+    sensor: Sensor
+
+    @property
+    def size(self) -> int:
+        """How many parameters."""
+        return self.form.size + self.physics.size
+
+    def tool(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, step: jax.Array) -> Frame:
+        """The tool's frame in the sensor's coordinates, a step `(parameter,)` away from `numbers`; plain JAX."""
+        form, chain = self.form, self.form.chain
+        model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
+        if not self.physics.effects:
+            return predict_frames(form, model, joint_motion(chain, joint_position.T))[1]
+        samples = joint_position.shape[0]
+        motion = Motion(
+            joint_position=joint_position.T,
+            joint_velocity=None,
+            direction=direction.T,
+            time=None,
+            run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
+            temperature_rise=None,
+            payload=jnp.full(samples, numbers.payload),
+            sliding=Sliding(chain.sliding),
+        )
+        statics: Inertia | Loads | None = numbers.inertia
+        if statics is not None and not isinstance(chain, SixParameterForm):  # its frames are not those of the masses
+            nominal = SixParameterForm(chain.dof, chain.sliding)
+            joint = joint_motion(nominal, joint_position.T)
+            statics = loads(nominal, numbers.kinematics, joint, motion.payload, statics)
+        return predict_frames_with(chain, self.physics, model, values, motion, statics)[1]
+
+    @partial(jax.jit, static_argnums=0)
+    def columns(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array) -> jax.Array:
+        """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit."""
+        if self.physics.effects:  # they have no closed form in common
+
+            def moved(step: jax.Array) -> Frame:
+                return self.tool(numbers, joint_position, direction, step)
+
+            zero = jnp.zeros(self.size)
+            tool = moved(zero)
+
+            def change(entry: jax.Array) -> jax.Array:
+                return self.sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1]))
+
+            columns = jax.lax.map(change, jnp.eye(self.size))
+        else:
+            joint = joint_motion(self.form.chain, joint_position.T)
+            tool = predict_frames(self.form, numbers.model, joint)[1]
+            columns = twist_columns(self.form, numbers.model, joint, partial(self.sensor.change, tool))
+            columns = columns[step_order(self.form)]
+        if not self.sensor.joint_noise:
+            return columns
+        return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
+
+    @partial(jax.jit, static_argnums=0)
+    def information(
+        self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, weight: jax.Array
+    ) -> jax.Array:
+        """The information `(parameter, parameter)` in SI units of readings with weights `(sample,)` 0 or 1."""
+        J = (self.columns(numbers, joint_position, direction) * weight).reshape(self.size, -1)
+        return J @ J.T
+
+    def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
+        """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
+
+        With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
+        Prismatic joints are read without noise.
+
+        Returns:
+            `(row, row, sample)`.
+        """
+        chain = self.form.chain
+        joint = joint_motion(chain, joint_position.T)
+        tool = predict_frames(self.form, numbers.model, joint)[1]
+
+        def change(direction: jax.Array) -> jax.Array:
+            rate = joint_rate(joint, direction, chain.sliding)
+            moved = jax.jvp(lambda j: predict_frames(self.form, numbers.model, j)[1], (joint,), (rate,))[1]
+            return self.sensor.change(tool, _twist(tool, moved))
+
+        turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
+        J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
+        unit = jnp.eye(J.shape[1])
+        L = jnp.linalg.cholesky(unit + self.sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
+        return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
+
+
+def _twist(frame: Frame, moved: Frame) -> Twist:
+    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
+    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
+    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
+    return Twist(moved.origin - cross(spin, frame.origin), spin)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Which model is to be identified with which sensor.
+
+    Its parameters are the entries of a step of `form`, then the numbers of `physics`.
+
+    Attributes:
+        arm: the nominal arm; its masses cause the loads that effects depend on.
+        form: the geometry, sensor frame and tool.
+        model: where they are linearised; NumPy leaves.
+        sensor: what is measured.
+        movable: `(parameter,)` bool, those that are unknown.
+        precision: `(parameter,)` the prior of each, one over its variance; zero is no prior.
+        scale: `(parameter,)` the unit of each: its tolerance or typical size, SI.
+        physics: effects beyond the rigid arm.
+        values: `(physics.size,)` where those are linearised.
+        payload: kg at the flange.
+        approach: from where each pose is approached, on which effects of the direction of motion depend:
+            the pose before it, for the first all joints at zero; or always all joints at zero.
+    """
+
+    arm: Arm
+    form: ModelForm
+    model: ArmModel
+    sensor: Sensor
+    movable: NDArray[np.bool_]
+    precision: Array
+    scale: Array
+    physics: Physics = field(default_factory=Physics)
+    values: tuple[float, ...] = ()
+    payload: float = 0.0
+    approach: Approach = "sequence"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknown parameters."""
+        return tuple(compress((*self.form.names, *self.physics.names), self.movable))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """`m`, `rad`, or an effect's unit, of each."""
+        return tuple(compress((*self.form.units, *self.physics.units), self.movable))
+
+    @property
+    def size(self) -> int:
+        """How many are unknown."""
+        return int(self.movable.sum())
+
+    @cached_property
+    def unit(self) -> Array:
+        """`(size,)`, the tolerance or typical size of each unknown parameter, SI."""
+        return self.scale[self.movable]
+
+    @cached_property
+    def prior(self) -> Array:
+        """`(size, size)`, the information of the prior, in these units; diagonal."""
+        return np.diag(self.precision[self.movable] * self.unit**2)
+
+    @property
+    def reader(self) -> Reader:
+        """What is read of which model."""
+        return Reader(self.form, self.physics, self.sensor)
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """What readings depend on beside the joints."""
+        arm = self.arm
+        inertia = None
+        if arm.mass is not None and arm.center_of_mass is not None:
+            inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
+        return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
+
+    def direction(self, joint_position: Array) -> Array:
+        """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached positions `(sample, joint)`."""
+        if self.approach == "zero":
+            return np.sign(joint_position)
+        return np.sign(np.diff(joint_position, axis=0, prepend=np.zeros((1, joint_position.shape[1]))))
+
+    def rows(self, joint_position: ArrayLike) -> Array:
+        """How readings change with the parameters.
+
+        Args:
+            joint_position: `(sample, joint)` rad.
+
+        Returns:
+            `(sample, row, size)`: standard deviations of a reading's numbers per tolerance of a parameter.
+
+        Raises:
+            InputError: joints that the arm does not have, or effects that poses at rest do not show.
+        """
+        q = check_joints(self, joint_position)
+        columns = np.asarray(self.reader.columns(self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
+        return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
+
+    def traceable_rows(self, joint_position: jax.Array) -> jax.Array:
+        """As `rows` of poses approached from zero, to be differentiated by the joint positions; unchecked."""
+        columns = self.reader.columns(self.numbers, joint_position, jnp.sign(joint_position))
+        return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
+
+    def root(self, joint_position: ArrayLike) -> Array:
+        """An upper triangular R `(size, size)` with RᵀR the information of readings at `joint_position`, without prior.
+
+        By orthogonal steps, block by block: its singular values are those of the rows to rounding, where an
+        eigenvalue of RᵀR would lose half the digits.
+        """
+        R = np.zeros((0, self.size))
+        for q, direction, weight in self._blocks(joint_position):
+            columns = np.asarray(self.reader.columns(self.numbers, q, direction))
+            J = columns[self.movable][..., weight > 0].reshape(self.size, -1)
+            R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
+        return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
+
+    def information(self, joint_position: ArrayLike) -> Array:
+        """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
+        H = np.asarray(sum(self.reader.information(self.numbers, *block) for block in self._blocks(joint_position)))
+        return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
+
+    def _blocks(self, joint_position: ArrayLike) -> Iterator[tuple[Any, Any, Any]]:
+        """Joint positions, directions and weights in blocks of one shape, compiled once; weight 0 of the filling."""
+        q = check_joints(self, joint_position)
+        parts, size = (q, self.direction(q), np.ones(len(q))), min(len(q), BLOCK)
+        for first in range(0, len(q), size):
+            yield tuple(pad(part[first : first + size], 0, size) for part in parts)  # type: ignore[misc]
+
+    def with_sensor(self, sensor: Sensor) -> "Experiment":
+        """The same model with another sensor."""
+        return replace(self, sensor=sensor)
+
+    def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
+        """The same with these effects unknown too.
+
+        Args:
+            effects: in the order of their numbers.
+            values: `(number,)` where they are linearised; neutral where not given.
+
+        Raises:
+            InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
+        """
+        physics, rigid = Physics(tuple(effects)), self.form.size
+        extended = replace(
+            self,
+            movable=np.concatenate([self.movable[:rigid], np.ones(physics.size, bool)]),
+            precision=np.concatenate([self.precision[:rigid], np.zeros(physics.size)]),
+            scale=np.concatenate([self.scale[:rigid], physics.typical]),
+            physics=physics,
+            values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
+        )
+        extended.rows(np.zeros((1, self.arm.dof)))  # raises now rather than after a long computation
+        return extended
+
+
+def check_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
+    """Joint positions `(sample, joint)` rad of an experiment's arm.
+
+    Raises:
+        InputError: another shape, numbers that are not real or not finite, or degrees.
+    """
+    q, arm = real_array("joint_position", joint_position), experiment.arm
+    if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
+        raise InputError(f"joint_position of shape {q.shape}: {arm.name} takes (sample, {arm.dof})")
+    if not np.isfinite(q).all():
+        row = int(np.argmin(np.isfinite(q).all(1))) + 1
+        raise InputError(f"joint_position: row {row} is not finite; leave it out")
+    require_radians(q, arm.joint_limits)
+    return q
+
+
+def plan_experiment(
+    arm: Arm | str,
+    sensor: Sensor | str = "tracker",
+    *,
+    chain: Chain = "hayati",
+    frame: bool = True,
+    tool: bool = False,
+    tool_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Experiment:
+    """An experiment to come, on an arm at its nominal geometry.
+
+    Args:
+        arm: an `Arm` or a bundled name.
+        sensor: a `Sensor` or a name of `SENSORS`.
+        chain: the parameters of the geometry: `hayati` (4 n + 4, all determined by poses), or `six_parameter` (6 n, as
+            in a factory file).
+        frame: whether the sensor's frame is unknown too.
+        tool: whether the tool is.
+        tool_at: where it nominally is in the flange's frame, m. A point on the last joint's axis does not
+            depend on that joint.
+
+    Raises:
+        InputError: no such bundled arm or sensor.
+    """
+    require_type("arm", arm, Arm | str, "an Arm or the name of a bundled one")
+    arm = bundled.load_bundled(arm) if isinstance(arm, str) else arm
+    sensor = sensor_named(sensor) if isinstance(sensor, str) else sensor
+    geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof, arm.sliding)
+    values = arm.hayati if chain == "hayati" else arm.kinematics.ravel()
+    T_joint_tool = np.array(arm.T_joint_flange)
+    T_joint_tool[:3, 3] += T_joint_tool[:3, :3] @ np.asarray(tool_at, float)
+    model = ArmModel(values, np.eye(4), T_joint_tool)  # type: ignore[arg-type]
+    return experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
+
+
+def experiment(
+    arm: Arm,
+    form: ModelForm,
+    model: ArmModel,
+    sensor: Sensor,
+    movable: NDArray[np.bool_] | None = None,
+    precision: Array | None = None,
+) -> Experiment:
+    """An experiment of any model; all parameters are unknown and without a prior where not given."""
+    return Experiment(
+        arm=arm,
+        form=form,
+        model=ArmModel(*(np.asarray(leaf) for leaf in model)),  # type: ignore[arg-type]
+        sensor=sensor,
+        movable=np.ones(form.size, bool) if movable is None else movable,
+        precision=np.zeros(form.size) if precision is None else precision,
+        scale=np.array([TOLERANCE[unit] for unit in form.units]),
+    )
+
+
+def recording_experiment(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
+    """The experiment of a recording: what its sidecar leaves unknown, measured by its sensor.
+
+    Raises:
+        InputError: as `recording_problem`; nothing unknown.
+    """
+    problem = recording_problem(recording, arm, geometry)
+    if not problem.movable.any():
+        raise InputError(
+            f"{recording.source}: its sidecar declares geometry, sensor frame and tool: nothing is left to identify; "
+            f"use --geometry free"
+        )
+    position, orientation = problem.noise
+    quantity = "position" if orientation is None else "pose"
+    sensor = Sensor(quantity, position, orientation, joint_noise=problem.joint_noise)
+    return experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)

@@ -1,0 +1,242 @@
+"""Which parameters move the flange, where, and which of them make up the error of an arm as assembled."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import joint_motion
+from lite6jax.design.information import TOLERANCE, Chain, Experiment, plan_experiment
+from lite6jax.design.sensor import BARE
+from lite6jax.errors import InputError
+from lite6jax.fitting.residual import predict_frames
+from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.model import ArmModel, ModelForm, predict
+from lite6jax.results import PublicResult
+
+Array = NDArray[np.floating]
+Measure = Literal["max", "rms"]
+
+_TOGETHER = 256
+"""Arms evaluated together: their frames stay in cache."""
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(PublicResult):
+    """How far the flange moves per tolerance of each parameter, to first order.
+
+    Attributes:
+        names, units: of the parameters.
+        tolerance: `(parameter,)` m or rad.
+        joint_position: `(sample, joint)` rad, where.
+        flange_position: `(sample, 3)` m, nominal, in the base frame.
+        per_unit: `(parameter,)` root-mean-square m of the flange per m or rad of each.
+        position: `(sample, parameter)` m that the flange moves per tolerance.
+        orientation: `(sample, parameter)` rad that it turns.
+        sliding: the prismatic joints, counted from 0.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    tolerance: Array
+    joint_position: Array
+    flange_position: Array
+    per_unit: Array
+    position: Array
+    orientation: Array
+    sliding: tuple[int, ...] = ()
+
+    @property
+    def share(self) -> Array:
+        """`(parameter,)` of the mean squared position error that independent tolerances cause; they sum to 1."""
+        squares = np.mean(self.position**2, 0)
+        return squares / squares.sum()
+
+    @property
+    def expected_error(self) -> Array:
+        """`(sample,)` m, the root-mean-square distance that all tolerances together cause."""
+        return np.sqrt(np.sum(self.position**2, 1))
+
+    def by_joint(self, bins: int = 24) -> tuple[Array, Array]:
+        """A map over each joint: the middles of its bins `(joint, bin)` rad, and root-mean-square m per tolerance over
+        the samples of each bin `(joint, bin, parameter)`; NaN where a bin is empty."""
+        q = self.joint_position
+        edges = np.linspace(q.min(0), q.max(0), bins + 1)
+        means = np.full((q.shape[1], bins, len(self.names)), np.nan)
+        for j in range(q.shape[1]):
+            into = np.clip(np.searchsorted(edges[:, j], q[:, j], side="right") - 1, 0, bins - 1)
+            for b in np.unique(into):
+                means[j, b] = np.sqrt(np.mean(self.position[into == b] ** 2, 0))
+        return ((edges[1:] + edges[:-1]) / 2).T, means
+
+    def over_workspace(self, cell: float = 0.05) -> tuple[Array, Array, Array]:
+        """A map over the distance from the base's axis and the height: edges of the cells of `cell` m, and the
+        expected error `(radius, height)` m in each; NaN where the flange does not come."""
+        radius = np.hypot(*self.flange_position[:, :2].T)
+        height = self.flange_position[:, 2]
+        across = np.arange(0, radius.max() + cell, cell)
+        up = np.arange(np.floor(height.min() / cell) * cell, height.max() + cell, cell)
+        count, _, _ = np.histogram2d(radius, height, (across, up))
+        squares, _, _ = np.histogram2d(radius, height, (across, up), weights=self.expected_error**2)
+        with np.errstate(invalid="ignore"):
+            return across, up, np.sqrt(squares / count)
+
+
+def sensitivity(
+    arm: Arm | str,
+    joint_position: ArrayLike | None = None,
+    *,
+    chain: Chain = "six_parameter",
+    tolerance: dict[str, float] = TOLERANCE,
+    samples: int = 4000,
+    seed: int = 0,
+) -> Sensitivity:
+    """The first-order sensitivities, columns of the identification Jacobian.
+
+    Args:
+        arm: an `Arm` or a bundled name.
+        joint_position: `(sample, joint)` rad; drawn inside the limits where not given.
+        chain: the parameters; a factory file's six a joint, to which tolerances apply, or Hayati's.
+        tolerance: one standard deviation of a length (`m`) and an angle (`rad`); 0.8 mm and 0.15° where not given.
+        samples, seed: of the joint positions drawn.
+
+    Raises:
+        InputError: tolerances of which none moves the flange.
+    """
+    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, samples, seed)
+    rows = experiment.rows(q) / experiment.unit
+    per_unit = np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, 1), 0))
+    if not (per_unit * size).any():
+        raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")
+    rows = rows * size
+    return Sensitivity(
+        names=experiment.names,
+        units=experiment.units,
+        tolerance=size,
+        joint_position=q,
+        sliding=experiment.arm.sliding,
+        flange_position=np.asarray(predict(experiment.form.chain, experiment.model, q))[:, :3, 3],
+        per_unit=per_unit,
+        position=np.linalg.norm(rows[:, :3], axis=1),
+        orientation=np.linalg.norm(rows[:, 3:], axis=1),
+    )
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class GlobalSensitivity(PublicResult):
+    """Sobol's indices of an arm's error over its poses, and the error's distribution over arms.
+
+    Attributes:
+        names: of the parameters.
+        first: `(parameter,)` share of the error's variance over arms that each explains alone.
+        first_interval: `(parameter,)` half the 95 % interval.
+        total: `(parameter,)` share with all it does together with others.
+        total_interval: `(parameter,)` half the 95 % interval.
+        error: `(arm,)` m, of independently drawn arms.
+    """
+
+    names: tuple[str, ...]
+    first: Array
+    first_interval: Array
+    total: Array
+    total_interval: Array
+    error: Array
+
+
+def global_sensitivity(
+    arm: Arm | str,
+    joint_position: ArrayLike | None = None,
+    *,
+    chain: Chain = "six_parameter",
+    tolerance: dict[str, float] = TOLERANCE,
+    measure: Measure = "max",
+    arms: int = 1024,
+    poses: int = 64,
+    seed: int = 0,
+) -> GlobalSensitivity:
+    """Sobol's first-order and total indices (I. Sobol', 2001; A. Saltelli et al., 2010), computed by SALib.
+
+    The output is an arm's largest (or root-mean-square) distance from nominal over a set of poses: a norm and a
+    maximum, so that the parameters interact and first-order sensitivities do not suffice.
+
+    Args:
+        arm, chain, tolerance: as in `sensitivity`; the numbers are normal and independent.
+        joint_position: `(pose, joint)` rad; `poses` drawn inside the limits where not given.
+        measure: over the poses.
+        arms: a power of 2; `arms (parameters + 2)` are evaluated.
+        poses, seed: of the joint positions drawn.
+
+    Raises:
+        InputError: SALib is not installed; `arms` is no power of 2.
+    """
+    try:
+        from SALib.analyze import sobol as analysis
+        from SALib.sample import sobol as sampling
+    except ImportError as error:
+        raise InputError("Sobol indices need SALib; install it with: pip install 'lite6jax[sensitivity]'") from error
+    if arms < 2 or arms & (arms - 1):
+        raise InputError(f"{arms} arms: Sobol's sequence fills space evenly at powers of 2; give one, such as 1024")
+    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, poses, seed)
+    problem = {
+        "num_vars": experiment.size,
+        "names": list(experiment.names),
+        "bounds": [[0.0, 1.0]] * experiment.size,  # in tolerances, of which some may be zero
+        "dists": ["norm"] * experiment.size,
+    }
+    steps = sampling.sample(problem, arms, calc_second_order=False, seed=seed) * size
+    error = arm_errors(experiment, steps, q, measure)
+    found = analysis.analyze(problem, error, calc_second_order=False, seed=seed + 1)  # it takes 0 for no seed
+    return GlobalSensitivity(
+        names=experiment.names,
+        first=np.asarray(found["S1"]),
+        first_interval=np.asarray(found["S1_conf"]),
+        total=np.asarray(found["ST"]),
+        total_interval=np.asarray(found["ST_conf"]),
+        error=error.reshape(arms, -1)[:, 0],
+    )
+
+
+def arm_errors(experiment: Experiment, steps: Array, joint_position: Array, measure: Measure = "max") -> Array:
+    """Each arm's largest or root-mean-square distance from nominal over poses, `(arm,)` m.
+
+    Args:
+        experiment: its model is nominal.
+        steps: `(arm, size)` m and rad from nominal.
+        joint_position: `(pose, joint)` rad.
+        measure: over the poses.
+    """
+    count = -(-len(steps) // _TOGETHER) * _TOGETHER
+    padded = np.concatenate([steps, np.zeros((count - len(steps), steps.shape[1]))])
+    blocks = padded.reshape(-1, _TOGETHER, steps.shape[1])
+    errors = _errors(experiment.form, measure, experiment.model, joint_position, blocks)
+    return np.asarray(errors).reshape(-1)[: len(steps)]
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _errors(form: ModelForm, measure: Measure, model: ArmModel, q: ArrayLike, steps: jax.Array) -> jax.Array:
+    joint = joint_motion(form.chain, jnp.asarray(q).T)
+    nominal = predict_frames(form, model, joint)[1].origin
+
+    def one(step: jax.Array) -> jax.Array:
+        moved = predict_frames(form, form.retract(model, step), joint)[1].origin
+        squares = jnp.sum((moved - nominal) ** 2, 0)
+        return jnp.sqrt(jnp.max(squares) if measure == "max" else jnp.mean(squares))
+
+    return jax.lax.map(jax.vmap(one), steps)
+
+
+def _assembled(
+    arm: Arm | str, joint_position: ArrayLike | None, chain: Chain, tolerance: dict[str, float], samples: int, seed: int
+) -> tuple[Experiment, Array, Array]:
+    """The arm with all its geometry unknown, joint positions `(sample, joint)`, and each parameter's tolerance."""
+    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
+    drawn = joint_position is None
+    q = sample_within_limits(experiment.arm, samples, seed) if drawn else np.asarray(joint_position, float)
+    return experiment, q, np.array([tolerance[unit] for unit in experiment.units])

@@ -1,1 +1,0 @@
-"""What a set of poses determines, how well, and which poses to record next."""

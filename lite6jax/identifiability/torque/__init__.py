@@ -1,1 +1,0 @@
-"""What motions determine of an arm's dynamics through the torques of its joints, and which motions to make."""

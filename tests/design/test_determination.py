@@ -1,0 +1,261 @@
+"""Null spaces known by hand, ranks known by theory, and words that say them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.design.determination import observability
+from lite6jax.design.identify import count, determine, identify
+from lite6jax.design.information import experiment, plan_experiment
+from lite6jax.design.sensor import SENSORS, Sensor
+from tests.oracles.arms import perturbed, random_kinematics, random_positions
+
+LITE6 = load_bundled("lite6")
+
+
+def planar(*lengths):
+    """An arm of parallel joints with links of these lengths along x."""
+    kinematics = np.zeros((len(lengths), 6))
+    kinematics[1:, 0] = lengths[:-1]
+    flange = np.eye(4)
+    flange[0, 3] = lengths[-1]
+    return Arm(f"planar {len(lengths)}R", kinematics, T_joint_flange=flange)
+
+
+def dependencies(found):
+    return {d.name: {name: pytest.approx(share, rel=1e-9) for name, _, share in d.partners} for d in found.dependencies}
+
+
+def test_planar_arms_by_hand():
+    """p = (l1 cos q1 + l2 cos q12, l1 sin q1 + l2 sin q12, 0), and z felt by tilts only.
+
+    Both joints' heights do the same. With e(a) = (−sin a, cos a): yaw 1 moves p by l1 e(q1) + l2 e(q12), yaw 2 by
+    l2 e(q12), and y of joint 2 by e(q1): so yaw 2 is yaw 1 less l1 times that y.
+    """
+    setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
+    found = determine(setup, random_positions(np.random.default_rng(0), 30, 2))
+    assert found.rank == 10
+    assert dependencies(found) == {"joint2_z": {"joint1_z": -1}, "joint2_yaw": {"joint1_yaw": -1, "joint2_y": 0.3}}
+    assert [d.statement for d in found.dependencies] == [
+        "joint2_z and joint1_z move together: joint2_z +1 mm is undone by joint1_z −1 mm.",
+        "joint2_yaw, joint2_y and joint1_yaw move together: joint2_yaw +1 deg is undone by joint2_y +5.24 mm, "
+        "joint1_yaw −1 deg.",
+    ]
+    assert [b.statement for b in found.base if len(b.terms) > 1] == [
+        "joint1_z + joint2_z",
+        "joint1_yaw + joint2_yaw",
+        "joint2_y − 5.24 mm/deg joint2_yaw",
+    ]
+    setup = plan_experiment(planar(0.3, 0.25, 0.2), "tracker", chain="six_parameter", frame=False)
+    found = determine(setup, random_positions(np.random.default_rng(0), 40, 3))
+    assert found.rank == 14
+    assert dependencies(found) == {
+        "joint2_z": {"joint1_z": -1},
+        "joint3_z": {"joint1_z": -1},
+        "joint2_yaw": {"joint1_yaw": -1, "joint2_y": 0.3},
+        "joint3_yaw": {"joint1_yaw": -1, "joint2_y": 0.3, "joint3_y": 0.25},
+    }
+
+
+def test_a_joint_that_stands_still_tells_less():
+    """With q2 = 0 the arm is one link: of joint 2 nothing is told apart from joint 1 but along the circle it draws."""
+    setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
+    q = random_positions(np.random.default_rng(0), 30, 2)
+    q[:, 1] = 0.0
+    found = determine(setup, q)
+    # z = const, sin q1, cos q1; in the plane: const x, const y, radius and angle
+    assert found.rank == 7
+    study = identify(setup, q)
+    assert study.missed == 3
+    assert study.narrow() == [(1, 0.0)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("dof", "quantity"), [(4, "pose"), (7, "position"), (4, "axis"), (7, "distance"), (6, "position")]
+)
+def test_theory_counts_what_random_arms_show(dof, quantity):
+    """The published counts, by rank, on arms in general position seen by sensors in general position."""
+    sensor = Sensor(
+        quantity, 1e-5, 1e-4 if quantity == "pose" else None, direction=(1.0, -2.0, 3.0), center=(0.7, 0.1, -0.4)
+    )
+    rng = np.random.default_rng(dof)
+    kinematics = random_kinematics(rng, dof)
+    kinematics[0, 3:5] *= 0.1  # Hayati's base needs joint 1 upright
+    arm = Arm("random", kinematics)
+    q = random_positions(rng, 300, dof)
+    for chain in ("hayati", "six_parameter"):
+        for frame, tool in ((False, False), (True, False), (True, True)):
+            setup = plan_experiment(
+                arm, sensor, chain=chain, frame=frame, tool=tool, tool_at=(0.1, 0.05, 0.2) if tool else (0.0, 0.0, 0.0)
+            )
+            values = np.array(setup.model.geometry)
+            if chain == "hayati":  # a flange off the last axis
+                values = values + rng.normal(0, 0.05, values.shape)
+            setup = replace(setup, model=setup.model._replace(geometry=values))
+            found = determine(setup, q)
+            assert found.rank == found.theory, (chain, frame, tool, off)
+            if chain == "hayati" or tool:
+                assert found.theory == count(setup.form, quantity)
+
+
+def test_the_published_counts():
+    assert determine(plan_experiment("lite6", "tracker_6d", tool=True), joints(60)).rank == 30
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(60)).rank == 28
+    calibrated = replace(LITE6, kinematics=perturbed(np.random.default_rng(0), LITE6.kinematics), dh=None)
+    assert (
+        determine(plan_experiment(calibrated, "tracker_6d", chain="six_parameter", frame=False), joints(60)).rank == 26
+    )
+
+
+def joints(samples, seed=4):
+    lower, upper = LITE6.joint_limits.T
+    return np.random.default_rng(seed).uniform(lower, upper, (samples, 6))
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        plan_experiment("lite6", "tracker_6d", tool=True),
+        plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05)),
+        plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False),
+        plan_experiment("lite6", "ball_bar", tool=True),
+        plan_experiment("lite6", "tracker_6d", frame=False),
+    ],
+    ids=["pose", "position", "six_parameter", "distance", "all determined"],
+)
+def test_what_is_said_of_parameters_is_what_readings_show(setup):
+    found = determine(setup, joints(60))
+    rows = setup.rows(joints(60)).reshape(-1, setup.size) / setup.unit
+    size = np.linalg.norm(rows)
+    place = {name: i for i, name in enumerate(setup.names)}
+    # each dependency, held parameter and partners together, changes no reading
+    assert len(found.dependencies) == setup.size - found.rank
+    for dependency in found.dependencies:
+        step = np.zeros(setup.size)
+        step[place[dependency.name]] = 1.0
+        for name, _, share in dependency.partners:
+            step[place[name]] = share
+        assert np.linalg.norm(rows @ step) < 1e-9 * size
+    # a step of the held parameters is the same to every reading as that of the base parameters it adds to
+    step, same = np.where(found.free, 0, np.random.default_rng(0).normal(size=setup.size)), np.zeros(setup.size)
+    for base in found.base:
+        same[place[base.name]] = sum(factor * step[place[name]] for name, factor in base.terms)
+    np.testing.assert_allclose(rows @ step, rows @ same, rtol=0, atol=1e-9 * size)
+    # the open directions are all directions that no reading shows
+    count = setup.size - found.rank
+    assert found.open_directions.shape == (setup.size, count)
+    np.testing.assert_allclose(found.open_directions.T @ found.open_directions, np.eye(count), atol=1e-12)
+    assert np.linalg.norm(rows * setup.unit @ found.open_directions) < 1e-9 * np.linalg.norm(rows * setup.unit)
+    # the covariance is the inverse of the information
+    free = np.flatnonzero(found.free)
+    information = rows[:, free].T @ rows[:, free]
+    np.testing.assert_allclose(found.covariance[np.ix_(free, free)] @ information, np.eye(len(free)), atol=1e-7)
+    np.testing.assert_allclose(np.diagonal(found.correlation)[free], 1.0, rtol=1e-12)
+    if not count:
+        singular = found.singular_values
+        assert singular[0] / singular[-1] == pytest.approx(np.linalg.cond(rows * setup.unit), rel=1e-9)
+
+
+def test_nothing_depends_on_the_units():
+    """Scaling a parameter's unit (mm for m) scales its deviation and leaves rank, words and free set as they were."""
+    setup = plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
+    want, factor = determine(setup, joints(60)), np.random.default_rng(0).uniform(0.5, 2, setup.size)
+    factor *= np.where(np.array(setup.units) == "m", 1e3, 57.3)
+    got = determine(replace(setup, scale=setup.scale * factor), joints(60))
+    assert got.rank == want.rank
+    np.testing.assert_array_equal(got.free, want.free)
+    np.testing.assert_allclose(got.standard_deviation, want.standard_deviation, rtol=1e-6)
+    assert [d.statement for d in got.dependencies] == [d.statement for d in want.dependencies]
+
+
+def test_what_is_known_beforehand_decides_what_readings_cannot():
+    form = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).form
+    model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
+    sigma = np.array([1e-4 if unit == "m" else 1e-3 for unit in form.units])
+    setup = experiment(LITE6, form, model, SENSORS["tracker_6d"], precision=1 / sigma**2)
+    found = determine(setup, joints(60))
+    assert found.rank == 25
+    assert found.free.all()
+    assert (found.standard_deviation <= sigma * (1 + 1e-9)).all()
+    rows = setup.rows(joints(60)).reshape(-1, 36) / setup.unit
+    want = np.linalg.inv(rows.T @ rows + np.diag(1 / sigma**2))
+    np.testing.assert_allclose(found.covariance, want, rtol=0, atol=1e-6 * np.abs(want).max())
+
+
+def test_what_cannot_move_is_left_out():
+    full = plan_experiment("lite6", "tracker_6d")
+    movable = np.arange(full.form.size) >= 28
+    setup = experiment(LITE6, full.form, full.model, full.sensor, movable=movable)
+    found = determine(setup, joints(60))
+    assert found.names == tuple(f"frame_{t}" for t in ("x", "y", "z", "rx", "ry", "rz"))
+    assert (found.rank, found.size, found.theory) == (6, 6, None)
+
+
+def test_weak_and_correlated_parameters_are_named():
+    """A sensor of 100 mm tells nothing better than assembly does."""
+    setup = plan_experiment("lite6", SENSORS["tracker_6d"].with_noise(0.1, 1.0), frame=False)
+    assert set(determine(setup, joints(60)).weak()) == set(setup.names)
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(60)).weak() == ()
+    found = determine(plan_experiment("lite6", "tracker", frame=False), joints(100))
+    pairs = found.correlated()
+    assert ("d3", "alpha3") in [(a, b) for a, b, _ in pairs]
+    assert all(abs(rho) > 0.95 for _, _, rho in pairs)
+    said = {d.name: d.statement for d in found.dependencies}
+    assert said["theta_off6"] == "theta_off6 is unobservable: no reading changes with it."
+    assert said["a5"] == "a5 and theta_off5 move together: a5 +1 mm is undone by theta_off5 +0.932 deg."
+
+
+def test_one_pose_of_a_dial_gauge_tells_one_combination():
+    assert determine(plan_experiment("lite6", "dial_gauge"), joints(1)).rank == 1
+
+
+def test_one_joint_moves_too_little_to_count():
+    arm = Arm("one", np.zeros((1, 6)))
+    assert determine(plan_experiment(arm, "tracker", chain="six_parameter"), [[0.1], [0.5], [1.0]]).theory == 3
+    assert determine(plan_experiment(arm, "dial_gauge", chain="six_parameter"), [[0.1], [0.5], [1.0]]).theory is None
+
+
+def test_no_accuracy_is_promised_where_something_stays_open():
+    """One pose tells 3 numbers; a dial gauge never tells x; a tracker tells all that positions depend on."""
+
+    def studied(sensor, poses):
+        return identify(plan_experiment("lite6", sensor, tool_at=(0.06, 0.0, 0.04)), joints(poses))
+
+    nothing = {"position_rms_m": None, "orientation_rms_rad": None}
+    assert studied("tracker", 1).to_dict()["predicted_accuracy"] == nothing
+    determined = {"dial_gauge": (False, False), "tracker": (True, False), "tracker_6d": (True, True)}
+    for sensor, expected in determined.items():
+        assert studied(sensor, 60).accuracy[2:] == expected
+
+
+# ------------------------------------------------------------------ observability indices
+
+
+def test_indices_by_hand():
+    found = observability([4.0, 2.0, 1.0], samples=4)
+    assert (found.O2, found.O3, found.O4, found.condition, found.noise_amplification) == (0.25, 1, 0.25, 4, 1)
+    assert pytest.approx((4 * 2 * 1) ** (1 / 3) / 2) == found.O1
+    assert pytest.approx(1 / (1 / 4 + 1 / 2 + 1)) == found.O5
+
+
+def test_indices_as_matrices():
+    """O1 is a determinant, O3 a smallest eigenvalue."""
+    J = np.random.default_rng(1).normal(size=(40, 5))
+    found = observability(np.linalg.svd(J, compute_uv=False), samples=10)
+    assert pytest.approx(np.linalg.det(J.T @ J) ** (1 / 10) / np.sqrt(10)) == found.O1
+    assert pytest.approx(np.sqrt(np.linalg.eigvalsh(J.T @ J)[0])) == found.O3
+    assert found.condition == pytest.approx(np.linalg.cond(J))
+    assert pytest.approx(found.O2 * found.O3) == found.O4
+
+
+def test_the_same_poses_twice():
+    """m doubles and every singular value grows by √2: O1 stays, as a measure of a pose; O3 to O5 grow."""
+    s = np.array([5.0, 3.0, 0.5])
+    once, twice = observability(s, 10), observability(np.sqrt(2) * s, 20)
+    assert pytest.approx((once.O1, once.O2)) == (twice.O1, twice.O2)
+    for name in ("O3", "O4", "O5"):
+        assert getattr(twice, name) == pytest.approx(np.sqrt(2) * getattr(once, name))

@@ -1,0 +1,222 @@
+"""Information is what finite differences of plainly computed readings give, for every sensor and chain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recording_experiment
+from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
+from lite6jax.errors import InputError
+from lite6jax.model import ArmModel, ModelForm
+from lite6jax.recordings import Recording, RecordingSettings
+from tests.oracles.arms import perturbed, random_positions, table_of_parameters
+from tests.oracles.chains import hayati_poses, six_parameter_poses
+
+LITE6 = load_bundled("lite6")
+RNG = np.random.default_rng(7)
+Q = random_positions(np.random.default_rng(5), 25, 6)
+SENSOR_KINDS = [
+    Sensor("position", 2e-5),
+    Sensor("pose", 2e-5, 1e-4),
+    Sensor("axis", 1e-5, direction=(1.0, 2.0, -2.0)),
+    Sensor("distance", 1e-6, center=(0.3, -0.2, 0.1)),
+]
+
+
+def moved(T, step):
+    """A frame moved by a translation and a rotation vector in the axes of `T`'s parent."""
+    out = T.copy()
+    out[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ T[:3, :3]
+    out[:3, 3] += step[:3]
+    return out
+
+
+def plain_poses(form, model, step, positions):
+    """(sample, 4, 4) in the sensor's frame, in plain NumPy."""
+    n = form.chain.size
+    values = np.asarray(model.geometry) + step[:n]
+    if isinstance(form.chain, HayatiForm):
+        base, dh, beta = table_of_parameters(form.chain, values)
+        poses = hayati_poses(base, dh, dict(zip(form.chain.parallel, beta, strict=True)), positions)
+    else:
+        poses = six_parameter_poses(values.reshape(-1, 6), positions)
+    rest = step[n:]
+    T_sensor_base, T_flange_tool = (np.array(T) for T in model[1:])
+    if form.frame:
+        T_sensor_base, rest = moved(T_sensor_base, rest[:6]), rest[6:]
+    if form.tool:
+        T_flange_tool[:3, :3] = T_flange_tool[:3, :3] @ Rotation.from_rotvec(rest[3:]).as_matrix()
+        T_flange_tool[:3, 3] += rest[:3]
+    return T_sensor_base @ poses @ T_flange_tool
+
+
+def plain_rows(sensor, form, model, positions, h=1e-6):
+    """(sample, row, parameter) by central differences: standard deviations per m or rad."""
+    middle = plain_poses(form, model, np.zeros(form.size), positions)
+
+    def read(poses):
+        p = poses[:, :3, 3]
+        if sensor.quantity == "axis":
+            return (p @ np.array(sensor.direction))[:, None]
+        if sensor.quantity == "distance":
+            return np.linalg.norm(p - np.array(sensor.center), axis=1)[:, None]
+        if sensor.quantity == "position":
+            return p
+        turned = poses[:, :3, :3] @ np.swapaxes(middle[:, :3, :3], 1, 2)
+        return np.concatenate([p, Rotation.from_matrix(turned).as_rotvec()], 1)
+
+    columns = []
+    for step in np.eye(form.size) * h:
+        ahead, behind = (plain_poses(form, model, sign * step, positions) for sign in (1, -1))
+        columns.append((read(ahead) - read(behind)) / (2 * h) / sensor.noise)
+    return np.stack(columns, -1)
+
+
+def random_model(chain, arm=LITE6):
+    values = arm.hayati if isinstance(chain, HayatiForm) else perturbed(RNG, arm.kinematics).ravel()
+    frames = [np.eye(4), np.eye(4)]
+    for T in frames:
+        T[:3, :3] = Rotation.random(random_state=3).as_matrix()
+        T[:3, 3] = RNG.uniform(-0.3, 0.3, 3)
+    return ArmModel(values + RNG.normal(0, 1e-3, len(np.ravel(values))), *frames)
+
+
+@pytest.mark.parametrize("sensor", SENSOR_KINDS, ids=lambda s: s.quantity)
+@pytest.mark.parametrize("chain", [LITE6.form, SixParameterForm(6)], ids=lambda c: type(c).__name__)
+def test_rows_are_finite_differences_of_plain_readings(sensor, chain):
+    form = ModelForm(chain, frame=True, tool=True)
+    model = random_model(chain)
+    setup = experiment(LITE6, form, model, sensor)
+    want = plain_rows(sensor, form, model, Q)
+    got = setup.rows(Q) / setup.unit
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-8 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("sensor", SENSOR_KINDS, ids=lambda s: s.quantity)
+def test_root_and_information_are_those_of_the_rows(sensor):
+    setup = plan_experiment("lite6", sensor, tool=True, tool_at=(0.05, 0.0, 0.1))
+    q = random_positions(np.random.default_rng(1), 40, 6)
+    rows = setup.rows(q).reshape(-1, setup.size)
+    R = setup.root(q)
+    assert (np.tril(R, -1) == 0).all()
+    scale = np.abs(rows.T @ rows).max()
+    np.testing.assert_allclose(R.T @ R, rows.T @ rows, rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(setup.information(q), rows.T @ rows, rtol=0, atol=1e-12 * scale)
+
+
+def test_many_poses_in_blocks_and_few():
+    setup = plan_experiment("lite6", "tracker")
+    q = random_positions(np.random.default_rng(2), 5003, 6)
+    whole = setup.information(q)
+    parts = sum(setup.information(q[k : k + 1000]) for k in range(0, 5003, 1000))
+    np.testing.assert_allclose(whole, parts, rtol=0, atol=1e-12 * np.abs(whole).max())
+    R, few = setup.root(q), setup.root(Q[:2])
+    np.testing.assert_allclose(R.T @ R, whole, rtol=0, atol=1e-11 * np.abs(whole).max())
+    rows = setup.rows(Q[:2]).reshape(-1, setup.size)
+    assert few.shape == (34, 34)
+    np.testing.assert_allclose(few.T @ few, rows.T @ rows, rtol=0, atol=1e-9)
+
+
+def test_noise_of_the_joints_is_carried_through_the_arm():
+    """The covariance of a reading is Σ + σ² J Jᵀ, with J by finite differences of the plain chain."""
+    sigma = 4e-5
+    sensor = Sensor("pose", 2e-5, 1e-4, joint_noise=sigma)
+    form, model = ModelForm(LITE6.form, frame=True), random_model(LITE6.form)
+    got = experiment(LITE6, form, model, sensor).rows(Q)
+    clean = experiment(LITE6, form, model, sensor.with_noise(joint=0.0)).rows(Q)
+    h = 1e-6
+    middle = plain_poses(form, model, np.zeros(form.size), Q)
+    for k in range(len(Q)):
+        J = np.zeros((6, 6))
+        for j in range(6):
+            poses = plain_poses(form, model, np.zeros(form.size), Q[k] + h * np.array([[1.0], [-1.0]]) * np.eye(6)[j])
+            J[:3, j] = (poses[0] - poses[1])[:3, 3] / (2 * h)
+            spun = [Rotation.from_matrix(p[:3, :3] @ middle[k, :3, :3].T).as_rotvec() for p in poses]
+            J[3:, j] = (spun[0] - spun[1]) / (2 * h)
+        covariance = np.eye(6) + sigma**2 * (J / sensor.noise[:, None]) @ (J / sensor.noise[:, None]).T
+        want = clean[k].T @ np.linalg.solve(covariance, clean[k])
+        np.testing.assert_allclose(got[k].T @ got[k], want, rtol=0, atol=1e-6 * np.abs(want).max())
+
+
+def test_the_tool_point_and_the_tolerances():
+    flange = np.eye(4)
+    flange[:3, :3], flange[:3, 3] = Rotation.random(random_state=1).as_matrix(), (0.1, 0.2, 0.3)
+    arm = replace(LITE6, T_joint_flange=flange)
+    setup = plan_experiment(arm, "tracker_6d", tool_at=(0.1, 0.0, 0.02))
+    want = arm.T_joint_flange @ np.array([0.1, 0.0, 0.02, 1.0])
+    np.testing.assert_allclose(setup.model.T_flange_tool[:, 3], want, atol=1e-15)
+    assert dict(zip(setup.units, setup.unit, strict=True)) == TOLERANCE
+    assert {"m": 0.8e-3, "rad": pytest.approx(np.deg2rad(0.15))} == TOLERANCE
+
+
+def recording(**settings):
+    q = random_positions(np.random.default_rng(3), 60, 6)
+    poses = six_parameter_poses(LITE6.kinematics, q)
+    quaternion = np.roll(Rotation.from_matrix(poses[:, :3, :3]).as_quat(), 1, axis=1)
+    oriented = settings.pop("oriented", False)
+    return Recording.from_arrays(
+        q,
+        position=poses[:, :3, 3],
+        quaternion=quaternion if oriented else None,
+        settings=RecordingSettings(**{"arm": "lite6", "motion": "static"} | settings),
+        source="run.csv",
+    )
+
+
+def test_a_recording_is_the_experiment_its_sidecar_says():
+    found = recording_experiment(
+        recording(pose_frame="unknown", tool="none", position_noise_m=3e-5, joint_noise_rad=1e-5)
+    )
+    assert found.form == ModelForm(LITE6.form, frame=True)
+    assert found.sensor == Sensor("position", 3e-5, joint_noise=1e-5)
+    oriented = recording(
+        pose_frame="base", tool="unknown", position_noise_m=3e-5, orientation_noise_rad=2e-4, oriented=True
+    )
+    found = recording_experiment(oriented)
+    assert found.form == ModelForm(LITE6.form, tool=True)
+    assert found.sensor == Sensor("pose", 3e-5, 2e-4)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Sensor("position", 0.0), "position noise 0.0: give one standard deviation in m, above 0"),
+        (lambda: Sensor("position", float("nan")), "position noise nan: give one standard deviation in m, above 0"),
+        (lambda: Sensor("pose", 1e-5), "orientation noise None: a sensor of poses needs one standard deviation in rad"),
+        (lambda: Sensor("axis", 1e-5, 1e-4), "a sensor of axis measures no orientation; leave it out"),
+        (lambda: Sensor("axis", 1e-5, direction=(0.0, 0.0, 0.0)), "give three numbers that are not all zero"),
+        (lambda: Sensor("position", 1e-5, joint_noise=-1.0), "joint noise -1.0: give one standard deviation in rad"),
+        (lambda: sensor_named("theodolite"), f"sensor 'theodolite': is none of {', '.join(SENSORS)}"),
+        (
+            lambda: plan_experiment("lite6").rows(np.zeros((3, 7))),
+            "joint_position of shape (3, 7): lite6 takes (sample, 6)",
+        ),
+        (
+            lambda: plan_experiment("lite6").root(np.zeros((0, 6))),
+            "joint_position of shape (0, 6): lite6 takes (sample, 6)",
+        ),
+        (
+            lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]),
+            "joint_position: row 2 is not finite; leave it out",
+        ),
+    ],
+)
+def test_what_is_refused(make, says):
+    with pytest.raises(InputError) as error:
+        make()
+    assert says in str(error.value)
+
+
+def test_a_recording_that_leaves_nothing_unknown(tmp_path):
+    from lite6jax.arms.factory import write_factory
+
+    write_factory(LITE6.kinematics, tmp_path / "arm.yaml")
+    known = recording(pose_frame="base", tool="none", factory_calibration=str(tmp_path / "arm.yaml"))
+    with pytest.raises(
+        InputError, match=r"run.csv: its sidecar declares geometry, .* nothing is left to identify; use --geo"
+    ):
+        recording_experiment(known)

@@ -1,0 +1,254 @@
+"""Designed motions: their series, their limits, what they are worth, against plain NumPy and Pinocchio."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from domains.torque import slid
+
+from lite6jax.arms.arm import Arm
+from lite6jax.cli.study import TorqueSetup
+from lite6jax.design import candidates, clearance
+from lite6jax.design.criteria import Determinant
+from lite6jax.design.motions import (
+    Excitation,
+    Free,
+    Motion,
+    MotionRoom,
+    MotionSearch,
+    Series,
+    ascend,
+    motion_limits,
+    random_motions,
+)
+from lite6jax.design.torques import effect_columns, plan_motion, plan_torque_discrimination, structure_of, torque_model
+from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
+from lite6jax.effects.serialization import parse_effect
+from lite6jax.errors import InputError
+from lite6jax.report.torque_study_tables import torque_plan_report
+from tests.design.test_torques import chain, with_friction
+from tests.oracles.chains import six_parameter_poses
+
+ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 2.5], [-3.0, 3.0]]))
+LIMITS = motion_limits(ARM, [1.0, 2.0, 3.0], [4.0, 6.0, 20.0])
+MADE = {"duration": 6.0, "harmonics": 4, "rate": 50.0}
+ROOM = MotionRoom(ARM, LIMITS, **MADE)
+KNOWN, UNKNOWN = torque_model(ARM, inertial=False), torque_model(ARM)
+NUMBERS = ("samples", "span", "determined", "standard_deviation", "condition", "log_determinant", "at_rest")
+FINE = np.linspace(0.0, 6.0, 20011)
+
+
+def draw(seed, size=1.0, harmonics=4):
+    rng = np.random.default_rng(seed)
+    return Free(rng.standard_normal((3, 2 * harmonics - 2)), 3 * rng.standard_normal(3), np.full(3, size))
+
+
+def test_derivatives_are_those_of_the_series():
+    rng = np.random.default_rng(0)
+    series = Series(rng.standard_normal(3), *rng.standard_normal((2, 3, 4)), 5.0)
+    t, h = np.linspace(0.3, 4.0, 40), 1e-4
+    before, at, after = series.at(t - h), series.at(t), series.at(t + h)
+    np.testing.assert_allclose((after.q - before.q) / (2 * h), at.dq, atol=1e-6)
+    np.testing.assert_allclose((after.dq - before.dq) / (2 * h), at.ddq, atol=1e-6)
+    np.testing.assert_allclose(series.at(t + 5.0).q, at.q, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_limits_hold_at_every_instant_and_are_used(seed):
+    free = draw(seed, size=20.0)  # the greatest amplitude
+    q, dq, ddq = (np.asarray(part) for part in ROOM.series(free).at(FINE))
+    lower, upper = ARM.joint_limits.T
+    assert ((q >= lower[:, None]) & (q <= upper[:, None])).all()
+    used = np.stack([
+        np.ptp(q, axis=1) / (upper - lower), abs(dq).max(1) / LIMITS.velocity, abs(ddq).max(1) / LIMITS.acceleration
+    ])  # fmt: skip
+    assert (used <= 1).all()
+    assert (used.max(0) > 0.98).all()
+    np.testing.assert_allclose(np.stack([dq, ddq])[..., [0, -1]], 0, atol=1e-12)
+    np.testing.assert_allclose(q[:, 0], q[:, -1], atol=1e-12)
+    made = ROOM.trajectory(free)
+    np.testing.assert_allclose(made.time, np.arange(301) / 50)
+    np.testing.assert_allclose(made.motion.dq[:, [0, -1]], 0, atol=1e-12)
+
+
+def test_the_gradient_is_that_of_the_criterion():
+    structure = structure_of(UNKNOWN)
+    room = MotionRoom(ARM, LIMITS, [candidates.above_floor(ARM, 0.7)], **MADE)
+    judged = Excitation(room, lambda motion: UNKNOWN.columns(motion, structure.free), Determinant())
+    start = draw(1)
+    _, penalty, uphill = judged.ascent(start)
+    assert penalty > 0
+
+    def height(free):
+        value, penalty, _ = judged.ascent(free)
+        return value - penalty
+
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        along = Free(*(rng.standard_normal(np.shape(part)) for part in start))
+        ahead, behind = (Free(*(a + h * b for a, b in zip(start, along, strict=True))) for h in (1e-5, -1e-5))
+        difference = (height(ahead) - height(behind)) / 2e-5
+        slope = sum(jnp.vdot(g, d) for g, d in zip(uphill, along, strict=True))
+        assert float(slope) == pytest.approx(difference, rel=2e-3)
+
+
+def log_determinant(motion, structure, noise):
+    """From Pinocchio and friction written out; the sign of a velocity that is zero is 0."""
+    motion = Motion(*(np.where(abs(part) < 1e-9, 0, part) for part in motion))
+    W = with_friction(ARM.kinematics, motion)[:, structure.free] / noise * structure.scale
+    return np.linalg.slogdet(W.T @ W)[1]
+
+
+def test_a_designed_motion_determines_more_than_random_ones():
+    model, search = torque_model(ARM, 0.1), MotionSearch(seed=2, draws=20, starts=1, steps=60)
+    plan = plan_motion(model, ROOM, search)
+    structure = plan.identification.structure
+    own = log_determinant(plan.trajectory.motion, structure, 0.1)
+    motions = [ROOM.trajectory(free).motion for free in random_motions(ROOM, 2, 20)]
+    random = [log_determinant(motion, structure, 0.1) for motion in motions]
+    # near a reversal the direction is a smooth step, here a sign
+    assert plan.identification.log_determinant == pytest.approx(own, abs=1.0)
+    np.testing.assert_allclose(plan.random_log_determinant, random, atol=1.0)
+    assert own > max(random) + 2
+    assert plan.gain(float(np.median(random))) > 1.2
+    np.testing.assert_array_equal(plan_motion(model, ROOM, search).trajectory.motion.q, plan.trajectory.motion.q)
+
+
+def test_obstacles_are_kept_clear_of():
+    low, high = (0.0, -0.6, 0.0), (1.2, 0.9, 1.35)
+    filters = [candidates.above_floor(ARM, 0.4), candidates.inside_box(ARM, low, high)]
+    filters.append(candidates.Filter("mine", lambda q: q[:, 2] < 1.5))
+    room = MotionRoom(ARM, LIMITS, filters, duration=6.0, harmonics=3, rate=50.0)
+    plan = plan_motion(UNKNOWN, room, MotionSearch(draws=10, starts=1, steps=20))
+    q = np.asarray(plan.trajectory.series.at(FINE).q).T
+    p = six_parameter_poses(ARM.kinematics, q)[:, :3, 3]
+    assert (p[:, 2] > 0.4 - 1e-4).all()
+    assert ((p >= np.array(low) - 1e-4) & (p <= np.array(high) + 1e-4)).all()
+    assert (q[:, 2] < 1.5 + 1e-3).all()
+    assert plan.identification.log_determinant >= plan.random_log_determinant.max()
+    # without them the same seed leads elsewhere
+    unhindered = plan_motion(UNKNOWN, ROOM, MotionSearch(draws=10, starts=1, steps=0)).trajectory.motion.q.T
+    assert not candidates.all_pass(filters, unhindered).all()
+
+
+def test_designs_do_not_depend_on_the_processes(tmp_path):
+    """Under filters of every kind; each process loads the user's anew."""
+    (tmp_path / "mine.py").write_text("def low(q):\n    return q[:, 2] < 2.5\n")
+    filters = [
+        candidates.inside_box(ARM, (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)),
+        candidates.above_floor(ARM, -1.5),
+        candidates.clear_of_itself(clearance.self_collision(ARM)),
+        candidates.user_filter(f"{tmp_path / 'mine.py'}:low"),
+    ]
+    room = MotionRoom(ARM, LIMITS, filters, duration=6.0, harmonics=3, rate=50.0)
+    rivals = [(ViscousFriction(2), [1.5]), (CoulombFriction(2), [0.0])]
+
+    def designed(processes):
+        search = MotionSearch(draws=7, starts=2, steps=3, processes=processes)
+        plan = plan_motion(UNKNOWN, room, search)
+        apart = plan_torque_discrimination(KNOWN, room, rivals, search)
+        motions = [[part.tolist() for part in made.trajectory.motion] for made in (plan, apart)]
+        found = [
+            [np.asarray(getattr(one, name)).tolist() for name in NUMBERS] for one in (plan.identification, *plan.random)
+        ]
+        return motions, found, plan.steps, apart.steps, apart.distance, apart.random_distance.tolist()
+
+    assert designed(2) == designed(None)
+
+
+def test_an_ascent_never_ends_lower():
+    free = structure_of(UNKNOWN).free
+    judged = Excitation(ROOM, lambda motion: UNKNOWN.columns(motion, free), Determinant())
+    start = random_motions(ROOM, 1, 1)[0]
+    best, value, _ = ascend(judged, start, 5)
+    assert value >= judged.value(start) - 1e-9
+    assert jax.tree.map(np.shape, best) == jax.tree.map(np.shape, start)
+
+
+def limited(*accepted):
+    return MotionRoom(ARM, LIMITS, [candidates.Filter("mine", accept) for accept in accepted], **MADE)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (
+            lambda: MotionRoom(ARM, LIMITS, **MADE | {"duration": 0.5}),
+            "a motion of 0.5 s at 50 samples a second is too",
+        ),
+        (lambda: MotionRoom(ARM, LIMITS, **MADE | {"duration": -1.0}), "duration -1: give a number of s, above 0"),
+        (
+            lambda: MotionRoom(ARM, LIMITS, **MADE | {"rate": np.inf}),
+            "rate inf: give a number of samples a second, abo",
+        ),
+        (lambda: MotionRoom(ARM, LIMITS, **MADE | {"harmonics": 1}), "harmonics 1: a motion from rest to rest takes 2"),
+        (lambda: motion_limits(ARM, 0.0), r"velocity limit \[0\.\] rad/s: give one number above 0, or 3 of them"),
+        (lambda: motion_limits(ARM, 1.0, [1.0, 2.0]), "acceleration limit"),
+        (lambda: motion_limits(ARM, margin=1.3), "leaves joint2 no room"),
+        (lambda: random_motions(limited(lambda q: abs(q[:, 0]) < 0.004)), "mine at any amplitude; widen them"),
+        (lambda: random_motions(limited(lambda q: q[:, 0] > 9)), "mine refused 100 % of them; widen it"),
+    ],
+)
+def test_what_is_refused(call, says):
+    with pytest.raises(InputError, match=says):
+        call()
+
+
+# ------------------------------------------------------------------ discrimination
+
+
+def test_the_distance_between_two_rivals():
+    """Viscous against Coulomb friction, by a projection in plain NumPy."""
+    rivals = [(ViscousFriction(2), [1.5]), (CoulombFriction(2), [0.0])]
+    model = torque_model(ARM, 0.2, inertial=False)
+    plan = plan_torque_discrimination(model, ROOM, rivals, MotionSearch(draws=20, starts=1, steps=40))
+    dq, ddq = np.asarray(plan.trajectory.motion.dq), np.asarray(plan.trajectory.motion.ddq)
+    unknown = np.stack([np.tanh(dq[1] / 0.002), np.ones(dq.shape[1]), ddq[1]], 1)  # the others do not share a row
+    rest = 1.5 * dq[1] - unknown @ np.linalg.lstsq(unknown, 1.5 * dq[1], rcond=None)[0]
+    assert plan.distance == pytest.approx(np.linalg.norm(rest) / 0.2, rel=0.02)
+    assert plan.distance > 1.05 * plan.random_distance.max()
+    assert not plan.both_ways
+    assert plan.rivals == ("viscous_friction:joint2", "coulomb_friction:joint2")
+
+
+@pytest.mark.parametrize(
+    ("rival", "says"),
+    [
+        ((ViscousFriction(1), [0.0]), "has no size; give a value"),
+        ((ViscousFriction(1), [1.0]), "no motion separates them"),
+        ((ViscousFriction(4), [1.0]), "an arm has 3 joints; choose one of these"),
+        ((TorqueScale(1), [0.1]), "depends on the arm's inertia"),
+        ((TorqueTimeOffset(), [0.01]), "depends on more than the motion of the joints"),
+        ((TorqueRipple(1), [0.1, 0.0, 0.0]), "order is not given"),
+    ],
+)
+def test_rivals_that_are_refused(rival, says):
+    with pytest.raises(InputError, match=says):
+        plan_torque_discrimination(KNOWN, ROOM, [rival, (ViscousFriction(1), [1.0])], MotionSearch())
+
+
+# ------------------------------------------------------------------ prismatic joints: N, m and kg
+
+
+def test_limits_of_a_designed_motion_are_those_of_each_joint():
+    limits = motion_limits(slid.arm(), np.pi, [2.0, 3.0, 0.5], margin=0.05)
+    np.testing.assert_allclose(limits.velocity, [np.pi, np.pi, 0.1 * np.pi])
+    np.testing.assert_allclose(limits.acceleration, [2.0, 3.0, 0.5])
+    np.testing.assert_allclose(limits.position[2], [0.005, 0.395])
+    setup = TorqueSetup(torque=True, velocity=(90.0, 90.0, 250.0), acceleration=(600.0,), duration=4.0)
+    room = setup.room(slid.arm())
+    np.testing.assert_allclose(room.limits.velocity, [np.pi / 2, np.pi / 2, 0.25])
+    np.testing.assert_allclose(room.limits.acceleration[2], np.deg2rad(600) * 0.1)
+    model = torque_model(slid.arm(), inertial=False)
+    plan = plan_motion(model, room, MotionSearch(draws=3, starts=1, steps=2))
+    assert (np.abs(plan.trajectory.motion.dq).max(1) <= room.limits.velocity * (1 + 1e-9)).all()
+    text = " ".join(str(part) for part in torque_plan_report(plan, (), "telescope"))
+    assert "up to 90 deg/s and 250 mm/s and 600 deg/s² and 1047 mm/s²" in " ".join(text.split())
+    parsed = parse_effect("viscous_friction:joint=3,viscous_N_s_per_m=10", BUILT_IN, sliding=(2,))
+    columns, _ = effect_columns(*parsed, model)
+    added = columns(plan.trajectory.motion) * model.noise[:, None, None]
+    np.testing.assert_allclose(added[2, 0], plan.trajectory.motion.dq[2])
+    with pytest.raises(InputError, match="is of a revolute joint, and joint 3 is prismatic; give of_slide=True"):
+        effect_columns(ViscousFriction(3), [1.0], model)

@@ -1,0 +1,119 @@
+"""Sensitivities are finite differences of the plain chain; Sobol's indices are known where the model is a sum."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.design.information import plan_experiment
+from lite6jax.design.sensitivity import arm_errors, global_sensitivity, sensitivity
+from lite6jax.errors import InputError
+from tests.oracles.arms import random_positions
+from tests.oracles.chains import six_parameter_poses
+
+LITE6 = load_bundled("lite6")
+Q = random_positions(np.random.default_rng(0), 40, 6)
+TOLERANCE = {"m": 0.8e-3, "rad": np.deg2rad(0.15)}
+
+
+def test_by_finite_differences_of_the_plain_chain():
+    found = sensitivity("lite6", Q)
+    rows = LITE6.kinematics.ravel()
+    h = 1e-6
+    for i, unit in enumerate(found.units):
+        step = h * np.eye(36)[i]
+        ahead, behind = (six_parameter_poses((rows + s * step).reshape(6, 6), Q)[:, :3, 3] for s in (1, -1))
+        want = np.linalg.norm(ahead - behind, axis=1) / (2 * h) * TOLERANCE[unit]
+        np.testing.assert_allclose(found.position[:, i], want, rtol=0, atol=1e-12 + 1e-8 * want.max())
+    np.testing.assert_allclose(found.flange_position, six_parameter_poses(LITE6.kinematics, Q)[:, :3, 3], atol=1e-15)
+
+
+def test_a_length_moves_the_flange_by_itself_and_an_angle_turns_it_by_itself():
+    found = sensitivity("lite6", Q)
+    lengths = np.array([unit == "m" for unit in found.units])
+    np.testing.assert_allclose(found.position[:, lengths], 0.8e-3, rtol=1e-12)
+    np.testing.assert_allclose(found.per_unit[lengths], 1.0, rtol=1e-12)
+    assert (found.orientation[:, lengths] == 0).all()
+    np.testing.assert_allclose(found.orientation[:, ~lengths], TOLERANCE["rad"], rtol=1e-12)
+    assert found.share.sum() == pytest.approx(1)
+
+
+def test_the_expected_error_is_what_drawn_arms_show():
+    found = sensitivity("lite6", Q)
+    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
+    rng = np.random.default_rng(1)
+    size = np.array([TOLERANCE[unit] for unit in setup.units])
+    arms = [LITE6.kinematics + (size * rng.standard_normal(36)).reshape(6, 6) for _ in range(2000)]
+    moved = np.stack([six_parameter_poses(k, Q[:3])[:, :3, 3] for k in arms]) - found.flange_position[:3]
+    shown = np.sqrt(np.mean(np.sum(moved**2, -1), 0))
+    np.testing.assert_allclose(found.expected_error[:3], shown, rtol=0.05)
+
+
+def test_maps_hold_every_sample():
+    found = sensitivity("lite6", samples=500)
+    middles, means = found.by_joint(bins=7)
+    assert middles.shape == (6, 7)
+    assert means.shape == (6, 7, 36)
+    assert np.isfinite(means).all()
+    assert (np.diff(middles, axis=1) > 0).all()
+    # a mean over bins, weighed by their samples, is the mean over all
+    q = found.joint_position[:, 2]
+    edges = np.linspace(q.min(), q.max(), 8)
+    count = np.histogram(q, edges)[0]
+    np.testing.assert_allclose(count @ means[2] ** 2 / 500, np.mean(found.position**2, 0), rtol=1e-12)
+    across, up, expected = found.over_workspace(cell=0.1)
+    assert expected.shape == (len(across) - 1, len(up) - 1)
+    radius, height = np.hypot(*found.flange_position[:, :2].T), found.flange_position[:, 2]
+    count = np.histogram2d(radius, height, (across, up))[0]
+    assert count.sum() == 500
+    np.testing.assert_array_equal(np.isnan(expected), count == 0)
+    total = np.nansum(np.where(count > 0, count * expected**2, 0))
+    assert total == pytest.approx(np.sum(found.expected_error**2))
+
+
+@pytest.mark.parametrize("measure", ["max", "rms"])
+def test_arm_errors_against_the_plain_chain(measure):
+    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
+    steps = np.random.default_rng(0).normal(0, 1e-3, (300, 36))
+    got = arm_errors(setup, steps, Q[:9], measure)
+    nominal = six_parameter_poses(LITE6.kinematics, Q[:9])[:, :3, 3]
+    for k in (0, 1, 255, 256, 299):
+        moved = six_parameter_poses(LITE6.kinematics + steps[k].reshape(6, 6), Q[:9])[:, :3, 3]
+        distance = np.linalg.norm(moved - nominal, axis=1)
+        want = distance.max() if measure == "max" else np.sqrt(np.mean(distance**2))
+        assert got[k] == pytest.approx(want, rel=1e-9)
+
+
+def test_sobol_indices_of_a_rail_of_known_shares():
+    """One joint at rest, one pose: the error is the length of x, y, z, and z is known exactly. By symmetry x and y are
+    alike; what they explain alone follows from |N(0, I₂)|, whose conditional mean is known in closed form."""
+    pytest.importorskip("SALib", reason="Sobol indices are an extra: pip install 'lite6jax[sensitivity]'")
+    arm = Arm("one joint", np.zeros((1, 6)))
+    found = global_sensitivity(arm, [[0.0]], tolerance={"m": 1e-3, "rad": 0.0}, measure="rms", arms=4096, seed=2)
+    # |N(0, I₃)| is a Maxwell variable; E[|x| given one of them] by quadrature
+    x = np.linspace(-8, 8, 4001)
+    density = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
+    r = np.linspace(0, 12, 4001)
+    rayleigh = r * np.exp(-(r**2) / 2)
+    given = np.array([np.trapezoid(np.hypot(value, r) * rayleigh, r) for value in x])
+    mean = np.trapezoid(given * density, x)
+    variance = 3 - mean**2
+    alone = np.trapezoid((given - mean) ** 2 * density, x) / variance
+    np.testing.assert_allclose(found.first[:3], alone, atol=0.04)
+    assert (np.abs(found.first[3:]) < 1e-9).all()  # angles of a point at the origin: no error
+    assert (found.total[:3] > found.first[:3]).all()
+    assert np.sqrt(np.mean(found.error**2)) == pytest.approx(1e-3 * np.sqrt(3), rel=0.03)
+
+
+def test_without_salib(monkeypatch):
+    monkeypatch.setitem(sys.modules, "SALib.analyze", None)
+    with pytest.raises(InputError, match=r"Sobol indices need SALib; install it with: pip install 'lite6jax\[sensiti"):
+        global_sensitivity("lite6")
+
+
+def test_arms_are_a_power_of_two():
+    pytest.importorskip("SALib", reason="Sobol indices are an extra: pip install 'lite6jax[sensitivity]'")
+    with pytest.raises(InputError, match="100 arms: Sobol's sequence fills space evenly at powers of 2"):
+        global_sensitivity("lite6", arms=100)
