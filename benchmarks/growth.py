@@ -29,7 +29,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.convert import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
 from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.solution import Result
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.listing import BATCH
 from lite6jax.identifiability.criteria import Determinant
 from lite6jax.identifiability.design import choose

@@ -20,7 +20,7 @@ from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.recording_fit import fit_recording
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (

@@ -50,7 +50,7 @@ class Cluster:
             raise InputError(
                 f"--scheduler {self._address}: takes Dask; pip install 'lite6jax[distributed]', or leave it out"
             ) from error
-        from lite6jax.fitting.version import versions
+        from lite6jax.fitting.compiled import versions
 
         try:
             self._client = Client(self._address, timeout=ANSWERS_WITHIN, set_as_default=False)
@@ -135,7 +135,7 @@ def _worked(function: "Function", inputs: Sequence[Any], given: tuple[Any, ...],
         InputError: they are others, which might compute other numbers.
     """
     from lite6jax.distribution.worker import work
-    from lite6jax.fitting.version import versions
+    from lite6jax.fitting.compiled import versions
 
     if versions() != expected:
         raise InputError(

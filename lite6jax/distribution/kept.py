@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, NamedTuple, final
 
 from lite6jax.distribution.canonical import canonical
 from lite6jax.errors import InputError
-from lite6jax.fitting.version import versions
+from lite6jax.fitting.compiled import versions
 
 _FIRST_LINE = b'{"kept by": "lite6jax"}\n'
 

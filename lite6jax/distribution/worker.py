@@ -43,7 +43,7 @@ def set_up() -> None:
     from lite6jax import threads
 
     threads.limit(1)  # before what computes is loaded
-    from lite6jax.fitting.code_folder import keep_compiled_code
+    from lite6jax.fitting.compiled import keep_compiled_code
 
     keep_compiled_code()
     gc.set_threshold(200_000)  # tracing makes objects that stay

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import pyarrow as pa
 
 from lite6jax.distribution.batches import write_tables
-from lite6jax.fitting.status import Result
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.place import kind_of
 
 if TYPE_CHECKING:

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import require_type
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recognition import with_arm
-from lite6jax.fitting.recording_fit import fit_recording
-from lite6jax.fitting.sampling import sample_within_limits
-from lite6jax.fitting.source import load_nominal, load_recording
+from lite6jax.fitting.source import load_nominal, load_recording, with_arm
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, checked_joints, recorded

@@ -22,8 +22,8 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.chunks import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
+from lite6jax.fitting.residual import BLOCK, pad
 from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
 from lite6jax.identifiability.sensor import Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm

@@ -7,7 +7,7 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.identifiability.criteria import CRITERIA, Criterion, determined_coordinates, workspace
 from lite6jax.identifiability.design import Design, choose
 from lite6jax.identifiability.evaluation import (

@@ -14,7 +14,7 @@ from lite6jax.arms.chains import joint_motion
 from lite6jax.arms.moves import Turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import predict_frames
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan_experiment
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.model import ArmModel, ModelForm

@@ -21,8 +21,9 @@ from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError
-from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import FleetSolution, Result, Solution, write_solution
+from lite6jax.fitting.fleet import Comparison, FleetSolution
+from lite6jax.fitting.quality import Result
+from lite6jax.fitting.solution import Solution, write_solution
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan

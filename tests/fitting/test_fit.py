@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 import lite6jax
 from lite6jax.estimation.robust import gaussian_t_scale, t_scale
-from lite6jax.fitting import recording_fit
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
 from lite6jax.report.documents import document, text
 from tests.oracles.arms import NOMINAL, lite6_positions, perturbed_parameters
@@ -205,7 +205,7 @@ def test_a_touched_point_sets_no_scale():
     settings = RecordingSettings(arm="lite6", motion="static", tool="unknown", position_noise_m=1e-4)
     q = np.array(q) + 1e-4 * rng.normal(size=(40, 6))
     data = Recording.from_arrays(q, position=np.zeros((40, 3)), settings=settings, source="touched.csv")
-    found = recording_fit.fit_recording(data)
+    found = fit_recording(data)
     assert (found.result, found.quality.verdict) == (lite6jax.Result.CONVERGED, "good")
     assert {item.name: item.carried_by for item in found.held}["d4"] >= ("a2",)
     away = found.parameters - found.arm.hayati

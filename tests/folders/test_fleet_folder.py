@@ -10,9 +10,9 @@ from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.fitting.calibration_fit import fit_calibration
-from lite6jax.fitting.calibrations_fit import fit_calibrations
-from lite6jax.fitting.solution import Result
+from lite6jax.fitting.fit import fit_calibration
+from lite6jax.fitting.fleet import fit_calibrations
+from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit, listing
 from lite6jax.folders.fleet import fit_folder
 from lite6jax.folders.place import Place, url_of

@@ -5,7 +5,7 @@ import pytest
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.planning import plan_poses

@@ -21,11 +21,10 @@ from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, trans
 from lite6jax.domains.pose.screening.hypotheses import touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.recognition import with_arm
-from lite6jax.fitting.recording_fit import fit_recording
-from lite6jax.fitting.sampling import check_positions
-from lite6jax.fitting.start import frames_from_poses
+from lite6jax.fitting.source import with_arm
+from lite6jax.fitting.start import check_positions, frames_from_poses
 from lite6jax.recordings import Recording, outside_limits
 from lite6jax.recordings.fault import DataFault, row_numbers
 

@@ -21,7 +21,6 @@ from lite6jax.domains.pose.kinematics import (
     Site,
     displaced,
     frame_columns,
-    joint_columns,
     measured_poses,
     rigid_frames,
     rigid_residuals,
@@ -31,7 +30,7 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem, whitener_of
+from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 
@@ -259,9 +258,8 @@ def rigid_arm(
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
-    position, orientation = problem.noise
-    noise = np.repeat((position, orientation or position), 3)[: problem.rows]
-    rigid = RigidArm(
+    whitener = problem.whitener
+    return RigidArm(
         recording=recording,
         arm=arm,
         start=start,
@@ -271,12 +269,6 @@ def rigid_arm(
         informative=uncertainty is not None,
         noise=problem.noise,
         declared_noise=problem.declared_noise,
-        whitener=whitener_of(np.diag(noise**2)),
+        whitener=whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1),
         exact=exact,
     )
-    if not problem.joint_noise:
-        return rigid
-    # read-out noise of the joints: the covariance of a sample is Σ + σ_q² J Jᵀ
-    J = joint_columns(rigid.rigid, rigid.measured, arm.sliding)[~arm.slides]
-    covariance = np.diag(noise**2) + problem.joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
-    return replace(rigid, whitener=np.moveaxis(whitener_of(covariance), 0, -1))
