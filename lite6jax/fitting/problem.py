@@ -16,7 +16,13 @@ from lite6jax.arms.forms import hayati_of
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import POSE, POSITION
 from lite6jax.fitting.source import arm_of
-from lite6jax.fitting.start import calibration_poses, declared_tool, frames_from_recording, measured_rotations
+from lite6jax.fitting.start import (
+    calibration_poses,
+    declared_tool,
+    frames_from_recording,
+    measured_rotations,
+    nominal_calibration,
+)
 from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import other_joints
@@ -141,7 +147,7 @@ def recording_problem(
         )
 
     frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
-    known = factory or FactoryCalibration(arm.kinematics, arm, arm.T_joint_flange, arm.name)
+    known = factory or nominal_calibration(arm)
     if geometry == "free":
         form = ModelForm(arm.form, frame, tool)
         values = arm.hayati if factory is None else hayati_of(factory)

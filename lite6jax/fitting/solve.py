@@ -6,7 +6,6 @@ is compiled, and are added in order, so that sums do not depend on the threads. 
 residuals of every step.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -77,15 +76,6 @@ class Estimate(NamedTuple):
     steps: int
 
 
-class _Look(NamedTuple):
-    """A model, and the gradient, the data's curvature (if wanted) and the squared whitened residuals there."""
-
-    model: ArmModel
-    gradient: Array
-    curvature: Array | None
-    squares: Array
-
-
 def solve(
     problem: Problem,
     free: NDArray[np.bool_] | None = None,
@@ -111,31 +101,21 @@ def solve(
             steps until it leads no further.
     """
     free = problem.movable if free is None else free
-    weight = np.ones(len(problem.pose)) if weight is None else weight
+    samples = _Samples(problem, np.ones(len(problem.pose)) if weight is None else weight, freedom)
     start = jax.tree.map(np.asarray, problem.start if start is None else start)
-    look = _looking(problem, weight, freedom)
-    used = weight > 0
-
-    def scale_of(squares: Array) -> float:
-        return t_scale(squares[used], problem.rows, freedom)
-
     if solver == "levenberg_marquardt" and max_steps:
-        model, scale, result, steps = _of_record(problem, free, start, weight, freedom, max_steps, look, scale_of)
-        step = np.zeros(problem.form.size)
+        end, scale, result, steps = _solve_by_record(samples, free, start, max_steps)
     else:
-        model, step, scale, result, steps = _gauss_newton(
-            problem, free, start, weight, freedom, max_steps, look, scale_of, begun
-        )
-    end = look(model, step, scale, True)
-    assert end.curvature is not None
-    prior = np.diag(problem.precision)
-    information = np.where(np.outer(free, free), end.curvature + prior, np.diag(1.0 - free))
+        end, scale, result, steps = _solve_by_gauss_newton(samples, free, start, max_steps, begun)
+    seen = samples.look(*end, scale, curved=True)
+    curvature = seen.curvature + np.diag(problem.precision)
+    information = np.where(np.outer(free, free), curvature, np.diag(1.0 - free))
     if result != Result.NOT_FINITE:
         # how much its correlation with the others inflates a parameter's variance
         inflation = (np.diagonal(inverse(information)) * np.diagonal(information))[free]
         if not ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)).all():
             result = Result.SINGULAR
-    return Estimate(end.model, information, end.squares, scale_of(end.squares), result, steps)
+    return Estimate(seen.model, information, seen.squares, samples.scale(seen.squares), result, steps)
 
 
 def inverse(H: Array) -> Array:
@@ -149,32 +129,73 @@ def inverse(H: Array) -> Array:
             return np.full_like(H, np.nan)
 
 
-def _looking(problem: Problem, weight: Array, freedom: float | None) -> Callable[..., _Look]:
-    """What looks at the samples of a problem: `look(model, step, scale, curved)`, at the model a step away."""
-    count, whitener, center = len(problem.pose), problem.whitener, np.asarray(problem.start.geometry)
-    totals_of = _totals_of_few if count <= _FEW else _totals
-    size = SLICE if count > SLICE else padded_size(count)[0]
-    slices = [
-        tuple(
-            leaf if leaf is whitener and leaf.ndim == 1 else pad(leaf[first : first + size], 0, size)
-            for leaf in (problem.joint_position, problem.pose, weight, whitener)
-        )
-        for first in range(0, count, size)
-    ]
+class _Look(NamedTuple):
+    """A model, and the gradient, the data's curvature (zero if not wanted) and squared whitened residuals there."""
 
-    def look(model: ArmModel, step: Array, scale: float, curved: bool) -> _Look:
-        robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
+    model: ArmModel
+    gradient: Array
+    curvature: Array
+    squares: Array
+
+
+class _Samples:
+    """The samples of a problem, their weights `(sample,)` and their loss: Student's t, or least squares."""
+
+    def __init__(self, problem: Problem, weight: Array, freedom: float | None) -> None:
+        self.problem, self.weight, self.freedom = problem, weight, freedom
+        self.center, self.whitener = np.asarray(problem.start.geometry), problem.whitener
+        count = len(weight)
+        size = SLICE if count > SLICE else padded_size(count)[0]
+        self._slices = [self.padded(slice(first, first + size), size) for first in range(0, count, size)]
+
+    def padded(self, some: slice, size: int) -> tuple[Array, ...]:
+        """Joint positions, poses, weights and whitener of some samples, and zeros up to a size."""
+        leaves = [self.problem.joint_position, self.problem.pose, self.weight]
+        whitener = self.whitener if self.whitener.ndim == 1 else pad(self.whitener[some], 0, size)
+        return (*(pad(leaf[some], 0, size) for leaf in leaves), whitener)
+
+    def look(self, model: ArmModel, step: Array, scale: float, curved: bool) -> _Look:
+        """What the samples, and the prior's gradient, say of the model a step away, at noise of a scale."""
+        problem, robust = self.problem, _robust(self.freedom or _GAUSSIAN, scale)
+        totals_of = _totals_of_few if len(self.weight) <= _FEW else _totals
 
         def part(data: tuple[Array, ...]) -> tuple[ArmModel, tuple[Array, ...], Array]:
             return jax.tree.map(np.asarray, totals_of(problem.form, curved, model, step, *data, robust))
 
-        models, totals, squares = zip(*threads.by_parts(part, slices), strict=True)
+        models, totals, squares = zip(*threads.by_parts(part, self._slices), strict=True)
         gradient, *curvature = (sum(each) for each in zip(*totals, strict=True))
-        pull = problem.precision[: center.size] * (models[0].geometry - center)
-        gradient = gradient + np.pad(pull, (0, problem.form.size - center.size))
-        return _Look(models[0], gradient, curvature[0] if curved else None, np.concatenate(squares)[:count])
+        pull = problem.precision[: self.center.size] * (models[0].geometry - self.center)
+        gradient = gradient + np.pad(pull, (0, problem.form.size - pull.size))
+        H = curvature[0] if curved else np.zeros((gradient.size, gradient.size))
+        return _Look(models[0], gradient, H, np.concatenate(squares)[: len(self.weight)])
 
-    return look
+    def cost(self, at: _Look, scale: float) -> float:
+        """Half the negative log-likelihood at noise of a scale, and the prior's, up to a constant."""
+        scaled = at.squares / scale**2
+        if self.freedom is not None:
+            scaled = (self.freedom + self.problem.rows) * np.log1p(scaled / self.freedom)
+        away = at.model.geometry - self.center
+        return 0.5 * float(self.weight @ scaled + self.problem.precision[: away.size] @ away**2)
+
+    def scale(self, squares: Array) -> float:
+        """Of the noise of squared whitened residuals."""
+        return t_scale(squares[self.weight > 0], self.problem.rows, self.freedom)
+
+    def first_scale(self, model: ArmModel) -> float:
+        """What Student's t begins with; one of least squares, which knows no scale."""
+        still = np.zeros(self.problem.form.size)
+        return 1.0 if self.freedom is None else self.scale(self.look(model, still, 1.0, curved=False).squares)
+
+    def curved_share(self, squares: Array, scale: float) -> float:
+        """The curvature of the loss over that of its weighted squares."""
+        if self.freedom is None:
+            return 1.0
+        scaled = squares[self.weight > 0] / scale**2
+        return max(curvature_share(scaled, self.problem.rows, self.freedom), _LEAST_CURVED)
+
+
+def _robust(freedom: float, scale: float) -> Robust:
+    return Robust(np.asarray(freedom), np.asarray(scale))  # type: ignore[arg-type]
 
 
 def _slice_totals(
@@ -208,71 +229,51 @@ _totals = Exported(_slice_totals, 2, SINGLE_THREADED)
 _totals_of_few = Exported(_slice_totals, 2, SINGLE_THREADED | {"xla_backend_optimization_level": 0})
 
 
-def _gauss_newton(
-    problem: Problem,
+def _solve_by_gauss_newton(
+    samples: _Samples,
     free: NDArray[np.bool_],
     start: ArmModel,
-    weight: Array,
-    freedom: float | None,
     max_steps: int,
-    look: Callable[..., _Look],
-    scale_of: Callable[[Array], float],
     begun: tuple[Estimate, float] | None,
-) -> tuple[ArmModel, Array, float, Result, int]:
-    """A model, the last step from there, the scale, how it ended, and the number of steps.
-
-    Student's loss curves less than its weighted squares, by a share that the residuals show; a step divides by it.
-    """
-    rows, center, precision = problem.rows, np.asarray(problem.start.geometry), problem.precision
-    inside, prior = np.ix_(free, free), np.diag(precision[free])
-    floor = _rounding_floor(problem.whitener, weight)
-    still = np.zeros(problem.form.size)
-
-    def cost(at: _Look, scale: float) -> float:
-        scaled = at.squares / scale**2
-        if freedom is not None:
-            scaled = (freedom + rows) * np.log1p(scaled / freedom)
-        away = np.asarray(at.model.geometry) - center
-        return 0.5 * float(weight @ scaled + precision[: center.size] @ away**2)
-
-    kept = None
-    if begun is not None:
-        estimate, times = begun
-        kept, scale = times * (estimate.information - np.diag(precision))[inside], estimate.scale
+) -> tuple[tuple[ArmModel, Array], float, Result, int]:
+    """A model and the last step from there, the scale of the noise, how it ended, and the number of steps."""
+    precision, inside, still = samples.problem.precision, np.ix_(free, free), np.zeros(free.size)
+    prior, squares = np.diag(precision[free]), samples.whitener**2
+    per_sample = 3 * np.sum(squares) if squares.ndim == 1 else np.sum(squares, (1, 2))
+    floor = float(np.sum(samples.weight * per_sample)) * ROUNDING**2
+    if begun is None:
+        kept, scale = None, samples.first_scale(start)
     else:
-        scale = 1.0 if freedom is None else scale_of(look(start, still, 1.0, False).squares)
+        kept, scale = begun[1] * (begun[0].information - np.diag(precision))[inside], begun[0].scale
     at, model, step, steps, damping, decrement = None, start, still, 0, 0.0, 0.0
     while True:
-        seen = look(model, step, scale, kept is None)
-        value, now = cost(seen, scale), np.inf if at is None else cost(at, scale)
-        if at is None and not np.isfinite(value):
-            return start, still, scale, Result.NOT_FINITE, steps
+        seen = samples.look(model, step, scale, curved=kept is None)
+        cost, now = samples.cost(seen, scale), np.inf if at is None else samples.cost(at, scale)
+        if at is None and not np.isfinite(cost):
+            return (start, still), scale, Result.NOT_FINITE, steps
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
-        better = np.isfinite(value) and (value <= now or abs(decrement) <= FLAT * now + floor)
+        better = np.isfinite(cost) and (cost <= now or abs(decrement) <= FLAT * now + floor)
         damping = (damping / 10 if damping >= 1e-9 else 0.0) if better else max(10 * damping, 1e-4)
         at = seen if better or at is None else at
-        before, scale = scale, scale_of(at.squares) if better and freedom is not None else scale
-        curved = 1.0
-        if freedom is not None:
-            curved = max(curvature_share(at.squares[weight > 0] / scale**2, rows, freedom), _LEAST_CURVED)
-        curvature = at.curvature[inside] if kept is None else kept  # type: ignore[index]
+        before, scale = scale, samples.scale(at.squares) if better and samples.freedom is not None else scale
+        # Student's loss curves less than its weighted squares, by a share that the residuals show
+        H = samples.curved_share(at.squares, scale) * (at.curvature[inside] if kept is None else kept) + prior
         step = still.copy()
-        step[free] = -_damped_solve(curved * curvature + prior, at.gradient[free], damping)
+        step[free] = -_damped_solve(H, at.gradient[free], damping)
         last, decrement = decrement, float(-step @ at.gradient)
         model = at.model
         if kept is not None and not (better and decrement <= (last / 2 or np.inf)):
             kept, step, decrement = None, still, 0.0  # the curvature of some samples leads no further
             continue
-        # what the step after this one would gain, if steps go on shrinking as they last did
-        shrinking = decrement / last if decrement < last else 1.0
-        small = abs(decrement * shrinking) <= max(DECREMENT * cost(at, scale), floor)
         if not np.isfinite(step).all():
-            return model, still, scale, Result.SINGULAR, steps
+            return (model, still), scale, Result.SINGULAR, steps
         if steps >= max_steps:
-            return model, still, scale, Result.STEPS_EXHAUSTED, steps
+            return (model, still), scale, Result.STEPS_EXHAUSTED, steps
         steps += 1
-        if small and abs(scale / before - 1) < _SCALE_TOLERANCE:
-            return model, step, scale, Result.CONVERGED, steps
+        # what the step after this one would gain, if steps go on shrinking as they last did
+        gain = abs(decrement * (decrement / last if decrement < last else 1.0))
+        if gain <= max(DECREMENT * samples.cost(at, scale), floor) and abs(scale / before - 1) < _SCALE_TOLERANCE:
+            return (model, step), scale, Result.CONVERGED, steps
 
 
 def _damped_solve(H: Array, gradient: Array, damping: float) -> Array:
@@ -284,46 +285,27 @@ def _damped_solve(H: Array, gradient: Array, damping: float) -> Array:
         return np.full_like(gradient, np.nan)
 
 
-def _rounding_floor(whitener: Array, weight: Array) -> float:
-    squares = whitener**2
-    per_sample = 3 * np.sum(squares) if squares.ndim == 1 else np.sum(squares, (1, 2))
-    return float(np.sum(weight * per_sample)) * ROUNDING**2
-
-
-def _of_record(
-    problem: Problem,
-    free: NDArray[np.bool_],
-    start: ArmModel,
-    weight: Array,
-    freedom: float | None,
-    max_steps: int,
-    look: Callable[..., _Look],
-    scale_of: Callable[[Array], float],
-) -> tuple[ArmModel, float, Result, int]:
-    """The model, the scale, how it ended and the number of steps: solves at one scale after the other."""
-    size, block = padded_size(len(problem.pose))
-    leaves = (problem.joint_position, problem.pose, weight)
-    data = [jnp.asarray(pad(leaf, 0, size)) for leaf in leaves]
-    whitener = problem.whitener
-    whitener = jnp.asarray(whitener if whitener.ndim == 1 else pad(whitener, 0, size))
-    observed = observe(problem.form, *data, whitener, block)
-    known = np.asarray(problem.start.geometry), problem.precision, free.astype(float)
-    still = np.zeros(problem.form.size)
-    model, steps = start, 0
-    scale = 1.0 if freedom is None else scale_of(look(start, still, 1.0, False).squares)
+def _solve_by_record(
+    samples: _Samples, free: NDArray[np.bool_], start: ArmModel, max_steps: int
+) -> tuple[tuple[ArmModel, Array], float, Result, int]:
+    """As `_solve_by_gauss_newton`, by solves of record at one scale after the other, until the scale has converged."""
+    form, still = samples.problem.form, np.zeros(free.size)
+    size, block = padded_size(len(samples.weight))
+    observed = observe(form, *map(jnp.asarray, samples.padded(slice(None), size)), block)
+    model, steps, scale, result = start, 0, samples.first_scale(start), Result.STEPS_EXHAUSTED
     for _ in range(_MAX_SCALES):
-        robust = None if freedom is None else Robust(np.asarray(freedom), np.asarray(scale))  # type: ignore[arg-type]
-        model, cost, good, more = jax.tree.map(
-            np.asarray, _solve_of_record(problem.form, max_steps, model, observed, robust, *known)
-        )
-        steps += int(more)
+        robust = None if samples.freedom is None else _robust(samples.freedom, scale)
+        known = samples.center, samples.problem.precision, free.astype(float)
+        found = _solve_of_record(form, max_steps, model, observed, robust, *known)
+        model, cost, good, more = jax.tree.map(np.asarray, found)
         result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
-        if freedom is None or not np.isfinite(cost):
+        result, steps = result if np.isfinite(cost) else Result.NOT_FINITE, steps + int(more)
+        if robust is None or result == Result.NOT_FINITE:
             break
-        before, scale = scale, scale_of(look(model, still, scale, False).squares)
+        before, scale = scale, samples.scale(samples.look(model, still, scale, curved=False).squares)
         if abs(scale / before - 1) < _SCALE_TOLERANCE:
             break
-    return model, scale, result if np.isfinite(cost) else Result.NOT_FINITE, steps
+    return (model, still), scale, result, steps
 
 
 @partial(jax.jit, static_argnums=(0, 1))

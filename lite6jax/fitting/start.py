@@ -44,6 +44,11 @@ def check_positions(arm: Arm, seed: int = 0) -> Array:
     return sample_within_limits(arm, CHECK_SAMPLES, seed + 1)
 
 
+def nominal_calibration(arm: Arm) -> FactoryCalibration:
+    """The nominal chain, as the calibration of an arm that does not deviate."""
+    return FactoryCalibration(arm.kinematics, arm, arm.T_joint_flange, arm.name)
+
+
 def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
     """The calibrated chain's flange poses `(sample, 4, 4)`."""
     links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])

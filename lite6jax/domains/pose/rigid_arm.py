@@ -6,7 +6,7 @@ Everything here is NumPy, so that a recording is screened in milliseconds and no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,45 @@ from lite6jax.recordings import Recording
 Array = NDArray[np.floating]
 
 
+class NuisanceProblem:
+    """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
+
+    What derives from it has `rows`, `samples`, `residuals`, `nuisance` and `relinearised`.
+    """
+
+    @property
+    def groups(self: Any) -> NDArray[np.integer]:
+        """Position and orientation share one scale over their noise."""
+        return np.zeros(self.rows, int)
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """No terms."""
+        return Terms(), np.zeros(0)
+
+    def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
+        """`nuisance`, whatever terms are beside it."""
+        return self.nuisance
+
+    def residual(self: Any, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(row, sample)` with the unknowns displaced."""
+        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
+
+    def columns(
+        self: Any, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """Of no terms."""
+        return np.zeros((0, self.rows, self.samples))
+
+    def factored(self, term: Term) -> None:
+        """None, of no terms."""
+        return
+
+
 @final
 @dataclass(frozen=True, eq=False)
-class RigidArm:
-    """A rigid arm and its measured poses, a `LinearisedProblem` of the unknown displacements of its frames.
-
-    It has more than twelve members because that protocol has.
+class RigidArm(NuisanceProblem):
+    """A rigid arm and its measured poses, a problem of the unknown displacements of its frames.
 
     Attributes:
         recording: joints and poses.
@@ -80,16 +113,6 @@ class RigidArm:
     def rows(self) -> int:
         """Numbers that a sample has: 3 or 6."""
         return self.recording.numbers_per_sample
-
-    @property
-    def groups(self) -> NDArray[np.integer]:
-        """Position and orientation share one scale over their declared noise."""
-        return np.zeros(self.rows, int)
-
-    @property
-    def preset(self) -> tuple[Terms, Array]:
-        """None: a rigid arm has no effects."""
-        return Terms(), np.zeros(0)
 
     @cached_property
     def links(self) -> Array:
@@ -181,24 +204,6 @@ class RigidArm:
     def whitened(self, columns: Array) -> Array:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
         return whitened(columns, self.whitener)
-
-    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
-        """How residuals change with each nuisance number, whatever terms are beside it: `nuisance`."""
-        return self.nuisance
-
-    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
-        """Residuals `(row, sample)` with the unknowns displaced."""
-        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
-
-    def columns(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        """Of no terms."""
-        return np.zeros((0, self.rows, self.samples))
-
-    def factored(self, term: Term) -> None:
-        """None: it has no terms."""
-        return
 
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
