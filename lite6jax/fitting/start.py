@@ -141,7 +141,7 @@ def nearest_rotation(M: Array) -> Array:
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
 
 
-def cross_matrices(vectors: Array) -> Array:
+def _cross_matrices(vectors: Array) -> Array:
     """`(sample, 3, 3)`, what takes u to v × u for each vector v of `(sample, 3)`."""
     x, y, z = vectors.T
     o = np.zeros_like(x)
@@ -199,10 +199,10 @@ def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: A
 def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: Array, T_tool: Array) -> Array:
     """A Gauss–Newton step of the sensor frame's rotation, with both translations free."""
     turned = (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T
-    columns = [-cross_matrices(turned), T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)]
+    columns = [-_cross_matrices(turned), T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)]
     step = _solve(np.concatenate(columns, 2), position - turned - T_frame[:3, 3], weight)[:3]
     angle = float(np.linalg.norm(step))
-    K = cross_matrices(step[None])[0] / max(angle, np.finfo(float).tiny)
+    K = _cross_matrices(step[None])[0] / max(angle, np.finfo(float).tiny)
     return (np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K) @ T_frame[:3, :3]
 
 

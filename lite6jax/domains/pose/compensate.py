@@ -176,10 +176,12 @@ def compensate(
     correction = None if targets.start is None else q - targets.start
     reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
     for k, row in enumerate(np.flatnonzero(complete)):
-        moved = None if correction is None else correction[row]
-        reasons[row] = (
-            Reason("reverses") if reverses[k] else _far(moved) if hit[k] else _missed(solved, k, search.limits)
-        )
+        if reverses[k]:
+            reasons[row] = Reason("reverses")
+        elif hit[k]:
+            reasons[row] = None if correction is None else _far(correction[row])
+        else:
+            reasons[row] = _missed(solved, k, search.limits)
     bars = bars_of(model, search.motion(solved.joint_position.T))
     return Compensation(
         recording=recording.made_anew(joint_position=q, position=None, quaternion=None),

@@ -7,10 +7,17 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.kinematics import (
+    Measured,
+    RigidFrames,
+    frame_columns,
+    rigid_differences,
+    small_displacement,
+    whitened,
+)
 from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.pose.uncertainty import registered
@@ -21,7 +28,7 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.start import cross_matrices, frames_from_poses, measured_rotations, nearest_rotation
+from lite6jax.fitting.start import frames_from_poses, measured_rotations, nearest_rotation
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.results import PublicResult
@@ -97,8 +104,11 @@ def register(
     if tool is None and rotation is None and tool_rotation is not None:
         T[:3, :3] = tool_rotation
     unknown = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
-    problem = relinearise(_Frames(flange, position, rotation, noise, F, T, np.flatnonzero(unknown)), DEFAULTS)
-    missed, turned = problem.differences
+    turned = np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1)
+    measured = Measured(position.T, turned, 1 / np.array(noise))
+    problem = relinearise(_Frames(flange, measured, F, T, np.flatnonzero(unknown)), DEFAULTS)
+    missed = problem.differences[:3].T
+    turned = None if rotation is None else problem.differences[3:].T
     squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
     count, parameters = problem.rows * problem.samples, len(problem.unknown)
@@ -160,30 +170,25 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
 class _Frames(NuisanceProblem):
     """Sensor frame and tool of a known chain as a problem of least squares, whose nuisance they are.
 
-    The nuisance's twelve numbers displace the sensor frame by a translation in its axes and a rotation in the base's,
-    and the tool by a translation in the flange's axes and a rotation in its own.
+    The nuisance's twelve numbers are a twist of the base and one of the flange, each in its own axes.
 
     Attributes:
-        flange: `(sample, 4, 4)`.
-        position: `(sample, 3)`.
-        rotation: `(sample, 3, 3)` or None.
-        noise: of position and orientation.
+        flange: `T_base_flange` `(sample, 4, 4)`.
+        measured: the poses, and the noise.
         T_sensor_base: `(4, 4)`.
         T_flange_tool: `(4, 4)`.
         unknown: which of the twelve.
     """
 
     flange: Array
-    position: Array
-    rotation: Array | None
-    noise: tuple[float, float]
+    measured: Measured
     T_sensor_base: Array
     T_flange_tool: Array
     unknown: NDArray[np.integer]
 
     @property
     def rows(self) -> int:
-        return 3 if self.rotation is None else 6
+        return self.measured.rows
 
     @property
     def samples(self) -> int:
@@ -196,42 +201,30 @@ class _Frames(NuisanceProblem):
     offset = precision
 
     @cached_property
-    def differences(self) -> tuple[Array, Array | None]:
-        """Predicted minus measured: `(sample, 3)` m in sensor axes, and rotation vectors in tool axes."""
-        predicted = self.T_sensor_base @ self.flange @ self.T_flange_tool
-        missed = predicted[:, :3, 3] - self.position
-        if self.rotation is None:
-            return missed, None
-        relative = np.swapaxes(self.rotation, 1, 2) @ predicted[:, :3, :3]
-        return missed, Rotation.from_matrix(relative).as_rotvec()
+    def rigid(self) -> RigidFrames:
+        flange = self.T_sensor_base @ self.flange
+        base = np.broadcast_to(self.T_sensor_base, flange.shape)
+        return RigidFrames(np.stack([base, flange]), flange @ self.T_flange_tool)
+
+    @cached_property
+    def differences(self) -> Array:
+        """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
+        return rigid_differences(self.rigid.tool, self.measured)
 
     @property
     def residuals(self) -> Array:
-        missed, turned = self.differences
-        parts = [missed / self.noise[0]] + ([] if turned is None else [turned / self.noise[1]])
-        return np.hstack(parts).T
+        return whitened(self.differences, self.measured.whitener)
 
     @property
     def nuisance(self) -> Array:
-        R, R_sensor = self.flange[:, :3, :3], self.T_sensor_base[:3, :3]
-        arm = R @ self.T_flange_tool[:3, 3] + self.flange[:, :3, 3]
-        J = np.zeros((self.samples, self.rows, 12))
-        J[:, :3, :3] = np.eye(3) / self.noise[0]
-        J[:, :3, 3:6] = -R_sensor @ cross_matrices(arm) / self.noise[0]
-        J[:, :3, 6:9] = R_sensor @ R / self.noise[0]
-        if self.rotation is not None:
-            J[:, 3:, 3:6] = np.swapaxes(R @ self.T_flange_tool[:3, :3], 1, 2) / self.noise[1]
-            J[:, 3:, 9:12] = np.eye(3) / self.noise[1]
-        return np.moveaxis(J[:, :, self.unknown], 0, -1).swapaxes(0, 1)
+        twists = frame_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
+        return whitened(twists[self.unknown], self.measured.whitener)
 
     def relinearised(self, nuisance: Array) -> "_Frames":
         change = np.zeros(12)
         change[self.unknown] = nuisance
-        F, T = self.T_sensor_base.copy(), self.T_flange_tool.copy()
-        for frame, shift, turn in ((F, change[:3], change[3:6]), (T, change[6:9], change[9:])):
-            frame[:3, 3] += shift
-            frame[:3, :3] = frame[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
-        return replace(self, T_sensor_base=F, T_flange_tool=T)
+        F, T = (small_displacement(twist) for twist in (change[:6], change[6:]))
+        return replace(self, T_sensor_base=self.T_sensor_base @ F, T_flange_tool=T @ self.T_flange_tool)
 
 
 def _start(
