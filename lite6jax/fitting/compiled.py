@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -109,7 +109,7 @@ class Exported:
     among its arguments and results must be registered with `jax.export.register_namedtuple_serialization`.
     """
 
-    def __init__(self, function: Callable[..., Any], static: int, options: dict[str, bool] | None = None):
+    def __init__(self, function: Callable[..., Any], static: int, options: Mapping[str, bool | int] | None = None):
         """Takes a function to compile.
 
         Args:
@@ -117,7 +117,7 @@ class Exported:
             static: how many of its arguments, the first ones, are static; their `repr` must tell them apart.
             options: the compiler's.
         """
-        self._function, self._static, self._options = function, static, options
+        self._function, self._static, self._options = function, static, dict(options or {})
         self._compiled: dict[Hashable, Callable[..., Any]] = {}
         self._lock = threading.Lock()
 

@@ -266,7 +266,8 @@ def _with_noise(problem: Problem, residual: Errors) -> Problem:
     observed = np.square([level for level in shown if level is not None])
     excess = np.where(observed > _EXCESS * expected, observed - expected, 0.0)
     noise = [
-        float(np.hypot(level, np.sqrt(more))) for level, more in zip((position, orientation), excess, strict=False)
+        float(np.hypot(level, np.sqrt(more)))
+        for level, more in zip((position, orientation or 0.0), excess, strict=False)
     ]
     return replace(problem, noise=(noise[0], noise[1] if problem.rows == POSE else None))
 

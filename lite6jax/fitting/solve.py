@@ -102,11 +102,11 @@ def solve(
     """
     free = problem.movable if free is None else free
     samples = _Samples(problem, np.ones(len(problem.pose)) if weight is None else weight, freedom)
-    start = jax.tree.map(np.asarray, problem.start if start is None else start)
+    first: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
     if solver == "levenberg_marquardt" and max_steps:
-        end, scale, result, steps = _solve_by_record(samples, free, start, max_steps)
+        end, scale, result, steps = _solve_by_record(samples, free, first, max_steps)
     else:
-        end, scale, result, steps = _solve_by_gauss_newton(samples, free, start, max_steps, begun)
+        end, scale, result, steps = _solve_by_gauss_newton(samples, free, first, max_steps, begun)
     seen = samples.look(*end, scale, curved=True)
     curvature = seen.curvature + np.diag(problem.precision)
     information = np.where(np.outer(free, free), curvature, np.diag(1.0 - free))
@@ -163,7 +163,7 @@ class _Samples:
             return jax.tree.map(np.asarray, totals_of(problem.form, curved, model, step, *data, robust))
 
         models, totals, squares = zip(*threads.by_parts(part, self._slices), strict=True)
-        gradient, *curvature = (sum(each) for each in zip(*totals, strict=True))
+        gradient, *curvature = (np.asarray(sum(each)) for each in zip(*totals, strict=True))
         pull = problem.precision[: self.center.size] * (models[0].geometry - self.center)
         gradient = gradient + np.pad(pull, (0, problem.form.size - pull.size))
         H = curvature[0] if curved else np.zeros((gradient.size, gradient.size))
@@ -291,7 +291,8 @@ def _solve_by_record(
     """As `_solve_by_gauss_newton`, by solves of record at one scale after the other, until the scale has converged."""
     form, still = samples.problem.form, np.zeros(free.size)
     size, block = padded_size(len(samples.weight))
-    observed = observe(form, *map(jnp.asarray, samples.padded(slice(None), size)), block)
+    q, pose, weight, whitener = map(jnp.asarray, samples.padded(slice(None), size))
+    observed = observe(form, q, pose, weight, whitener, block)
     model, steps, scale, result = start, 0, samples.first_scale(start), Result.STEPS_EXHAUSTED
     for _ in range(_MAX_SCALES):
         robust = None if samples.freedom is None else _robust(samples.freedom, scale)

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,7 @@ def read_source(
             raise InputError(f"{path}: {helps}")
         return read_factory(path, arm)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
-    given = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
+    given: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
     if arm is not None:
         return read_recording(path, arm=arm, joint_limits=arm.possible_positions, reach=arm.reach, **given)
     recording = read_recording(path, **given)
@@ -215,12 +215,13 @@ def matches(recording: Recording) -> list[Match]:
     if known:  # a wrong unit is no reason to find no arm
         require_radians(recording.joint_position, _widest_limits(known), f"{recording.source}: joint_position")
     tool = None if recording.settings.tool == "unknown" else declared_tool(recording)
-    found = []
+    position, found = recording.position, []
+    assert position is not None
     for arm in known:
         flange = frames.chain(arm.links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-        found.append(Match(arm, upper_quartile(np.linalg.norm(point - recording.position, axis=1))))
+        found.append(Match(arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
     return sorted(found, key=lambda match: match.error)
 
 

@@ -147,14 +147,15 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     path = settings.factory_path(Path(recording.source).parent)
     known = nominal_calibration(arm) if path is None else read_factory(path, arm)
     flange = calibration_poses(known, recording.joint_position)
-    declared = declared_tool(recording)
+    declared, position = declared_tool(recording), recording.position
+    assert position is not None
     squares, tools = [], []
     for tool in (declared, None):
         T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
-        missed = recording.position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
+        missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
         squares.append(np.sum(missed**2, 1))
         tools.append(T_flange_tool)
-    cause = _tool_offset(tools[1][:3, 3] - tools[0][:3, 3], *squares, options)
+    cause = _tool_offset(tools[1][:3, 3] - tools[0][:3, 3], squares[0], squares[1], options)
     return [replace(cause, numbers={**cause.numbers, "declared_m": declared[:3, 3].tolist()})]
 
 

@@ -389,8 +389,8 @@ class _Search:
             unsolved[tried[_reached(solved)]] = False
             if not unsolved.any():
                 break
-        tried = (np.concatenate(each) for each in (where, q, cost))
-        return _least_motion(*tried, at, given, self._usual())
+        rows, positions, costs = (np.concatenate(each) for each in (where, q, cost))
+        return _least_motion(rows, positions, costs, at, given, self._usual())
 
     def settle(self, q: Array) -> tuple[Solved, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
