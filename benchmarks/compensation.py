@@ -15,8 +15,7 @@ from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import read_model, to_document, write_document
-from lite6jax.domains.pose.compensate import compensate
-from lite6jax.domains.pose.files import read_pose_targets
+from lite6jax.domains.pose.compensate import compensate, read_pose_targets
 from lite6jax.domains.pose.fit import fit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from lite6jax.storage import write_atomically

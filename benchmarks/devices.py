@@ -21,9 +21,8 @@ from benchmarks.seed_way import sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.sensor import Sensor
-from lite6jax.fitting.chunks import observe
 from lite6jax.fitting.gauss_newton import inverse
-from lite6jax.fitting.residual import Observations, evaluate, linearise, over_blocks
+from lite6jax.fitting.residual import Observations, evaluate, linearise, observe, over_blocks
 from lite6jax.model import ArmModel, ModelForm
 
 DEVICES = ("cpu", "gpu")

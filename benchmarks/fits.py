@@ -10,8 +10,8 @@ from benchmarks.rivals import OPTIMISTIX, RIVALS, Rival, plain_optimistix_fleet
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.dh import six_parameter_to_hayati
-from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.solution import FleetSolution, Result
+from lite6jax.fitting.fleet import FleetSolution, fit_fleet
+from lite6jax.fitting.quality import Result
 
 OURS, CLOSED_FORM = "lite6jax", "lite6jax, closed form"
 VMAPPED = 8

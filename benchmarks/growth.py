@@ -33,7 +33,7 @@ from lite6jax.design.information import plan_experiment
 from lite6jax.design.selection import Pool, choose
 from lite6jax.design.sensor import Sensor
 from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.solution import Result
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.place import BATCH
 
 MILLION = 10**6

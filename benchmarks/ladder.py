@@ -25,8 +25,8 @@ from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.filtering import sample_rate
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.errors import InputError
-from lite6jax.fitting.code_folder import keep_compiled_code
-from lite6jax.fitting.recognition import declared_arm_of
+from lite6jax.fitting.compiled import keep_compiled_code
+from lite6jax.fitting.source import declared_arm_of
 from lite6jax.recordings import Recording, read_recording
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 

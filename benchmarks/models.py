@@ -28,9 +28,9 @@ from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks, observe
-from lite6jax.fitting.gauss_newton import CONVERGED, Prior, Solved
-from lite6jax.fitting.residual import Observations, identification_jacobian, residuals
+from lite6jax.fitting.gauss_newton import MAX_STEPS, Solved, fit_chunks
+from lite6jax.fitting.quality import CONVERGED
+from lite6jax.fitting.residual import Observations, observe, residuals
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
@@ -125,8 +125,8 @@ def _residuals(form: ModelForm, parameters: Array, observed: Observations) -> Ar
 
 @partial(jax.jit, static_argnums=0)
 def _jacobian(form: ModelForm, parameters: Array, observed: Observations) -> Array:
-    """`(parameter, residual)`; exact, for the whitener is one of matrices."""
-    return identification_jacobian(form, arm_model(parameters), observed, None).reshape(form.size, -1)
+    """`(parameter, residual)`."""
+    return jax.jacfwd(_residuals, 1)(form, parameters, observed).T
 
 
 def _fit(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarray, pose: np.ndarray) -> Fits:
@@ -169,9 +169,8 @@ def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarr
     """The same fits by the library's own solver."""
     form = ModelForm(chain)
     movable = np.isin(np.arange(form.size), free).astype(float)
-    prior = Prior(start, np.zeros(form.size), movable)  # type: ignore[arg-type]
     scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
-    return fit_chunks(form, arm_model(start), q, pose, weight, scale, None, prior, max_steps=MAX_STEPS).solved
+    return fit_chunks(form, arm_model(start), q, pose, weight, scale, movable, MAX_STEPS).solved
 
 
 def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:

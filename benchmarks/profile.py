@@ -14,13 +14,14 @@ from benchmarks.problem import NOISE, SCALE, measured
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.fitting import gauss_newton
-from lite6jax.fitting.chunks import CHUNK, observe, padded_size
 from lite6jax.fitting.fleet import fit_fleet
+from lite6jax.fitting.gauss_newton import CHUNK
 from lite6jax.fitting.residual import (
     POSE,
     evaluate,
-    identification_jacobian,
     linearise,
+    observe,
+    padded_size,
     predict_frames,
     residuals,
 )
@@ -82,7 +83,11 @@ def profile(samples: int = 300, repeats: int = 50) -> Iterator[Record]:
     wrong = relative(answer[:2], cost, gradient, within=1e-10) or relative(answer[2:], curvature, within=1e-2)
     yield _record("cost, gradient and curvature", seconds, wrong)
 
-    J = jax.block_until_ready(per_arm(identification_jacobian)(model, observed).reshape(CHUNK, form.size, -1))
+    def jacobian(form: ModelForm, model: Any, seen: Any, robust: None) -> Any:
+        step = jnp.zeros(form.size)
+        return jax.jacfwd(lambda step: residuals(form, form.retract(model, step), seen).reshape(-1))(step).T
+
+    J = jax.block_until_ready(per_arm(jacobian)(model, observed))
     limit, product = median_time(partial(_done, _single_threaded(jax.vmap(lambda J: J @ J.T)), J), repeats)
     host = np.asarray(J)
     reference = host @ np.swapaxes(host, 1, 2)

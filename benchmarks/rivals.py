@@ -24,8 +24,7 @@ from benchmarks.problem import SCALE
 from benchmarks.seed_way import D2, NOMINAL
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.se3 import rotation_log
-from lite6jax.fitting.chunks import observe
-from lite6jax.fitting.residual import Observations, residuals
+from lite6jax.fitting.residual import Observations, observe, residuals
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.chains import hayati_links, seed_model, seed_poses
 

@@ -20,8 +20,8 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
-from lite6jax.fitting import code_folder
-from lite6jax.fitting.solution import Result
+from lite6jax.fitting import compiled
+from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
@@ -94,7 +94,7 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lite6jax.fitting.calibration_fit.fit_calibration", interrupt)
+    monkeypatch.setattr("lite6jax.fitting.fit.fit_calibration", interrupt)
     out = calibration.with_suffix(".json")
     code, said, err = run(capsys, "fit", calibration, "--out", out)
     assert (code, said, err) == (130, "", "interrupted: nothing is left half-written\n")
@@ -136,12 +136,12 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(capsys, tmp_path
 def test_the_cache_stands_in_the_users_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
-    assert code_folder.cache_folder() == tmp_path / "lite6jax" / "jax"
+    assert compiled.cache_folder() == tmp_path / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert code_folder.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
+    assert compiled.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert code_folder.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
+    assert compiled.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
 
 
 def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
@@ -149,7 +149,7 @@ def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting.code_folder import keep_compiled_code; keep_compiled_code();"
+        "import jax; from lite6jax.fitting.compiled import keep_compiled_code; keep_compiled_code();"
         "assert jax.config.jax_compilation_cache_dir is None; print(jax.jit(lambda x: x + 1)(1))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)

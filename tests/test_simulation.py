@@ -21,7 +21,7 @@ from lite6jax.design.sensor import Sensor
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.recording_fit import fit_recording
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
     INSTRUMENTS,

@@ -25,7 +25,7 @@ from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.predict import predict
 from lite6jax.errors import InputError
-from lite6jax.fitting.code_folder import keep_compiled_code
+from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable, write_atomically
 

@@ -58,8 +58,7 @@ class Compensate:
         import pyarrow as pa
 
         from lite6jax.diagnosis.document import read_model
-        from lite6jax.domains.pose.compensate import compensate
-        from lite6jax.domains.pose.files import read_pose_targets
+        from lite6jax.domains.pose.compensate import compensate, read_pose_targets
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path
         from lite6jax.recordings.writing import write_table, write_with_settings

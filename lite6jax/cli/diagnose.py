@@ -134,8 +134,7 @@ class Diagnose:
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import by_domain, load_effects
-        from lite6jax.fitting.recognition import arm_of
-        from lite6jax.fitting.source import load_nominal
+        from lite6jax.fitting.source import arm_of, load_nominal
         from lite6jax.report import stages, worth
         from lite6jax.report.diagnosis_tables import diagnosis_report
         from lite6jax.report.statements import with_statements
@@ -190,8 +189,7 @@ class Diagnose:
         """
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.effects.user_effects import by_domain, load_effects
-        from lite6jax.fitting.recognition import arm_of
-        from lite6jax.fitting.source import load_nominal
+        from lite6jax.fitting.source import arm_of, load_nominal
 
         nominal = load_nominal(self.arm)
         recording = self._read(self.source, nominal)

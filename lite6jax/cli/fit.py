@@ -97,11 +97,11 @@ class Fit:
             kept = (True, recording is not None, verified)
             canvas.check_names(self.figures, [n for n, keep in zip(names, kept, strict=True) if keep], self.force)
         if isinstance(source, Recording):
-            from lite6jax.domains.pose.fit_recording import fit_recording
+            from lite6jax.domains.pose.fit import fit_recording
 
             solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
         else:
-            from lite6jax.fitting.calibration_fit import fit_calibration
+            from lite6jax.fitting.fit import fit_calibration
 
             solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
         recording = solution.recording
@@ -197,7 +197,7 @@ class Compare:
     def run(self) -> int:
         """Reads, compares, prints, draws."""
         from lite6jax.arms.factory import read_factory
-        from lite6jax.fitting.compare import compare
+        from lite6jax.fitting.fleet import compare
         from lite6jax.fitting.source import load_nominal
 
         nominal = load_nominal(self.arm)

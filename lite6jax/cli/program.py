@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
-        from lite6jax.fitting.code_folder import keep_compiled_code
+        from lite6jax.fitting.compiled import keep_compiled_code
 
         keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth

@@ -258,7 +258,6 @@ class Simulate:
         self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measured"
     ) -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
-        import numpy as np
         from rich.text import Text
 
         from lite6jax.report import screen
@@ -295,12 +294,10 @@ class Simulate:
         for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
             numbers = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in parameters.items())
             yield Text(f"  {effect.name} at {effect.site}: {numbers}")
-        distance, turn = 1e3 * measured.displacement, np.degrees(measured.turn)
-        rms, largest = float(np.sqrt(np.mean(distance**2))), float(distance.max())
-        turned = float(np.sqrt(np.mean(turn**2)))
+        (distance, turn), largest = measured.rms, float(measured.displacement.max())
         yield Text(
-            f"The effects displace the measured point by {number(rms)} mm RMS ({number(largest)} mm at most) "
-            f"and rotate it by {fixed(turned)} deg RMS."
+            f"The effects displace the measured point by {number(1e3 * distance)} mm RMS ({number(1e3 * largest)} mm "
+            f"at most) and rotate it by {fixed(math.degrees(turn))} deg RMS."
         )
 
     def _undeclared(self) -> str:

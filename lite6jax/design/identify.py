@@ -25,11 +25,10 @@ from lite6jax.design.sensor import BARE, Quantity, Sensor
 from lite6jax.distribution.batches import Workers
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError, require_type
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recognition import with_arm
-from lite6jax.fitting.recording_fit import fit_recording
-from lite6jax.fitting.sampling import sample_within_limits
-from lite6jax.fitting.source import load_nominal, load_recording
+from lite6jax.fitting.source import load_nominal, load_recording, with_arm
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.model import ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult

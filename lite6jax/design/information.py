@@ -26,7 +26,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.chunks import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with

@@ -18,7 +18,7 @@ from lite6jax.design.selection import Design, Pool, Refinement, choose, refine
 from lite6jax.design.sensor import BARE
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]

@@ -15,7 +15,7 @@ from lite6jax.design.information import TOLERANCE, Chain, Experiment, plan_exper
 from lite6jax.design.sensor import BARE
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import predict_frames
-from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.start import sample_within_limits
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.results import PublicResult
 

@@ -22,8 +22,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recognition import arm_of
-from lite6jax.fitting.source import load_nominal, load_recording
+from lite6jax.fitting.source import arm_of, load_nominal, load_recording
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult

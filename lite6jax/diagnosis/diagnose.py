@@ -23,8 +23,7 @@ from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.quality import ROUNDING
-from lite6jax.fitting.recognition import with_arm
-from lite6jax.fitting.source import load_nominal, load_recording
+from lite6jax.fitting.source import load_nominal, load_recording, with_arm
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers

@@ -26,8 +26,7 @@ from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.fitting.recognition import declared_arm_of, with_calibration
-from lite6jax.fitting.source import load_nominal, load_recording
+from lite6jax.fitting.source import declared_arm_of, load_nominal, load_recording, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks

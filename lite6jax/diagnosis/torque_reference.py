@@ -18,7 +18,7 @@ from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.fitting.recognition import declared_arm_of, with_calibration
+from lite6jax.fitting.source import declared_arm_of, with_calibration
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 from lite6jax import storage, threads
 from lite6jax.distribution.workers import Cluster, Function, Processes
 from lite6jax.errors import InputError
-from lite6jax.fitting.version import versions
+from lite6jax.fitting.compiled import versions
 
 if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, final
 
 from lite6jax import interruption, threads
 from lite6jax.errors import InputError
-from lite6jax.fitting import version
-from lite6jax.fitting.code_folder import keep_compiled_code
+from lite6jax.fitting import compiled
+from lite6jax.fitting.compiled import keep_compiled_code
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -71,7 +71,7 @@ def work(job: bytes | None, inputs: Sequence[Any], expected: tuple[str, ...] | N
     """
     global _job
     with _one_at_a_time:
-        if expected is not None and expected != version.versions():
+        if expected is not None and expected != compiled.versions():
             raise InputError(
                 "a worker of the cluster has another version of lite6jax, of Python or of a library than this program; "
                 "install the same in both places, and start the workers again"
@@ -304,7 +304,7 @@ class Cluster:
                 "the address (tcp://HOST:8786)"
             ) from error
         self._executor = self._client.get_executor(pure=False)
-        self._versions = version.versions()
+        self._versions = compiled.versions()
         return self
 
     def __exit__(self, *error: object) -> None:

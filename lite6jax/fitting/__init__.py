@@ -1,1 +1,1 @@
-"""The geometry of one arm or of many: start, residual, two solvers, solution."""
+"""The geometry of one arm or of many: source, problem, start, residual, solvers, solution."""

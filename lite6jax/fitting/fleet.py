@@ -1,28 +1,73 @@
-"""Many arms of one type fitted in one call, each with its own result code."""
+"""Many arms of one type: fitted in one call, each with its own result code, and compared with each other."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
+from numpy.typing import NDArray
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import six_parameter_fk
-from lite6jax.arms.factory import read_factory
+from lite6jax.arms.chains import SixParameterForm, hayati_fk, joint_motion, six_parameter_fk
+from lite6jax.arms.dh import closed_form
+from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.arms.se3 import Frame
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks
-from lite6jax.fitting.gauss_newton import Prior
-from lite6jax.fitting.residual import POSE
-from lite6jax.fitting.sampling import sample_within_limits
-from lite6jax.fitting.solution import FleetSolution, Result
+from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
+from lite6jax.fitting.gauss_newton import CHUNK, MAX_STEPS, fit_chunks
+from lite6jax.fitting.quality import Result
+from lite6jax.fitting.residual import POSE, predict_frames
+from lite6jax.fitting.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.model import LEVER, ArmModel, ModelForm
-from lite6jax.recordings import require_radians
-from lite6jax.recordings.units import real_array
+from lite6jax.results import PublicResult
+
+Array = NDArray[np.floating]
+
+EXACT = 1e-12
+"""m and rad; a model of a calibration that is off by no more has the errors of rounding."""
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class FleetSolution(PublicResult):
+    """The fits of many arms; every array has the arm as its first axis.
+
+    Attributes:
+        form: which parameters could be estimated.
+        parameters: `(arm, size)`, the chain's parameters in the order of `form.chain.names`, m and rad.
+        covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared; NaN for
+            an arm whose data does not determine every parameter.
+        result: `(arm,)` of `Result`.
+        steps: `(arm,)`.
+        position_rms: `(arm,)` m, of the data fitted.
+        orientation_rms: `(arm,)` rad.
+        cost: `(arm,)`, half the sum of the squared whitened residuals.
+    """
+
+    form: ModelForm
+    parameters: Array
+    covariance: Array
+    result: NDArray[np.int32]
+    steps: NDArray[np.int32]
+    position_rms: Array
+    orientation_rms: Array
+    cost: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names."""
+        return self.form.chain.names
+
+    @cached_property
+    def standard_deviation(self) -> Array:
+        """`(arm, size)` m and rad."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 def fit_fleet(
@@ -53,8 +98,11 @@ def fit_fleet(
     Raises:
         InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
     """
-    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
-    arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    # they take as long to import as all else, and many calibrations are fitted without
+    from lite6jax.recordings import require_radians
+    from lite6jax.recordings.units import real_array
+
+    arm = _load_type(nominal)
     q, T = real_array("joint_position", joint_position), real_array("T_base_flange", T_base_flange)
     if T.ndim != 4 or T.shape[2:] != (4, 4):
         raise InputError(f"T_base_flange of shape {T.shape}: give (arm, sample, 4, 4)")
@@ -79,44 +127,25 @@ def fit_fleet(
         raise InputError(f"T_base_flange of shape {T.shape}: give at least one arm and one sample")
 
     form = ModelForm(arm.form)
-    prior = Prior(arm.hayati, np.zeros(form.size), np.ones(form.size))  # type: ignore[arg-type]
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    summary = fit_chunks(
-        form,
-        start,
-        q,
-        T,
-        w,
-        1 / sigma,
-        None,
-        prior,
-        max_steps=max_steps,
-        progress=progress,  # type: ignore[arg-type]
-    )
+    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, np.ones(form.size), max_steps, progress)
     solved = summary.solved
-    numbers = POSE * np.asarray(summary.samples)
+    numbers = POSE * summary.samples
     result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
-    covariance = np.asarray(summary.covariance)
+    covariance = summary.covariance
     if noise is None:
-        spread = 2 * np.asarray(solved.cost) / np.maximum(numbers - form.size, 1)
-        covariance = covariance * spread[:, None, None]
+        covariance = covariance * (2 * solved.cost / np.maximum(numbers - form.size, 1))[:, None, None]
     return FleetSolution(
-        form=form,
-        parameters=np.asarray(solved.model.geometry),
-        covariance=covariance,
-        result=result,
-        steps=np.asarray(solved.steps),
-        position_rms=np.asarray(summary.position_rms),
-        orientation_rms=np.asarray(summary.orientation_rms),
-        cost=np.asarray(solved.cost),
-    )
+        form, solved.model.geometry, covariance, result, solved.steps,
+        summary.position_rms, summary.orientation_rms, solved.cost,
+    )  # type: ignore[arg-type]  # fmt: skip
 
 
 def fit_fleet_calibrations(
     factory: ArrayLike | Sequence[str | Path],
     *,
     nominal: Arm | str,
-    samples: int = 300,
+    samples: int = SAMPLES,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> FleetSolution:
@@ -132,15 +161,191 @@ def fit_fleet_calibrations(
     Raises:
         InputError: a wrong shape or type, or as `read_factory`.
     """
-    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
-    arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    from lite6jax.recordings.units import real_array
+
+    arm = _load_type(nominal)
     if isinstance(factory, list | tuple) and any(isinstance(each, str | Path) for each in factory):
         factory = np.stack([read_factory(path, arm).kinematics for path in factory])
     kinematics = real_array("factory", cast(ArrayLike, factory))
     if kinematics.ndim != 3 or kinematics.shape[1:] != (arm.dof, 6):
         raise InputError(f"factory of shape {kinematics.shape}: {arm.name} takes (arm, {arm.dof}, 6)")
     q = sample_within_limits(arm, samples, seed)
-    poses = jax.vmap(lambda rows: six_parameter_fk(rows, q, arm.sliding))(jnp.asarray(kinematics)) @ arm.T_joint_flange
+    poses = _chain_poses(kinematics, q, arm.sliding) @ arm.T_joint_flange
     solution = fit_fleet(q, poses, nominal=arm, progress=progress)
     broken = ~np.isfinite(kinematics).all((1, 2))
     return replace(solution, result=np.where(broken, Result.NOT_FINITE, solution.result).astype(np.int32))
+
+
+def _load_type(nominal: Arm | str) -> Arm:
+    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
+    return bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+
+
+def _chain_poses(kinematics: NDArray, joint_position: Array, sliding: tuple[int, ...]) -> jax.Array:
+    """Poses `(arm, sample, 4, 4)` after the last joint, of chains `(arm, joint, 6)`."""
+    return jax.vmap(lambda rows: six_parameter_fk(rows, joint_position, sliding))(jnp.asarray(kinematics))
+
+
+class FittedCalibrations(NamedTuple):
+    """The Hayati models of many calibrations of one type of arm, and their errors.
+
+    Each of the last three is `(arm, 4)`: root mean square and largest distance (m), and root mean square and largest
+    angle (rad), of a model from the calibration.
+
+    Attributes:
+        result: `(arm,)` of `Result`.
+        steps: `(arm,)` of the solver.
+        parameters: `(arm, size)`, m and rad.
+        fitted: at the `SAMPLES` joint positions that were fitted.
+        checked: at `check_positions`.
+        nominal: of the nominal geometry at these.
+    """
+
+    result: NDArray[np.int32]
+    steps: NDArray[np.integer]
+    parameters: NDArray[np.floating]
+    fitted: NDArray[np.floating]
+    checked: NDArray[np.floating]
+    nominal: NDArray[np.floating]
+
+
+def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> FittedCalibrations:
+    """The Hayati models that reproduce calibrations, as `fit_calibration` finds that of one.
+
+    A calibration has no noise: a model that reproduces it to `EXACT` at all joint positions is the least-squares fit,
+    and took no step. Only those of which the closed form does not are fitted: joint axes that are nearly parallel, a
+    table with a transform after its last joint, or prismatic joints.
+
+    Args:
+        kinematics: `(arm, joint, 6)` m and rad.
+        T_joint_flange: `(arm, 4, 4)` from the frame after the last joint to the flange.
+        arm: the type of all.
+    """
+    count = len(kinematics)
+    # filled up to whole chunks, so that batches of any size share compiled code
+    filled = np.minimum(np.arange(-(-count // CHUNK) * CHUNK), count - 1)
+    kinematics, T_joint_flange = kinematics[filled], T_joint_flange[filled]
+    chunks = [slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)]
+    q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
+    nominal = arm.hayati, arm.T_joint_flange
+
+    def errors(parameters: Array) -> Array:
+        form = ModelForm(arm.form)
+        return np.concatenate(
+            [_errors(form, parameters[each], *nominal, kinematics[each], T_joint_flange[each], q) for each in chunks]
+        )
+
+    parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
+    found = errors(parameters)
+    result, steps = np.full(len(filled), Result.CONVERGED, np.int32), np.zeros(len(filled), np.int32)
+    inexact = ~(np.max(found[:, :2, [1, 3]], (1, 2)) <= EXACT)
+    if inexact.any():
+        poses = _chain_poses(kinematics, q[:SAMPLES], arm.sliding) @ T_joint_flange[:, None]
+        solution = fit_fleet(q[:SAMPLES], poses, nominal=arm)
+        parameters = np.where(inexact[:, None], solution.parameters, parameters)
+        result, steps = np.where(inexact, solution.result, result), np.where(inexact, solution.steps, steps)
+        found = errors(parameters)
+    fitted, checked, by_design = np.moveaxis(found[:count], 1, 0)
+    return FittedCalibrations(result[:count], steps[:count], parameters[:count], fitted, checked, by_design)
+
+
+def _calibration_errors(
+    form: ModelForm,
+    parameters: jax.Array,
+    nominal: jax.Array,
+    T_nominal: jax.Array,
+    kinematics: jax.Array,
+    T_joint_flange: jax.Array,
+    joint_position: jax.Array,
+) -> jax.Array:
+    """`(arm, 3, 4)`: those of `FittedCalibrations`."""
+    chain = ModelForm(SixParameterForm(form.chain.dof, form.chain.sliding))
+    joint = joint_motion(form.chain, joint_position.T)
+
+    def flange(of: ModelForm, geometry: jax.Array, T: jax.Array) -> Frame:
+        return predict_frames(of, ArmModel(geometry, jnp.eye(4), T), joint)[1]
+
+    def differences(predicted: Frame, measured: Frame) -> list[jax.Array]:
+        """`(4,)` of the samples that were fitted, and of the others; as of `prediction_errors`."""
+        squares = [jnp.sum((a - b) ** 2, 0) for a, b in zip(predicted, measured, strict=True)]
+        distance, chord = jnp.sqrt(squares[3]), jnp.sqrt(squares[0] + squares[1] + squares[2])
+        angle = 2 * jnp.arcsin(jnp.minimum(chord / np.sqrt(8), 1.0))
+        parts = ([each[some] for each in (distance, angle)] for some in (slice(SAMPLES), slice(SAMPLES, None)))
+        return [
+            jnp.stack([f(each) for each in pair for f in (lambda part: jnp.sqrt(jnp.mean(part**2)), jnp.max)])
+            for pair in parts
+        ]
+
+    by_design = flange(form, nominal, T_nominal)
+
+    def one(own: jax.Array, calibrated: jax.Array, T: jax.Array) -> jax.Array:
+        true, found = flange(chain, calibrated.reshape(-1), T), flange(form, own, T_nominal)
+        return jnp.stack([*differences(found, true), differences(by_design, true)[1]])
+
+    return jax.vmap(one)(parameters, kinematics, T_joint_flange)
+
+
+_errors = Exported(_calibration_errors, 1, SINGLE_THREADED)
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(PublicResult):
+    """Arms of one type side by side.
+
+    Attributes:
+        arm: the nominal arm.
+        names: a short name of each arm, from its file.
+        sources: its file.
+        difference: `(arm, parameter)` of the Hayati parameters from nominal, m and rad.
+        from_nominal: `(arm, sample)` m, of the flange.
+        between: `(arm, arm)` m, the largest distance of the two flanges over the samples.
+    """
+
+    arm: Arm
+    names: tuple[str, ...]
+    sources: tuple[str, ...]
+    difference: Array
+    from_nominal: Array
+    between: Array
+
+    @property
+    def spread(self) -> Array:
+        """`(parameter,)` standard deviation across the arms, m and rad."""
+        return np.std(self.difference, axis=0, ddof=1)
+
+    @property
+    def largest(self) -> Array:
+        """`(parameter,)` largest absolute difference from nominal, m and rad."""
+        return np.abs(self.difference).max(0)
+
+
+def compare(calibrations: Sequence[FactoryCalibration]) -> Comparison:
+    """Compares calibrations of one type of arm, in closed form and over joint positions inside its limits.
+
+    Raises:
+        InputError: fewer than two, of different types, or as `hayati_of`.
+    """
+    if len(calibrations) < 2:
+        raise InputError("compare needs two calibrations or more; name their files")
+    arm = calibrations[0].arm
+    for other in calibrations[1:]:
+        if other.arm.name != arm.name:
+            raise InputError(
+                f"{other.source}: is of a {other.arm.name}, but {calibrations[0].source} of a {arm.name};"
+                " compare arms of one type"
+            )
+    from lite6jax.arms.factory import hayati_of
+
+    q = check_positions(arm)
+    flange = np.stack([calibration_poses(calibration, q)[:, :3, 3] for calibration in calibrations])
+    nominal = np.asarray(hayati_fk(arm.form, arm.hayati, q) @ arm.T_joint_flange)[:, :3, 3]
+    sources = tuple(calibration.source for calibration in calibrations)
+    stems = tuple(Path(source).stem for source in sources)
+    return Comparison(
+        arm=arm,
+        names=stems if len(set(stems)) == len(stems) else sources,
+        sources=sources,
+        difference=np.stack([hayati_of(calibration) for calibration in calibrations]) - arm.hayati,
+        from_nominal=np.linalg.norm(flange - nominal, axis=-1),
+        between=np.stack([np.linalg.norm(flange - own, axis=-1).max(1) for own in flange]),
+    )

@@ -1,4 +1,5 @@
-"""The fast solver: damped Gauss–Newton for a chunk of arms at once, with a curvature that is kept while it is good.
+"""The fast solver of fleets: damped Gauss–Newton for chunks of arms at once, with a curvature that is kept while it is
+good.
 
 The gradient is exact at every step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the
 path. A step of 1e-4 rad leaves it good to four digits. Where samples are many, the first step is that of one in four of
@@ -8,17 +9,41 @@ two walks of the chain.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+import numpy as np
+from jax import Array, export, lax
 from jax.typing import ArrayLike
 
-from lite6jax.fitting.residual import POSE, POSITION, Observations, Robust, block_cost, evaluate, linearise, over_blocks
-from lite6jax.fitting.status import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
+from lite6jax import threads
+from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
+from lite6jax.fitting.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
+from lite6jax.fitting.residual import (
+    POSE,
+    POSITION,
+    Observations,
+    differences,
+    evaluate,
+    linearise,
+    observe,
+    over_blocks,
+    pad,
+    padded_size,
+    predict_frames,
+)
 from lite6jax.model import ArmModel, ModelForm
+
+CHUNK = 16
+"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's cache."""
+ON_ACCELERATOR = 1024
+"""The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
+MAX_STEPS = 100
+SINGULAR_ABOVE = 1e11
+"""Inflation of a variance by correlation beyond which rounding decides the parameter."""
 
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
@@ -31,24 +56,12 @@ _DETERMINED = 1e6
 """… and determine each parameter: its variance is at most this many times what it would be if the others were known."""
 _BY_CHANCE = 10.0
 """… and where that lowers their cost by this many times what it would from the solution of all, by noise alone."""
-_DECREMENT = 1e-17
+DECREMENT = 1e-17
 """Converged when the step after the next is to gain less than this part of the cost, …"""
-_ROUNDING = 2e-16
+ROUNDING = 2e-16
 """… or less than residuals of this size, in m and rad, have by rounding."""
-
-
-class Prior(NamedTuple):
-    """What is known beforehand, and what is held.
-
-    Attributes:
-        center: the geometry `(geometry,)` that the prior is about.
-        precision: `(size,)`, inverse variance of each entry of the step from there; zero is no prior. Frames have none.
-        free: `(size,)`, one where the fit may move, zero where it may not.
-    """
-
-    center: Array
-    precision: Array
-    free: Array
+FLAT = 1e-10
+"""Part of the cost, below which rounding may decide which of two costs is lower, and a step is taken all the same."""
 
 
 class Solved(NamedTuple):
@@ -56,7 +69,7 @@ class Solved(NamedTuple):
 
     Attributes:
         model: the models, a leading arm axis on each leaf.
-        curvature: `(arm, size, size)`, the information of data and prior, to about four digits; identity where held.
+        curvature: `(arm, size, size)`, the information of the data, to about four digits; identity where held.
         cost: `(arm,)`.
         status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
         steps: `(arm,)`.
@@ -67,6 +80,112 @@ class Solved(NamedTuple):
     cost: Array
     status: Array
     steps: Array
+
+
+class Summary(NamedTuple):
+    """What is kept of a chunk, one row an arm: the solver's answer, covariance, the number of samples that were used,
+    and root-mean-square errors, m and rad."""
+
+    solved: Solved
+    covariance: Array
+    samples: Array
+    position_rms: Array
+    orientation_rms: Array
+
+
+def fit_chunks(
+    form: ModelForm,
+    start: ArmModel,
+    joint_position: np.ndarray,
+    pose: np.ndarray,
+    weight: np.ndarray,
+    whitener: np.ndarray,
+    free: np.ndarray,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[int], object] | None = None,
+) -> Summary:
+    """Fits arms by least squares, chunk by chunk and on every core.
+
+    Args:
+        form: what moves.
+        start: where from, one for all.
+        joint_position: `(arm, sample, joint)`, or `(sample, joint)` shared.
+        pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
+        weight: `(arm, sample)`.
+        whitener: `(2,)`, one for all.
+        free: `(size,)`, one where the fit may move, zero where it may not.
+        max_steps: most steps an arm may take.
+        progress: called with the number of arms done since the last call.
+
+    Returns:
+        NumPy arrays, a row an arm.
+    """
+    arms, samples = weight.shape
+    device: Any = getattr(jax.config, "jax_default_device", None)
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    chunk = min(CHUNK if platform == "cpu" else ON_ACCELERATOR, arms)
+    size, block = padded_size(samples)
+
+    def part(array: np.ndarray, first: int) -> np.ndarray:
+        """A chunk's arms of an array; the last chunk is filled up with its last arm."""
+        arms = array[first : first + chunk]
+        return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
+
+    def solve(first: int) -> Summary:
+        q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
+        data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
+        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), np.asarray(free, float), max_steps)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
+
+    firsts, parts = range(0, arms, chunk), []
+    with ThreadPoolExecutor(threads.available()) as pool:
+        for found in map(solve, firsts) if threads.available() == 1 else pool.map(solve, firsts):
+            parts.append(found)
+            if progress:
+                progress(len(found.samples))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def _solve_and_measure(
+    form: ModelForm,
+    block: int,
+    start: ArmModel,
+    joint_position: Array,
+    pose: Array,
+    weight: Array,
+    whitener: Array,
+    free: Array,
+    max_steps: ArrayLike,
+) -> Summary:
+    prepare = jax.vmap(
+        partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
+    )
+    observed = prepare(joint_position, pose, weight, whitener)
+    start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
+    solved = solve_chunk(form, start, observed, free, max_steps)
+    covariance = jax.vmap(inverse)(solved.curvature) * (free[:, None] * free)
+    # how much its correlation with the others inflates a parameter's variance
+    inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
+    regular = jnp.all((free == 0) | ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)), 1)
+    doubtful = (solved.status != NOT_FINITE) & ~regular
+    covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
+    solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
+
+    def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
+        """Of all distances and angles, zero where missing."""
+        raw = differences(block, predict_frames(form, model, block.joint)[1])
+        there = block.weight > 0
+        return tuple(jnp.sum(jnp.where(there, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
+
+    totals = jax.vmap(lambda model, observed: over_blocks(partial(squares, model), observed))(solved.model, observed)
+    used = jnp.sum(observed.weight > 0, (1, 2))
+    rms = [jnp.sqrt(total / jnp.maximum(used, 1)) for total in totals]
+    return Summary(solved, covariance, used, rms[0], rms[1])
+
+
+for _kind in (ArmModel, Solved, Summary):
+    export.register_namedtuple_serialization(_kind, serialized_name=f"lite6jax.{_kind.__name__}")
+_fit_chunk = Exported(_solve_and_measure, 2, SINGLE_THREADED)
 
 
 class _State(NamedTuple):
@@ -84,47 +203,31 @@ class _State(NamedTuple):
     steps: Array
 
 
-def solve_chunk(
-    form: ModelForm,
-    start: ArmModel,
-    observed: Observations,
-    robust: Robust | None,
-    prior: Prior,
-    max_steps: ArrayLike,
-    keep_curvature: bool = True,
-) -> Solved:
-    """Fits a chunk of arms.
+def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, free: Array, max_steps: ArrayLike) -> Solved:
+    """Fits a chunk of arms by least squares.
 
     Args:
         form: what moves.
         start: where from; a leading arm axis on every leaf.
         observed: arm and block axes lead.
-        robust: the loss; a leading arm axis.
-        prior: a leading arm axis.
+        free: `(size,)`, one where the fit may move, zero where it may not.
         max_steps: most steps an arm may take; zero only evaluates cost and curvature at the start.
-        keep_curvature: false makes it anew at every step: slower to run, faster to compile.
     """
     arms = start.geometry.shape[0]
     floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
-    at = partial(_with_prior, form, prior, robust)
-    begun = jnp.zeros(arms, jnp.int32)
-    if keep_curvature:
-        start, begun = _begin(form, start, observed, robust, prior, max_steps)
+    at = partial(_evaluate_arms, form, free)
+    start, begun = _begin(form, start, observed, free, max_steps)
 
     def body(state: _State) -> _State:
-        renewed = jnp.any(state.renew) if keep_curvature else jnp.array(True)
-        cost, gradient, H = (
-            lax.cond(
-                renewed,
-                lambda: at(linearise, state.candidate, observed),
-                lambda: (*at(evaluate, state.candidate, observed), state.curvature),
-            )
-            if keep_curvature
-            else at(linearise, state.candidate, observed)
+        renewed = jnp.any(state.renew)
+        cost, gradient, H = lax.cond(
+            renewed,
+            lambda: at(linearise, state.candidate, observed),
+            lambda: (*at(evaluate, state.candidate, observed), state.curvature),
         )
         running = state.status == RUNNING
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
-        flat = jnp.abs(state.decrement) <= 1e-10 * state.cost + floor
+        flat = jnp.abs(state.decrement) <= FLAT * state.cost + floor
         better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
         taken = running & better
         model, cost, gradient, H = jax.tree.map(
@@ -142,7 +245,7 @@ def solve_chunk(
         moved = jnp.max(jnp.abs(step), 1)
         # what the step after this one would gain, if steps go on shrinking as they last did
         shrinking = jnp.minimum(decrement / jnp.maximum(state.decrement, jnp.finfo(cost.dtype).tiny), 1.0)
-        small = jnp.abs(decrement * shrinking) <= jnp.maximum(_DECREMENT * cost, floor)
+        small = jnp.abs(decrement * shrinking) <= jnp.maximum(DECREMENT * cost, floor)
         singular = ~jnp.all(jnp.isfinite(step), 1)
         broken = ~jnp.isfinite(cost) | singular
         status = jnp.where(running & small, CONVERGED, state.status)
@@ -179,41 +282,30 @@ def solve_chunk(
     return Solved(state.model, state.curvature, state.cost, state.status, state.steps)
 
 
-def _with_prior(
+def _evaluate_arms(
     form: ModelForm,
-    prior: Prior,
-    robust: Robust | None,
+    free: Array,
     function: Callable[..., tuple[Array, ...]],
     model: ArmModel,
     observed: Observations,
 ) -> tuple[Array, ...]:
-    """Cost, gradient and, of `linearise`, curvature of data and prior of each arm; identity where held."""
-    n = form.chain.size
+    """Cost, gradient and, of `linearise`, curvature of each arm; identity where held."""
 
-    def one(model: ArmModel, observed: Observations, robust: Robust | None, prior: Prior) -> tuple[Array, ...]:
-        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), observed)
-        away = model.geometry - prior.center
-        pull = prior.precision[:n] * away
-        both_free = prior.free[:, None] * prior.free > 0
-        held = [jnp.where(both_free, H + jnp.diag(prior.precision), jnp.diag(1 - prior.free)) for H in curvature]
-        return (cost + 0.5 * jnp.sum(pull * away), gradient.at[:n].add(pull) * prior.free, *held)
+    def one(model: ArmModel, observed: Observations) -> tuple[Array, ...]:
+        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=None), observed)
+        held = [jnp.where(free[:, None] * free > 0, H, jnp.diag(1 - free)) for H in curvature]
+        return (cost, gradient * free, *held)
 
-    return jax.vmap(one)(model, observed, robust, prior)
+    return jax.vmap(one)(model, observed)
 
 
 def _begin(
-    form: ModelForm,
-    start: ArmModel,
-    observed: Observations,
-    robust: Robust | None,
-    prior: Prior,
-    max_steps: ArrayLike,
+    form: ModelForm, start: ArmModel, observed: Observations, free: Array, max_steps: ArrayLike
 ) -> tuple[ArmModel, Array]:
     """The model after one Gauss–Newton step of every fourth sample, and the steps taken, `(arm,)`.
 
     An arm stays where it is if these samples are too few, do not determine the step, or gain no more by it than they
-    would by fitting their own noise: a robust fit begins at a solution, from which the step would only lead away.
-    Samples of several blocks are left to the solver, as are whiteners of each sample's own: neither is fitted by the
+    would by fitting their own noise. Samples of several blocks are left to the solver: they are not fitted by the
     hundred.
     """
     arms, blocks, samples = observed.weight.shape
@@ -223,7 +315,7 @@ def _begin(
         return start, none
     few = jax.tree.map(lambda leaf: leaf[..., ::_STRIDE], observed._replace(whitener=jnp.zeros(0)))
     few = few._replace(whitener=observed.whitener)
-    at = partial(_with_prior, form, prior, robust)
+    at = partial(_evaluate_arms, form, free)
     before, gradient, H = at(linearise, start, few)
     inverted = jax.vmap(inverse)(H)
     step = -jnp.einsum("aij,aj->ai", inverted, gradient)
@@ -231,15 +323,11 @@ def _begin(
     inflation = jnp.diagonal(inverted, axis1=1, axis2=2) * jnp.diagonal(H, axis1=1, axis2=2)
     determined = jnp.all((inflation > 0.5) & (inflation < _DETERMINED), 1)
     numbers = jnp.sum(few.weight > 0, (1, 2)) * rows
-    after = at(_cost_alone, model, few)[0]
+    after = at(evaluate, model, few)[0]
     far = before - after > _BY_CHANCE * form.size / numbers * after
     enough = numbers >= _NUMBERS_EACH * form.size
     taken = (jnp.asarray(max_steps) > 0) & determined & enough & far & jnp.all(jnp.isfinite(step), 1)
     return jax.tree.map(_choose(taken), model, start), none + taken
-
-
-def _cost_alone(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
-    return block_cost(form, model, observed, robust), jnp.zeros(form.size)
 
 
 def _choose(which: Array) -> Callable[[Array, Array], Array]:
@@ -249,7 +337,7 @@ def _choose(which: Array) -> Callable[[Array, Array], Array]:
 def _rounding_floor(observed: Observations) -> Array:
     squares = observed.whitener**2
     per_sample = 3 * jnp.sum(squares) if observed.whitener.ndim == 1 else jnp.sum(squares, (0, 1))
-    return jnp.sum(observed.weight * per_sample) * _ROUNDING**2
+    return jnp.sum(observed.weight * per_sample) * ROUNDING**2
 
 
 def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
@@ -260,7 +348,6 @@ def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
     """
     scale = lax.rsqrt(jnp.maximum(jnp.diagonal(H), jnp.finfo(H.dtype).tiny))
     scaled = H * scale[:, None] * scale + damping * jnp.eye(H.shape[0])
-
     places = jnp.arange(H.shape[0])
 
     def eliminate(k: Array, A: Array) -> Array:

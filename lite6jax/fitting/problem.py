@@ -1,25 +1,27 @@
 """From a calibration or a recording to what is to be solved: data, noise, what is known and where to start."""
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, fk
+from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
-from lite6jax.arms.se3 import joint_rate, rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
-from lite6jax.fitting.chunks import observe, pad, padded_size
-from lite6jax.fitting.recognition import arm_of
-from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
-from lite6jax.fitting.start import frames_from_poses
+from lite6jax.fitting.residual import POSE, POSITION
+from lite6jax.fitting.source import arm_of
+from lite6jax.fitting.start import (
+    calibration_poses,
+    declared_tool,
+    frames_from_recording,
+    measured_rotations,
+    nominal_calibration,
+)
 from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import other_joints
@@ -47,11 +49,11 @@ class Problem:
         joint_position: `(sample, joint)` rad.
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured.
         noise: one standard deviation per axis of position (m) and orientation (rad), None where that is not measured.
-        joint_noise: of a joint's read-out, rad.
-        precision: `(size,)` of the prior that is declared; zero is none.
+        precision: `(size,)` of the prior about the start's geometry; zero is none.
         movable: `(size,)` bool, the parameters to estimate.
         declared_noise: the noise as declared, each None where it is not, or not measured.
-        exact: whether the poses have no noise: they are computed from a calibration.
+        by_joints: `(sample, row, row)`, what the noise of the joints' read-out adds to the covariance of a sample's
+            residual; None where there is none.
         notes: what was assumed.
     """
 
@@ -61,11 +63,10 @@ class Problem:
     joint_position: Array
     pose: Array
     noise: tuple[float, float | None]
-    joint_noise: float
     precision: Array
     movable: NDArray[np.bool_]
-    declared_noise: tuple[float | None, float | None]
-    exact: bool = False
+    declared_noise: tuple[float | None, float | None] = (None, None)
+    by_joints: Array | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -74,65 +75,33 @@ class Problem:
         return POSITION if self.pose.ndim == 2 else POSE
 
     @property
-    def tolerance(self) -> Array:
-        """`(size,)`, the precision of the prior of what is fitted and nothing is declared of; zero of frames."""
-        chain, precision = self.form.chain, np.zeros(self.form.size)
-        if not self.exact:
-            precision[: chain.size] = [TOLERANCE[unit] ** -2.0 for unit in chain.units]
-        return np.where(self.movable & (self.precision == 0), precision, 0.0)
-
-    def select(self, samples: NDArray[np.integer]) -> "Problem":
-        """With some of the samples."""
-        return replace(self, joint_position=self.joint_position[samples], pose=self.pose[samples])
-
     def covariance(self) -> Array:
-        """Of a sample's residual, as declared: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints.
-
-        It is Σ + σ_q² J Jᵀ with J the residual's derivative by the joint positions, the manipulator Jacobian in the
-        residual's axes. Prismatic joints are read without noise.
-        """
+        """Of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints."""
         position, orientation = self.noise
         sensor = np.diag(np.repeat(np.square((position, orientation or position)), 3)[: self.rows])
-        if not self.joint_noise:
-            return sensor
-        size, block = padded_size(len(self.pose))
-        J = _residual_by_joints(
-            self.form, self.start, pad(self.joint_position, 0, size), pad(self.pose, 0, size), block
-        )
-        J = np.asarray(J)[: len(self.pose)][..., ~self.arm.slides]
-        return sensor + self.joint_noise**2 * J @ np.swapaxes(J, 1, 2)
+        return sensor if self.by_joints is None else sensor + self.by_joints
 
+    @cached_property
+    def whitener(self) -> Array:
+        """What makes the noise of a residual unit: `(2,)`, or `(sample, row, row)`."""
+        covariance = self.covariance
+        if covariance.ndim == 2:
+            return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
+        return np.linalg.inv(np.linalg.cholesky(covariance))
 
-def whitener_of(covariance: Array) -> Array:
-    """The whitener of a `(row, row)` covariance, isotropic in each part, or of `(sample, row, row)` ones."""
-    if covariance.ndim == 2:
-        return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
-    return np.linalg.inv(np.linalg.cholesky(covariance))
+    def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "Problem":
+        """With some of the samples."""
+        by_joints = None if self.by_joints is None else self.by_joints[samples]
+        return replace(self, joint_position=self.joint_position[samples], pose=self.pose[samples], by_joints=by_joints)
 
 
 def calibration_problem(calibration: FactoryCalibration, joint_position: Array, pose: Array) -> Problem:
     """The Hayati model that reproduces a calibrated chain's poses `(sample, 4, 4)`, from nominal."""
     arm = calibration.arm
     form = ModelForm(arm.form)
-    return Problem(
-        arm=arm,
-        form=form,
-        start=ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange),  # type: ignore[arg-type]
-        joint_position=joint_position,
-        pose=pose,
-        noise=(1.0, 1 / LEVER),
-        joint_noise=0.0,
-        precision=np.zeros(form.size),
-        movable=np.ones(form.size, bool),
-        declared_noise=(None, None),
-        exact=True,
-    )
-
-
-def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
-    """The calibrated chain's flange poses `(sample, 4, 4)`."""
-    links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])
-    return frames.chain(links, joint_position, calibration.arm.sliding) @ calibration.T_joint_flange
+    start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
+    nothing = np.zeros(form.size)
+    return Problem(arm, form, start, joint_position, pose, (1.0, 1 / LEVER), nothing, np.ones(form.size, bool))
 
 
 def recording_problem(
@@ -177,14 +146,13 @@ def recording_problem(
         )
 
     frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
-    T_joint_flange = arm.T_joint_flange if factory is None else factory.T_joint_flange
+    known = factory or nominal_calibration(arm)
     if geometry == "free":
         form = ModelForm(arm.form, frame, tool)
         values = arm.hayati if factory is None else hayati_of(factory)
     else:
         form = ModelForm(SixParameterForm(arm.dof, arm.sliding), frame, tool)
-        assert factory is not None
-        values = factory.kinematics.ravel()
+        values = known.kinematics.ravel()
     movable = np.ones(form.size, bool)
     precision = np.zeros(form.size)
     if geometry == "exact":
@@ -193,53 +161,71 @@ def recording_problem(
         sigma = DEFAULT_UNCERTAINTY if uncertainty is None else (uncertainty.position_m, uncertainty.rotation_rad)
         precision[: form.chain.size] = [1 / sigma[unit == "rad"] ** 2 for unit in form.chain.units]
 
-    position = recording.position
-    assert position is not None
-    rotation = None if recording.quaternion is None else np.asarray(rotation_from_quaternion(recording.quaternion))
-    pose = position if rotation is None else np.asarray(transform(rotation, position))
-    known_tool = np.eye(4)
-    if not isinstance(settings.tool, str):
-        known_tool = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
-    flange = np.asarray(fk(form.chain, values, recording.joint_position)) @ T_joint_flange
-    T_sensor_base, T_flange_tool = frames_from_poses(
-        flange, position, rotation, None if frame else np.eye(4), None if tool else known_tool
-    )
-    start = ArmModel(values, T_sensor_base, T_joint_flange @ T_flange_tool)  # type: ignore[arg-type]
+    flange = calibration_poses(known, recording.joint_position)
+    T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, None if tool else declared_tool(recording))
+    T_flange_tool = known.T_joint_flange @ T_flange_tool
+    rotation, pose = measured_rotations(recording), recording.position
+    assert pose is not None
+    if rotation is not None:
+        T = np.zeros((recording.samples, 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation, pose, 1.0
+        pose = T
     declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
     noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
     lacking = [declared[0] is None, rotation is not None and declared[1] is None]
     if any(lacking):
         what = "positions" if not lacking[1] else "all that is measured" if lacking[0] else "orientations"
         notes.append(f"the sidecar does not declare the noise of {what}: it is taken from the residuals")
+    by_joints = None
+    if settings.joint_noise_rad:
+        blocks = [slice(first, first + frames.BLOCK) for first in range(0, recording.samples, frames.BLOCK)]
+        J = np.concatenate(
+            [
+                _residual_by_joints(
+                    known, recording.joint_position[some], T_sensor_base, T_flange_tool,
+                    None if rotation is None else rotation[some],
+                )
+                for some in blocks
+            ]
+        )  # fmt: skip
+        by_joints = settings.joint_noise_rad**2 * J @ np.swapaxes(J, 1, 2)
     return Problem(
         arm=arm,
         form=form,
-        start=start,
+        start=ArmModel(values, T_sensor_base, T_flange_tool),  # type: ignore[arg-type]
         joint_position=recording.joint_position,
         pose=pose,
         noise=noise,
-        joint_noise=settings.joint_noise_rad,
         precision=precision,
         movable=movable,
         declared_noise=declared,
+        by_joints=by_joints,
         notes=(*recording.notes, *notes),
     )
 
 
-@partial(jax.jit, static_argnums=(0, 4))
 def _residual_by_joints(
-    form: ModelForm, model: ArmModel, joint_position: jax.Array, pose: jax.Array, block: int
-) -> jax.Array:
-    observed = observe(form, joint_position, pose, jnp.ones(len(pose)), jnp.ones(2), block)
+    known: FactoryCalibration, q: Array, T_sensor_base: Array, T_flange_tool: Array, rotation: Array | None
+) -> Array:
+    """The residual's derivatives `(sample, row, joint)` by the revolute joints, which are not read without noise.
 
-    def one(part: Observations) -> jax.Array:
-        def by_joint(direction: jax.Array) -> jax.Array:
-            turning = joint_rate(part.joint, direction, form.chain.sliding)
-            return jax.jvp(
-                lambda joint: differences(part, predict_frames(form, model, joint)[1]), (part.joint,), (turning,)
-            )[1]
+    It is the manipulator Jacobian in the residual's axes, with the logarithm's own derivative.
+    """
+    links, arm = [frames.transform_from_row(row) for row in known.kinematics], known.arm
+    _, *walked = frames.walk(links, q, arm.sliding, T_sensor_base)
+    tool = walked[-1] @ T_flange_tool
+    turning = [walked[j] for j in np.flatnonzero(~arm.slides)]
+    axes = np.stack([T[:, :3, 2] for T in turning], 1)
+    levers = tool[:, None, :3, 3] - np.stack([T[:, :3, 3] for T in turning], 1)
+    J = np.swapaxes(np.cross(axes, levers), 1, 2)
+    if rotation is None:
+        return J
+    from scipy.spatial.transform import Rotation
 
-        return jnp.transpose(jax.vmap(by_joint)(jnp.eye(form.chain.dof)), (2, 1, 0))
-
-    J = jax.lax.map(one, observed)
-    return J.reshape(-1, *J.shape[2:])
+    error = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ tool[:, :3, :3]).as_rotvec()[:, None]
+    spins = axes @ rotation
+    # J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80)
+    angle = np.maximum(np.linalg.norm(error, axis=2, keepdims=True), 1e-3)
+    once = np.cross(error, spins)
+    spins += (1 / angle**2 - 1 / (2 * angle * np.tan(angle / 2))) * np.cross(error, once) - 0.5 * once
+    return np.concatenate([J, np.swapaxes(spins, 1, 2)], 1)

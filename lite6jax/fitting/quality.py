@@ -1,5 +1,9 @@
-"""Whether a model describes the poses it was fitted to, which is another question than whether its fit converged."""
+"""How a fit ended and, which is another question, whether its model describes the poses that it was fitted to.
 
+Nothing is fitted here, so that those who only read results import little.
+"""
+
+from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -8,6 +12,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating]
 QualityVerdict = Literal["good", "above_noise", "bad"]
 Reason = Literal["too_far", "unrelated"]
+
+RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE, SINGULAR = range(5)
+"""How a fit stands."""
 
 FARTHEST_SHARE = 0.01
 """Of the arm's reach, which the errors of a model that describes an arm do not exceed: 7 mm for a Lite 6. The nominal
@@ -26,6 +33,29 @@ ROUNDING = 1e-6
 """m; the model of a calibration reproduces it to rounding, and a larger error is that of another minimum."""
 _QUARTILE = 75.0
 """Per cent of the rows that must be near: outliers of a sensor are fewer than a quarter."""
+
+
+class Result(IntEnum):
+    """How the fit of one arm ended."""
+
+    CONVERGED = CONVERGED
+    STEPS_EXHAUSTED = STEPS_EXHAUSTED
+    NOT_FINITE = NOT_FINITE
+    SINGULAR = SINGULAR
+    TOO_FEW_SAMPLES = 5
+    UNREADABLE = 6
+
+    @property
+    def message(self) -> str:
+        """One line for a person."""
+        return {
+            Result.CONVERGED: "converged",
+            Result.STEPS_EXHAUSTED: "did not converge in the steps allowed; check the arm's model, or allow more steps",
+            Result.NOT_FINITE: "met a number that is not finite; check the input",
+            Result.SINGULAR: "does not determine every parameter; record poses that move every joint",
+            Result.TOO_FEW_SAMPLES: "has fewer measured numbers than parameters; record more poses",
+            Result.UNREADABLE: "could not be read",
+        }[self]
 
 
 class Quality(NamedTuple):

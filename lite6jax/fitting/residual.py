@@ -14,11 +14,13 @@ import numpy as np
 from jax import Array, lax
 
 from lite6jax.arms.chains import sweep, sweep_order
-from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, rotation_log_components, rotation_twist
+from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, joint_turn, rotation_log_components, rotation_twist
 from lite6jax.model import ArmModel, ModelForm
 
 POSITION, POSE = 3, 6
 """Rows a sample has: a position, or a position and an orientation."""
+BLOCK = 2400
+"""Samples walked together: their Jacobian stays in a core's cache, and memory does not grow with their number."""
 
 
 class Observations(NamedTuple):
@@ -49,6 +51,53 @@ class Robust(NamedTuple):
 
     freedom: Array
     scale: Array
+
+
+def observe(
+    form: ModelForm, joint_position: Array, pose: Array, weight: Array, whitener: Array, block: int
+) -> Observations:
+    """One arm's data as the residual wants it, cut into blocks.
+
+    Args:
+        form: whose chain says which joints are prismatic.
+        joint_position: `(sample, joint)` rad, and m of prismatic joints.
+        pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured; missing where not finite.
+        weight: `(sample,)`.
+        whitener: `(2,)` or `(sample, row, row)`.
+        block: samples in a block; divides their number.
+    """
+    axes = tuple(range(1, pose.ndim))
+    finite = jnp.all(jnp.isfinite(pose), axes) & jnp.all(jnp.isfinite(joint_position), 1)
+    used = finite & (weight > 0)
+    pose = jnp.where(used.reshape(-1, *[1] * len(axes)), pose, 1.0)
+    q = jnp.where(used[:, None], joint_position, 0.0)
+
+    def blocked(leaf: Array) -> Array:
+        return jnp.moveaxis(leaf.reshape(-1, block, *leaf.shape[1:]), 1, -1)
+
+    count = weight.shape[0] // block
+    position, rotation = (pose[:, :3, 3], blocked(pose[:, :3, :3])) if pose.ndim == 3 else (pose, None)
+    rotation = jnp.zeros((count, 3, 3, 0)) if rotation is None else rotation
+    whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
+    joint = joint_turn(blocked(q), form.chain.sliding, quick_turn)
+    return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
+
+
+def padded_size(samples: int) -> tuple[int, int]:
+    """How many samples to pad to, and a block's size: few shapes, so that few are compiled; it adds at most 1/16."""
+    if samples > BLOCK:
+        return -(-samples // BLOCK) * BLOCK, BLOCK
+    grain = max(4, 2 ** (max(samples - 1, 1).bit_length() - 5))
+    size = -(-samples // grain) * grain
+    return size, size
+
+
+def pad(array: np.ndarray, axis: int, size: int) -> np.ndarray:
+    """The array with zeros appended along an axis."""
+    missing = size - array.shape[axis]
+    if missing == 0:
+        return array
+    return np.pad(array, [(0, missing if i == axis else 0) for i in range(array.ndim)])
 
 
 def tool_frame(model: ArmModel, flange: Frame) -> Frame:
@@ -89,48 +138,17 @@ def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array
     return jnp.sqrt(observed.weight) * whiten(observed.whitener, differences(observed, tool))
 
 
-def loss(observed: Observations, robust: Robust | None, squares: Array) -> tuple[Array, Array]:
-    """Each sample's cost, and the weight `(sample,)` its residual has in the gradient.
-
-    Args:
-        observed: for its weights and the number of its rows.
-        robust: the loss.
-        squares: each sample's squared whitened residual, `(sample,)`.
-    """
-    if robust is None:
-        return 0.5 * observed.weight * squares, observed.weight
-    rows = POSITION if observed.rotation.shape[-1] == 0 else POSE
-    scaled = squares / robust.scale**2
-    cost = 0.5 * (robust.freedom + rows) * jnp.log1p(scaled / robust.freedom)
-    weight = (robust.freedom + rows) / (robust.freedom + scaled) / robust.scale**2
-    return observed.weight * cost, observed.weight * weight
-
-
-class _Sight(NamedTuple):
-    """What one walk of the chain shows: frames, residuals, and their loss."""
-
-    flange: Frame
-    tool: Frame
-    raw: Array
-    whitened: Array
-    cost: Array
-    weight: Array
-
-
-def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> _Sight:
-    return _seen(observed, *predict_frames(form, model, observed.joint), robust)
-
-
-def _seen(observed: Observations, flange: Frame, tool: Frame, robust: Robust | None) -> _Sight:
+def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[Array, Array, Array, Array]:
+    """Residuals before and after whitening, their cost, and the weight of each sample's residual in the gradient."""
     raw = differences(observed, tool)
     whitened = whiten(observed.whitener, raw)
-    cost, weight = loss(observed, robust, jnp.sum(whitened**2, 0))
-    return _Sight(flange, tool, raw, whitened, jnp.sum(cost), weight)
-
-
-def block_cost(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> Array:
-    """The cost of one block of samples."""
-    return _look(form, model, observed, robust).cost
+    squares = jnp.sum(whitened**2, 0)
+    if robust is None:
+        return raw, whitened, jnp.sum(0.5 * observed.weight * squares), observed.weight
+    scaled, freedom = squares / robust.scale**2, robust.freedom + len(raw)
+    cost = 0.5 * freedom * jnp.log1p(scaled / robust.freedom)
+    weight = freedom / (robust.freedom + scaled) / robust.scale**2
+    return raw, whitened, jnp.sum(observed.weight * cost), observed.weight * weight
 
 
 def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
@@ -138,23 +156,21 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
 
     The gradient is what reverse-mode differentiation of the cost gives, for two walks of the chain.
     """
-    sight = _look(form, model, observed, robust)
-    if observed.whitener.ndim == 1:
-        dual = sight.weight * whiten(observed.whitener, sight.whitened)
-    else:
-        dual = sight.weight * jnp.sum(observed.whitener * sight.whitened[:, None], 0)
+    _, tool = predict_frames(form, model, observed.joint)
+    raw, whitened, cost, weight = _look(observed, tool, robust)
+    isotropic = observed.whitener.ndim == 1
+    dual = whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), whitened) * weight
     force = dual[:3]
-    moment = cross(sight.tool.origin, force)
+    moment = cross(tool.origin, force)
     if len(dual) == POSE:
         # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
-        turned = dual[3:] if observed.whitener.ndim == 1 else _left_jacobian_inverse(-sight.raw[3:], dual[3:])
-        moment = moment + _to_sensor(observed, turned)
+        moment += _to_sensor(observed, dual[3:] if isotropic else _left_jacobian_inverse(-raw[3:], dual[3:]))
 
     def power(twist: Twist) -> Array:
         total = force * twist.linear
         return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
 
-    return sight.cost, twist_columns(form, model, observed.joint, power)[step_order(form)]
+    return cost, twist_columns(form, model, observed.joint, power)[step_order(form)]
 
 
 def linearise(
@@ -163,20 +179,37 @@ def linearise(
     """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
     if observed.whitener.ndim == 1:
         return _linearise_isotropic(form, model, observed, robust)
-    sight = _look(form, model, observed, robust)
-    J = _walked_jacobian(form, model, observed, sight)
+    _, tool = predict_frames(form, model, observed.joint)
+    raw, whitened, cost, weight = _look(observed, tool, robust)
+    root = jnp.sqrt(weight)
+    # the whitened residual's derivatives by a twist at the fixed origin, each (row, component, sample)
+    by_linear = observed.whitener[:, :3]
+    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), tool.origin[:, None]), 0, 1)
+    if len(raw) == POSE:
+        turned = jnp.stack([_left_jacobian_inverse(raw[3:], observed.rotation[j]) for j in range(3)], 1)
+        by_angular += jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
+
+    def rows(twist: Twist) -> Array:
+        shift = jnp.sum(by_linear * twist.linear, 1)
+        return root * (shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1))
+
+    J = twist_columns(form, model, observed.joint, rows)
     J = J.reshape(len(J), -1)
     order = step_order(form)  # of the small products: to reorder J would copy it
-    return sight.cost, (J @ (jnp.sqrt(sight.weight) * sight.whitened).reshape(-1))[order], (J @ J.T)[order][:, order]
+    return cost, (J @ (root * whitened).reshape(-1))[order], (J @ J.T)[order][:, order]
 
 
 def _linearise_isotropic(
     form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
 ) -> tuple[Array, Array, Array]:
-    """As `linearise` where the whitener is `(2,)`: by one walk, and without the zeros of a shift's orientation rows."""
-    flange, tool, twists = walked_twists(form, model, observed.joint)
-    sight = _seen(observed, flange, tool, robust)
-    root = jnp.sqrt(sight.weight)
+    """As `linearise` where the whitener is `(2,)`: by one walk, and without the zeros of a shift's orientation rows.
+
+    Orientation rows are in the sensor's axes and without the logarithm's own derivative, which differs from one by half
+    the residual angle. The gradient is exact all the same; the curvature differs to second order.
+    """
+    _, tool, twists = _walk_twists(form, model, observed.joint, lambda twist: twist)
+    raw, whitened, cost, weight = _look(observed, tool, robust)
+    root = jnp.sqrt(weight)
     shifts, spins = [], []
     for twist, turning in zip(twists, _turning(form), strict=True):
         if twist.angular is None:
@@ -190,70 +223,15 @@ def _linearise_isotropic(
         return J @ (root * rows).reshape(-1), J @ J.T
 
     per_metre = observed.whitener[0]
-    gradient, curvature = product(shifts, sight.whitened[:POSITION])
+    gradient, curvature = product(shifts, whitened[:POSITION])
     gradient, curvature = per_metre * gradient, per_metre**2 * curvature
-    if len(sight.raw) == POSE:
+    if len(raw) == POSE:
         per_radian, at = observed.whitener[1], np.flatnonzero(np.concatenate(_turning(form)))
-        of_spins, among_spins = product(spins, _to_sensor(observed, sight.whitened[POSITION:]))
+        of_spins, among_spins = product(spins, _to_sensor(observed, whitened[POSITION:]))
         gradient = gradient.at[at].add(per_radian * of_spins)
         curvature = curvature.at[np.ix_(at, at)].add(per_radian**2 * among_spins)
     order = step_order(form)
-    return sight.cost, gradient[order], curvature[order][:, order]
-
-
-def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> Array:
-    """The whitened, weighted residuals' derivatives `(parameter, row, sample)`, from the chain's twists.
-
-    Where the whitener is isotropic the orientation rows are in the sensor's axes and without the logarithm's own
-    derivative, which differs from one by half the residual angle: neither matters to JᵀJ or to Jᵀr.
-    """
-    return _walked_jacobian(form, model, observed, _look(form, model, observed, robust))[step_order(form)]
-
-
-def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight) -> Array:
-    root = jnp.sqrt(sight.weight)
-    if observed.whitener.ndim == 1:
-
-        def rows(twist: Twist) -> Array:
-            spin = twist.angular
-            shift = twist.linear if spin is None else twist.linear + cross(spin, sight.tool.origin)
-            if len(sight.raw) == POSE:
-                shift = jnp.concatenate([shift, jnp.zeros_like(shift) if spin is None else spin])
-            return root * whiten(observed.whitener, shift)
-
-        return twist_columns(form, model, observed.joint, rows)
-
-    by_linear, by_angular = by_twist(observed, sight.tool)
-
-    def rows(twist: Twist) -> Array:
-        shift = jnp.sum(by_linear * twist.linear, 1)
-        return root * (shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1))
-
-    return twist_columns(form, model, observed.joint, rows)
-
-
-def by_twist(observed: Observations, tool: Frame) -> tuple[Array, Array]:
-    """The whitened residual's derivatives by a twist at the fixed origin, its linear and its angular part.
-
-    Each `(row, 3, sample)`, orientation rows in the measured tool's axes, the logarithm's own derivative included. The
-    whitener is `(row, row, sample)`.
-    """
-    by_linear = observed.whitener[:, :3]
-    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), tool.origin[:, None]), 0, 1)
-    if observed.rotation.shape[-1]:
-        raw = differences(observed, tool)[3:]
-        turned = jnp.stack([_left_jacobian_inverse(raw, observed.rotation[j]) for j in range(3)], 1)
-        by_angular = by_angular + jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
-    return by_linear, by_angular
-
-
-def walked_twists(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame, Frame, list[Twist]]:
-    """The flange's and the tool's frames, and the twists of all entries of a step, in sensor coordinates.
-
-    The twists have the leading axes of `sweep`, and those of the sensor's frame and of the tool one of length one.
-    `step_order` says which is which.
-    """
-    return _walked(form, model, joint, lambda twist: twist)
+    return cost, gradient[order], curvature[order][:, order]
 
 
 def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Array]) -> Array:
@@ -265,22 +243,26 @@ def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[
         joint: the joints' motions.
         emit: maps a twist, in sensor coordinates, to an array; all of one shape.
     """
-    return jnp.concatenate(_walked(form, model, joint, emit)[2])
+    return jnp.concatenate(_walk_twists(form, model, joint, emit)[2])
 
 
-def _walked(
+def _walk_twists(
     form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Any]
 ) -> tuple[Frame, Frame, list[Any]]:
+    """The flange's and the tool's frames, and what `emit` makes of each twist, with the leading axes of `sweep`."""
     samples = joint.cos.shape[-1]
     flange, emitted = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, samples), emit)
     tool = tool_frame(model, flange)
-    twists = []
+    pairs = []
     if form.frame:
         fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), samples)
-        twists += _frame_twists(fixed, fixed)
+        pairs.append((fixed, fixed))
     if form.tool:
-        twists += _frame_twists(flange, tool)
-    return flange, tool, [*emitted, *(jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists)]
+        pairs.append((flange, tool))
+    for shifting, turning in pairs:
+        twists = [Twist(shifting[i], None) for i in range(3)] + [rotation_twist(turning, i) for i in range(3)]
+        emitted += [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
+    return flange, tool, emitted
 
 
 def step_order(form: ModelForm) -> np.ndarray:
@@ -291,16 +273,12 @@ def step_order(form: ModelForm) -> np.ndarray:
 
 
 def _turning(form: ModelForm) -> list[np.ndarray]:
-    """Which twists of each array of `walked_twists` are of rotations, the others of shifts or of nothing."""
+    """Which twists of each array of `_walk_twists` are of rotations, the others of shifts or of nothing."""
     swept, chain = sweep_order(form.chain), form.chain
     units = np.append(chain.units, "")[swept]  # of what is always zero, no unit
     of_base, of_joints = units[: chain.base_size, None], units[chain.base_size :].reshape(-1, chain.dof)
     frames = np.array(form.units[chain.size :])[:, None]
     return [group == "rad" for group in (*of_base, *of_joints, *frames)]
-
-
-def _frame_twists(shifting: Frame, turning: Frame) -> list[Twist]:
-    return [Twist(shifting[i], None) for i in range(3)] + [rotation_twist(turning, i) for i in range(3)]
 
 
 def _to_sensor(observed: Observations, in_tool: Array) -> Array:
@@ -330,3 +308,48 @@ def over_blocks(evaluate, observed: Observations):
     shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], observed))
     zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     return lax.scan(lambda total, block: (jax.tree.map(jnp.add, total, evaluate(block)), None), zeros, observed)[0]
+
+
+LARGEST = 1e6
+"""rad; up to here an angle's multiple of π/2 times the first part of π/2 is exact. No joint turns so far."""
+
+_HALF_PI = (float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a6p-34"), float.fromhex("0x1.3198a2e037073p-69"))
+"""π/2 in three parts, of which the first two have 33 bits (W. Cody, W. Waite, Software Manual for the Elementary
+Functions, 1980)."""
+_SINE = (
+    *(-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04),
+    *(2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10),
+)
+_COSINE = (
+    *(4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05),
+    *(-2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11),
+)
+"""Minimax polynomials in the squared angle up to π/4 (Sun Microsystems, fdlibm 5.3): sin x = x + x³ p(x²), cos x = 1 −
+x²/2 + x⁴ p(x²)."""
+
+
+def quick_turn(angle: Array) -> Turn:
+    """The cosine and sine of `angle` rad, of any shape, each within 2.3e-16; NaN where an angle is not finite.
+
+    Angles beyond `LARGEST`, which only a damaged row has, count as `LARGEST`: the polynomials would be no sine there.
+    Not to be differentiated: of the rounding to a multiple of π/2, automatic differentiation knows nothing.
+    """
+    angle = jnp.where(jnp.isfinite(angle), jnp.clip(angle, -LARGEST, LARGEST), jnp.nan)
+    quarter = jnp.round(angle * (2 / np.pi))
+    rest = angle
+    for part in _HALF_PI:
+        rest = rest - quarter * part
+    square = rest * rest
+    sine = rest + rest * square * _polynomial(_SINE, square)
+    cosine = 1 - 0.5 * square + square * square * _polynomial(_COSINE, square)
+    quarter = quarter - 4 * jnp.floor(quarter / 4)
+    odd = (quarter == 1) | (quarter == 3)
+    sine, cosine = jnp.where(odd, cosine, sine), jnp.where(odd, sine, cosine)
+    return Turn(jnp.where((quarter == 1) | (quarter == 2), -cosine, cosine), jnp.where(quarter >= 2, -sine, sine))
+
+
+def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
+    total = jnp.full_like(x, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total = coefficient + x * total
+    return total

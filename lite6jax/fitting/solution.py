@@ -15,10 +15,9 @@ from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import write_table
 from lite6jax.arms.factory import FactoryCalibration, hayati_of
 from lite6jax.estimation.robust import DOWNWEIGHTED
-from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
-from lite6jax.fitting.quality import ROUNDING, Quality, quality_of_calibration, quality_of_poses
-from lite6jax.fitting.status import Result
+from lite6jax.fitting.quality import ROUNDING, Quality, Result, quality_of_calibration, quality_of_poses
+from lite6jax.fitting.residual import pad, padded_size
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
@@ -56,9 +55,9 @@ FROM_PRIOR = 0.01
 """Share of the prior's variance above which an estimate is not determined by the data: its standard deviation is then
 over 2 mm or 0.3°, a tenth of the prior's, and no less than real arms are off nominal."""
 
-_predict = Exported("predict", predict, (0,))
 _AT_ONCE = 24_000
 """Samples, whose predicted poses take 3 MB."""
+_predict_poses = Exported(predict, 1)
 
 
 def prediction_errors(
@@ -68,38 +67,37 @@ def prediction_errors(
 
     What is compiled for `of` samples serves a part of them as well.
     """
-    position, orientation = np.empty(len(pose)), None if pose.ndim == 2 else np.empty(len(pose))
 
-    def compare(some: slice, predicted: Array) -> None:
+    def compare(some: slice, predicted: Array) -> tuple[Array, ...]:
         measured = pose[some]
-        if orientation is None:
-            position[some] = np.linalg.norm(predicted[:, :3, 3] - measured, axis=1)
-            return
-        position[some] = np.linalg.norm(predicted[:, :3, 3] - measured[:, :3, 3], axis=1)
+        if pose.ndim == 2:
+            return (np.linalg.norm(predicted[:, :3, 3] - measured, axis=1),)
         # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
         chord = np.linalg.norm(predicted[:, :3, :3] - measured[:, :3, :3], axis=(1, 2))
-        orientation[some] = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+        distance = np.linalg.norm(predicted[:, :3, 3] - measured[:, :3, 3], axis=1)
+        return distance, 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
 
-    _predict_parts(form, model, joint_position, compare, of)
-    return Errors(position, orientation, joint_position)
+    position, *orientation = _by_slices(form, model, joint_position, compare, of)
+    return Errors(position, orientation[0] if orientation else None, joint_position)
 
 
-def _predict_parts(
+def _by_slices(
     form: ModelForm,
     model: ArmModel,
     joint_position: Array,
-    take: Callable[[slice, Array], None],
+    use: Callable[[slice, Array], tuple[Array, ...]],
     of: int | None = None,
-) -> None:
-    """Has `take` take predicted poses `(sample, 4, 4)`, `_AT_ONCE` samples at a time; compiled for `of` of them."""
+) -> list[Array]:
+    """What `use` makes of predicted poses `(sample, 4, 4)`, `_AT_ONCE` samples at a time, which bounds the memory."""
     size = padded_size(min(of or len(joint_position), _AT_ONCE))[0]
 
-    def part(first: int) -> None:
+    def part(first: int) -> tuple[Array, ...]:
         some = slice(first, first + _AT_ONCE)
         q = joint_position[some]
-        take(some, np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)])
+        return use(some, np.asarray(_predict_poses(form.chain, model, pad(q, 0, size)))[: len(q)])
 
-    threads.by_parts(part, range(0, len(joint_position), _AT_ONCE))
+    parts = threads.by_parts(part, range(0, len(joint_position), _AT_ONCE))
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -212,14 +210,9 @@ class Solution(PublicResult):
         """Whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
-        measured = self.recording.position
+        measured, q = self.recording.position, self.recording.joint_position
         assert measured is not None
-        predicted = np.empty_like(measured)
-
-        def take(some: slice, poses: Array) -> None:
-            predicted[some] = poses[:, :3, 3]
-
-        _predict_parts(self.form, self.model, self.recording.joint_position, take)
+        (predicted,) = _by_slices(self.form, self.model, q, lambda some, poses: (poses[:, :3, 3],))
         noise = None if self.noise.declared is None else self.noise.declared[0]
         return quality_of_poses(
             self.checked.position, measured, predicted, self.arm.reach, noise, self.noise.over_declared
@@ -228,17 +221,10 @@ class Solution(PublicResult):
     @cached_property
     def outlying(self) -> NDArray[np.bool_]:
         """`(sample,)`, rows of little weight whose error exceeds the declared noise, or else the rounding of a file."""
-        declared = (
-            (None, None)
-            if self.recording is None
-            else (
-                self.recording.settings.position_noise_m,
-                self.recording.settings.orientation_noise_rad,
-            )
-        )
-        matters = self.errors.position > (declared[0] or ROUNDING)
+        settings = None if self.recording is None else self.recording.settings
+        matters = self.errors.position > ((settings and settings.position_noise_m) or ROUNDING)
         if self.errors.orientation is not None:
-            matters |= self.errors.orientation > (declared[1] or ROUNDING)
+            matters |= self.errors.orientation > ((settings and settings.orientation_noise_rad) or ROUNDING)
         return (self.weight < DOWNWEIGHTED) & matters
 
     def predict(self, joint_position: Array) -> Array:
@@ -249,43 +235,6 @@ class Solution(PublicResult):
         """
         require_radians(joint_position, self.arm.joint_limits)
         return np.asarray(predict(self.form.chain, self.model, joint_position))
-
-
-@final
-@dataclass(frozen=True, repr=False)
-class FleetSolution(PublicResult):
-    """The fits of many arms; every array has the arm as its first axis.
-
-    Attributes:
-        form: which parameters could be estimated.
-        parameters: `(arm, size)`, the chain's parameters in the order of `form.chain.names`, m and rad.
-        covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared; NaN for
-            an arm whose data does not determine every parameter.
-        result: `(arm,)` of `Result`.
-        steps: `(arm,)`.
-        position_rms: `(arm,)` m, of the data fitted.
-        orientation_rms: `(arm,)` rad.
-        cost: `(arm,)`, half the sum of the squared whitened residuals.
-    """
-
-    form: ModelForm
-    parameters: Array
-    covariance: Array
-    result: NDArray[np.int32]
-    steps: NDArray[np.int32]
-    position_rms: Array
-    orientation_rms: Array
-    cost: Array
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The parameters' names."""
-        return self.form.chain.names
-
-    @cached_property
-    def standard_deviation(self) -> Array:
-        """`(arm, size)` m and rad."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 def write_solution(solution: Solution, path: str | Path, overwrite: bool = False) -> Path:

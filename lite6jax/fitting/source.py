@@ -1,23 +1,43 @@
-"""What is to be fitted, by the file's suffix: a calibration or a recording, with its nominal arm."""
+"""What is to be fitted: an arm, a calibration or a recording, by name or file; and which bundled arm a recording is of.
 
+Where nobody says which arm a recording is of, each with as many joints is tried by its nominal table.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
-from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.arms.files import read_arm
-from lite6jax.errors import InputError, wrong_type
-from lite6jax.fitting.recognition import declared_arm, widest_limits, with_arm
+from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration, read_factory
+from lite6jax.arms.files import calibrated_arm, read_arm
+from lite6jax.errors import InputError, InputWarning, wrong_type
+from lite6jax.fitting.quality import upper_quartile
+from lite6jax.fitting.start import declared_tool, frames_from_recording
 from lite6jax.recordings import (
     Recording,
+    RecordingSettings,
     check_joint_scale,
     check_position_scale,
     read_recording,
     read_settings,
     recording_file,
+    require_radians,
+    require_samples,
     sidecar_path,
     stranger,
 )
+
+ALIKE = 2.0
+"""Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
+as much. A real UR10 is 0.8 mm from its nominal table with the sensor's frame and the tool fitted."""
+_SHOWN = 4
 
 
 def load_nominal(nominal: Arm | str | Path | None) -> Arm | None:
@@ -52,14 +72,12 @@ def load_recording(
     if isinstance(recording, Recording):
         return recording
     if not isinstance(recording, str | Path):
-        raise wrong_type("recording", recording, f"the path of a recording, or {_MADE}")
+        made = "a Recording as Recording.from_arrays and Recording.from_dataframe make it"
+        raise wrong_type("recording", recording, f"the path of a recording, or {made}")
     source = read_source(recording, arm, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
     if not isinstance(source, Recording):
         raise InputError(f"{recording}: is a calibration; give a recording (.csv, .parquet, .mcap, .bag)")
     return source
-
-
-_MADE = "a Recording as Recording.from_arrays and Recording.from_dataframe make it"
 
 
 def read_source(
@@ -85,23 +103,154 @@ def read_source(
             raise InputError(f"{path}: {helps}")
         return read_factory(path, arm)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
-    if arm is None:
-        return _of_undeclared_arm(path, assume_degrees, assume_millimetres)
-    return read_recording(
-        path,
-        arm=arm,
-        assume_degrees=assume_degrees,
-        assume_millimetres=assume_millimetres,
-        joint_limits=arm.possible_positions,
-        reach=arm.reach,
-    )
-
-
-def _of_undeclared_arm(path: str | Path, assume_degrees: bool, assume_millimetres: bool) -> Recording:
-    """A recording that says nothing of its arm, with the bundled arm that it looks like; without poses, as it is."""
-    recording = read_recording(path, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
+    given: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
+    if arm is not None:
+        return read_recording(path, arm=arm, joint_limits=arm.possible_positions, reach=arm.reach, **given)
+    recording = read_recording(path, **given)
     known = bundled_of(recording.dof)
     if known:  # a wrong unit is no reason to find no arm
-        check_joint_scale(recording, widest_limits(known), assumed=assume_degrees)
+        check_joint_scale(recording, _widest_limits(known), assumed=assume_degrees)
         check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
     return recording if recording.position is None else with_arm(recording, warn=True)
+
+
+class Match(NamedTuple):
+    """A bundled arm and its error in a recording.
+
+    Attributes:
+        arm: the nominal arm.
+        error: m, which three quarters of its position errors do not exceed; the sensor's frame and the tool are fitted
+            where they are unknown, the geometry is not.
+    """
+
+    arm: Arm
+    error: float
+
+
+def arm_of(recording: Recording) -> Arm:
+    """The nominal arm of a recording: the one that it declares, else the bundled one that it looks like.
+
+    Raises:
+        InputError: as `read_arm` and `read_factory`; no measured poses; no bundled arm fits, or several do alike.
+    """
+    declared = declared_arm(recording.settings, Path(recording.source).parent)
+    return declared or _choose(recording, matches(recording))
+
+
+def declared_arm_of(recording: Recording) -> Arm:
+    """The nominal arm that a recording declares.
+
+    Raises:
+        InputError: it declares none, which only poses would show; or as `declared_arm`.
+    """
+    arm = declared_arm(recording.settings, Path(recording.source).parent)
+    if arm is None:
+        raise InputError(f"{recording.source}: declares no arm; name it with --arm NAME, or `arm:` in the sidecar")
+    return arm
+
+
+def with_calibration(arm: Arm, recording: Recording) -> Arm:
+    """The arm with the chain of the factory calibration that a recording declares; itself where it declares none.
+
+    Raises:
+        InputError: as `read_factory`.
+    """
+    file = recording.settings.factory_calibration
+    if file is None:
+        return arm
+    return calibrated_arm(read_factory(Path(recording.source).parent / file, arm))
+
+
+def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
+    """The nominal arm that settings declare, or that of the calibration that they do; None where they declare neither.
+
+    Args:
+        settings: of a recording.
+        folder: which holds the sidecar.
+
+    Raises:
+        InputError: as `read_arm` and `read_factory`.
+    """
+    if settings.arm is not None:
+        return read_arm(settings.arm_reference(folder))
+    factory = settings.factory_path(folder)
+    return None if factory is None else read_factory(factory).arm
+
+
+def with_arm(recording: Recording, warn: bool = False) -> Recording:
+    """The recording with its arm declared: as it is where it declares one or its calibration, else the recognised one.
+
+    Args:
+        recording: measured poses.
+        warn: whether the arms that were tried are named in a warning, rather than in the recording's notes.
+
+    Raises:
+        InputError: as `arm_of`.
+
+    Warns:
+        InputWarning: as said.
+    """
+    if recording.settings.arm is not None or recording.settings.factory_calibration is not None:
+        return recording
+    tried = matches(recording)
+    name = _choose(recording, tried).name
+    recording = replace(recording, settings=replace(recording.settings, arm=name))
+    said = (
+        f"no arm is declared, and this looks like a {_listed(tried)}; say --arm {name}, or `arm: {name}` in a sidecar"
+    )
+    if warn:
+        warnings.warn(f"{recording.source}: {said}", InputWarning, stacklevel=3)
+        return recording
+    return replace(recording, notes=(*recording.notes, said))
+
+
+def matches(recording: Recording) -> list[Match]:
+    """The bundled arms of as many joints, the nearest first.
+
+    Raises:
+        InputError: no measured poses, or joint positions in degrees.
+    """
+    require_samples(recording, 1)
+    known = bundled_of(recording.dof)
+    if known:  # a wrong unit is no reason to find no arm
+        require_radians(recording.joint_position, _widest_limits(known), f"{recording.source}: joint_position")
+    tool = None if recording.settings.tool == "unknown" else declared_tool(recording)
+    position, found = recording.position, []
+    assert position is not None
+    for arm in known:
+        flange = frames.chain(arm.links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
+        T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
+        point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
+        found.append(Match(arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
+    return sorted(found, key=lambda match: match.error)
+
+
+def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
+    """`(joint, 2)` rad, of several arms of as many joints together."""
+    limits = np.stack([arm.joint_limits for arm in arms])
+    return np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)
+
+
+def _choose(recording: Recording, tried: Sequence[Match]) -> Arm:
+    undeclared, remedy = (
+        f"{recording.source}: declares no arm, and",
+        "name it with --arm NAME, or `arm:` in the sidecar",
+    )
+    if not tried:
+        raise InputError(f"{undeclared} no bundled one has {recording.dof} joints; {remedy}")
+    best = tried[0]
+    if not best.error <= RECOGNISED_WITHIN:
+        raise InputError(
+            f"{undeclared} its poses fit no bundled one (nearest: {_listed(tried)}); {remedy}, or check the joints' "
+            f"order, signs and units"
+        )
+    alike = [match for match in tried if match.error <= max(ALIKE * best.error, 1e-9)]
+    if len(alike) > 1:
+        raise InputError(f"{undeclared} fits several alike ({_listed(alike)}); {remedy}")
+    return best.arm
+
+
+def _listed(tried: Sequence[Match]) -> str:
+    """The nearest arms with their errors in mm."""
+    shown = "; ".join(f"{match.arm.name}: {1e3 * match.error:.3g} mm" for match in tried[:_SHOWN])
+    return shown + ("; …" if len(tried) > _SHOWN else "")

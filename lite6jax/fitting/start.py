@@ -1,10 +1,27 @@
-"""A start for the sensor frame and the tool, wherever they are, in closed form from the nominal chain."""
+"""What fits start from: joint positions and poses of calibrated chains, and frames of recordings in closed form.
+
+All of it is NumPy, so that nothing is compiled.
+"""
+
+from itertools import permutations, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.factory import FactoryCalibration
+
+if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
+    from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
+
+SAMPLES = 300
+"""Joint positions that a calibration is fitted at."""
+CHECK_SAMPLES = 1000
+"""Other joint positions, at which the models of calibrations are compared: fitted, nominal, and of another arm."""
 
 _ROUNDS = 12
 _MOST_SAMPLES = 3000
@@ -13,6 +30,58 @@ _DETERMINED = 0.01
 which the rotation would come; it is 2e-4 for a positioner of two axes and above 0.1 for arms."""
 _FEW = 40
 """Samples that tell rotations apart."""
+
+
+def sample_within_limits(arm: Arm, samples: int, seed: int) -> Array:
+    """Joint positions `(sample, joint)`, uniform inside the arm's limits."""
+    lower, upper = arm.joint_limits.T
+    return np.random.default_rng(seed).uniform(lower, upper, (samples, arm.dof))
+
+
+def check_positions(arm: Arm, seed: int = 0) -> Array:
+    """`CHECK_SAMPLES` joint positions beside those that are drawn by `seed`: by default the same in every command, so
+    that a distance between two geometries is one number."""
+    return sample_within_limits(arm, CHECK_SAMPLES, seed + 1)
+
+
+def nominal_calibration(arm: Arm) -> FactoryCalibration:
+    """The nominal chain, as the calibration of an arm that does not deviate."""
+    return FactoryCalibration(arm.kinematics, arm, arm.T_joint_flange, arm.name)
+
+
+def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
+    """The calibrated chain's flange poses `(sample, 4, 4)`."""
+    links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])
+    return frames.chain(links, joint_position, calibration.arm.sliding) @ calibration.T_joint_flange
+
+
+def measured_rotations(recording: "Recording") -> Array | None:
+    """The measured orientations `(sample, 3, 3)` of a recording, whose quaternions may have any norm; None without."""
+    if recording.quaternion is None:
+        return None
+    q = recording.quaternion.T
+    w, x, y, z = q
+    s = 2 / np.sum(q * q, 0)
+    rows = [
+        [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+        [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+        [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def declared_tool(recording: "Recording") -> Array:
+    """`T_flange_tool` `(4, 4)` as the settings declare it, the identity where they declare none."""
+    tool = recording.settings.tool
+    return np.eye(4) if isinstance(tool, str) else frames.transform_from_row(tool)
+
+
+def frames_from_recording(recording: "Recording", flange: Array, tool: Array | None) -> tuple[Array, Array]:
+    """As `frames_from_poses`, with the sensor frame known where the settings say that it is the arm's base."""
+    frame = np.eye(4) if recording.settings.pose_frame == "base" else None
+    position = recording.position
+    assert position is not None
+    return frames_from_poses(flange, position, measured_rotations(recording), frame, tool)
 
 
 def frames_from_poses(
@@ -48,33 +117,44 @@ def frames_from_poses(
     for k in range(_ROUNDS):
         if frame is None and tool is None:
             if determined and k < _ROUNDS // 2:
-                T_frame[:3, :3] = _nearest_rotation(_cosines(R, p, position, weight)[0]).T
+                T_frame[:3, :3] = nearest_rotation(_cosines(R, p, position, weight)[0]).T
             else:
                 T_frame[:3, :3] = _turned_frame(R, p, position, weight, T_frame, T_tool)
             T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
         elif frame is None:
-            points = p + R @ T_tool[:3, 3]
-            T_frame = _registration(points, position, weight)
+            T_frame = _registration(p + R @ T_tool[:3, 3], position, weight)
         elif tool is None:
             seen = (position - T_frame[:3, 3]) @ T_frame[:3, :3]
             T_tool[:3, 3] = _solve(R, seen - p, weight)
-        distance = np.linalg.norm(position - (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T - T_frame[:3, 3], axis=1)
+        distance = np.linalg.norm(_missed(R, p, position, T_frame, T_tool), axis=1)
         scale = max(float(np.median(distance)), 1e-9)
         weight = 1 / (1 + (distance / (2 * scale)) ** 2)
     if tool is None and rotation is not None:
         relative = np.swapaxes(T_frame[:3, :3] @ R, 1, 2) @ rotation
-        T_tool[:3, :3] = _nearest_rotation(np.einsum("s,sij->ij", weight, relative))
+        T_tool[:3, :3] = nearest_rotation(np.einsum("s,sij->ij", weight, relative))
     return T_frame, T_tool
+
+
+def nearest_rotation(M: Array) -> Array:
+    """The rotation `(3, 3)` nearest to a matrix."""
+    U, _, Vt = np.linalg.svd(M)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """`(sample, 3, 3)`, what takes u to v × u for each vector v of `(sample, 3)`."""
+    x, y, z = vectors.T
+    o = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
 
 
 def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array, float]:
     """The nine of the base's axes in the sensor's, and how well they are determined, from 1 down to 0."""
     center = position.mean(0)
     size = max(float(np.abs(position - center).max()), 1e-9)
-    y = (position - center) / size
     rows = np.zeros((len(p), 3, 15))
     for i in range(3):
-        rows[:, i, 3 * i : 3 * i + 3] = y
+        rows[:, i, 3 * i : 3 * i + 3] = (position - center) / size
         rows[:, i, 9 + i] = -1.0
     rows[:, :, 12:] = -R
     A = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, 15)
@@ -87,18 +167,26 @@ def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Ar
     """The sensor frame's rotation and both translations from the best of many rotations, on some of the samples."""
     few = np.unique(np.linspace(0, len(p) - 1, _FEW).astype(int))
     R, p, position, weight = R[few], p[few], position[few], np.ones(len(few))
+    quarter_turns = (
+        np.eye(3)[list(order)] * signs for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
+    )
     found = []
-    for start in Rotation.create_group("O").as_matrix():
+    for start in (turn for turn in quarter_turns if np.linalg.det(turn) > 0):
         T_frame, T_tool = np.eye(4), np.eye(4)
         T_frame[:3, :3] = start
         for _ in range(_ROUNDS // 2):
             T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
             T_frame[:3, :3] = _turned_frame(R, p, position, weight, T_frame, T_tool)
         T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
-        missed = position - (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T - T_frame[:3, 3]
-        found.append((float(np.median(np.linalg.norm(missed, axis=1))), len(found), T_frame, T_tool))
+        missed = np.median(np.linalg.norm(_missed(R, p, position, T_frame, T_tool), axis=1))
+        found.append((float(missed), len(found), T_frame, T_tool))
     _, _, T_frame, T_tool = min(found, key=lambda one: one[:2])
     return T_frame[:3, :3], T_tool[:3, 3], T_frame[:3, 3]
+
+
+def _missed(R: Array, p: Array, position: Array, T_frame: Array, T_tool: Array) -> Array:
+    """Measured minus predicted positions `(sample, 3)`, sensor axes."""
+    return position - (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T - T_frame[:3, 3]
 
 
 def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: Array) -> tuple[Array, Array]:
@@ -111,12 +199,11 @@ def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: A
 def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: Array, T_tool: Array) -> Array:
     """A Gauss–Newton step of the sensor frame's rotation, with both translations free."""
     turned = (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T
-    x, y, z = turned.T
-    o = np.zeros_like(x)
-    cross = np.stack([np.stack(row, -1) for row in ([o, z, -y], [-z, o, x], [y, -x, o])], -2)
-    columns = np.concatenate([cross, T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
-    step = _solve(columns, position - turned - T_frame[:3, 3], weight)[:3]
-    return Rotation.from_rotvec(step).as_matrix() @ T_frame[:3, :3]
+    columns = [-_cross_matrices(turned), T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)]
+    step = _solve(np.concatenate(columns, 2), position - turned - T_frame[:3, 3], weight)[:3]
+    angle = float(np.linalg.norm(step))
+    K = _cross_matrices(step[None])[0] / max(angle, np.finfo(float).tiny)
+    return (np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K) @ T_frame[:3, :3]
 
 
 def _registration(points: Array, position: Array, weight: Array) -> Array:
@@ -124,7 +211,7 @@ def _registration(points: Array, position: Array, weight: Array) -> Array:
     w = weight / weight.sum()
     a, b = w @ points, w @ position
     T = np.eye(4)
-    T[:3, :3] = _nearest_rotation(np.einsum("s,si,sj->ij", w, position - b, points - a))
+    T[:3, :3] = nearest_rotation(np.einsum("s,si,sj->ij", w, position - b, points - a))
     T[:3, 3] = b - T[:3, :3] @ a
     return T
 
@@ -134,8 +221,3 @@ def _solve(columns: Array, target: Array, weight: Array) -> Array:
     root = np.sqrt(weight)[:, None]
     A = (root[:, :, None] * columns).reshape(-1, columns.shape[2])
     return np.linalg.lstsq(A, (root * target).reshape(-1), rcond=1e-9)[0]
-
-
-def _nearest_rotation(M: Array) -> Array:
-    U, _, Vt = np.linalg.svd(M)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

@@ -17,10 +17,9 @@ from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.fitting.calibrations_fit import fit_calibrations
-from lite6jax.fitting.quality import Quality, quality_of_calibration
-from lite6jax.fitting.sampling import SAMPLES
-from lite6jax.fitting.status import Result
+from lite6jax.fitting.fleet import fit_calibrations
+from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
+from lite6jax.fitting.start import SAMPLES
 from lite6jax.folders.fleet import Row, Statistics
 from lite6jax.folders.place import kind_of
 from lite6jax.model import ModelForm
@@ -163,7 +162,7 @@ def _fit_calibrations(alike: Mapping[Path, FactoryCalibration]) -> Iterator[tupl
 
 def _fit_recording(path: Path, nominal: Arm | None) -> Row:
     # a folder of calibrations does not import what recordings take
-    from lite6jax.domains.pose.fit_recording import fit_recording
+    from lite6jax.domains.pose.fit import fit_recording
     from lite6jax.fitting.source import read_source
     from lite6jax.recordings import Recording
 

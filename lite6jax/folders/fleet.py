@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lite6jax.distribution.batches import Run, run_batches
-from lite6jax.fitting.status import Result
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.place import Place, batches_of, fleet_names, kind_of
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
-from lite6jax.domains.pose.compensation_search import REACHED
+from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.report import screen

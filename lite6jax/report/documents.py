@@ -23,7 +23,7 @@ from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.fitting.compare import Comparison
+from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.fleet import Row
 from lite6jax.report.cells import STATISTICS

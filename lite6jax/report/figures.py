@@ -5,7 +5,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from lite6jax.controller.verification import GATE_M, Verification
-from lite6jax.fitting.compare import Comparison
+from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks, label_joint

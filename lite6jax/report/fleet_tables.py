@@ -12,7 +12,7 @@ from lite6jax.arms.files import Conversion
 from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing
 
 if TYPE_CHECKING:
-    from lite6jax.fitting.compare import Comparison  # which takes JAX, and conversions do not
+    from lite6jax.fitting.fleet import Comparison  # which takes JAX, and conversions do not
 
 _MOST_ARMS = 12
 

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.fitting.status import Result
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.diagnoses import DIAGNOSED
 from lite6jax.folders.fleet import Row
 from lite6jax.report.cells import listing, number

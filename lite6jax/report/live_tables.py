@@ -17,8 +17,7 @@ from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded
 from lite6jax.controller.recorder import Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
-from lite6jax.fitting.problem import calibration_poses
-from lite6jax.fitting.sampling import check_positions
+from lite6jax.fitting.start import calibration_poses, check_positions
 from lite6jax.report import screen
 from lite6jax.report.cells import fixed, listing, number
 from lite6jax.report.tables import STATISTICS

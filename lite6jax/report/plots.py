@@ -26,8 +26,8 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import FleetSolution, Solution
+from lite6jax.fitting.fleet import Comparison, FleetSolution
+from lite6jax.fitting.solution import Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import (
     diagnosis_figures,

@@ -24,8 +24,9 @@ from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError
-from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import FleetSolution, Result, Solution, write_solution
+from lite6jax.fitting.fleet import Comparison, FleetSolution
+from lite6jax.fitting.quality import Result
+from lite6jax.fitting.solution import Solution, write_solution
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.writing import write_table
 from lite6jax.report import combined, documents, page, torque_page

@@ -18,8 +18,9 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
+from lite6jax.fitting.fleet import Comparison, FleetSolution
+from lite6jax.fitting.quality import Result
+from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
 from lite6jax.report.cells import each_with_unit, joint_units, number, torque_units

@@ -13,8 +13,8 @@ from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.problem import TOLERANCE
-from lite6jax.fitting.quality import ABOVE_NOISE
-from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
+from lite6jax.fitting.quality import ABOVE_NOISE, Result
+from lite6jax.fitting.solution import Errors, Held, Noise, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, STATISTICS, fixed, listed, listing, number, plus_minus

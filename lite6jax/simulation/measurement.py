@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -54,6 +55,11 @@ class Measured(NamedTuple):
         """`(sample,)` rad by which the effects rotate the tool."""
         chord = np.linalg.norm(self.poses[:, :3, :3] - self.rigid[:, :3, :3], axis=(1, 2))
         return 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean squares of displacement (m) and turn (rad)."""
+        return float(np.sqrt(np.mean(self.displacement**2))), float(np.sqrt(np.mean(self.turn**2)))
 
 
 def measure(
@@ -145,7 +151,7 @@ def measure(
     quaternion = None
     if turned is not None:
         turned[hit] += size / OUTLIER_LEVER_M * _directions(rng, hit.size)
-        quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ _rotations(turned)))
+        quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turned).as_matrix()))
     joint_noise = np.hypot(probe.joint_noise, undeclared.joint_noise)
     read_out = joint_noise * generator(seed, "joints").standard_normal(motion.joint_position.shape)
     read_out[:, arm.slides] = 0.0
@@ -179,13 +185,3 @@ def measure(
 def _directions(rng: np.random.Generator, count: int) -> Array:
     vector = rng.standard_normal((count, 3))
     return vector / np.linalg.norm(vector, axis=1, keepdims=True)
-
-
-def _rotations(vector: Array) -> Array:
-    """Rotations `(sample, 3, 3)` of rotation vectors `(sample, 3)` (Rodrigues)."""
-    angle = np.linalg.norm(vector, axis=1)
-    x, y, z = (vector / np.maximum(angle, np.finfo(float).tiny)[:, None]).T
-    o = np.zeros_like(x)
-    K = np.stack([np.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
-    s, c = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
-    return np.eye(3) + s * K + c * (K @ K)

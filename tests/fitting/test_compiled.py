@@ -1,9 +1,10 @@
-"""Functions kept between processes: traced once, equal, and safe against damaged or foreign files."""
+"""Functions kept between processes: traced once, equal, and in folders of their owner only."""
 
 import os
 import stat
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from jax import export
 
-from lite6jax.fitting import code_folder, compiled
+from lite6jax.fitting import compiled
 from lite6jax.fitting.compiled import Exported
 
 
@@ -26,21 +27,21 @@ X = np.linspace(0, 1, 5)
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class Counted:
-    """A function of a static power, an array and a number, that counts how often it is traced."""
+def counted():
+    """A function of a static power, an array and a number, and a list that grows as it is traced."""
+    traced = []
 
-    def __init__(self):
-        self.traced = 0
-
-    def __call__(self, power, x, offset):
-        self.traced += 1
+    def function(power, x, offset):
+        traced.append(power)
         return Pair(jnp.sin(x) ** power, x + offset)
+
+    return Exported(function, 1), traced
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    kept = code_folder._private(tmp_path / "exported")
-    monkeypatch.setattr(code_folder, "_exports", kept)
+    kept = compiled._private(tmp_path / "exported")
+    monkeypatch.setattr(compiled, "_exports", kept)
     return kept
 
 
@@ -51,78 +52,39 @@ def check(function, power=2, x=X, offset=3):
     np.testing.assert_allclose(found.second, x + offset, rtol=1e-15)
 
 
-def kept(counted):
-    return Exported("counted", counted, (0,))
-
-
-def test_a_later_process_does_not_trace(folder):
-    first, second = Counted(), Counted()
-    check(kept(first))
-    check(kept(second), offset=4)
-    assert (first.traced, second.traced) == (1, 0)
+@pytest.mark.parametrize("change", [None, "versions"])
+def test_a_later_process_traces_only_what_another_version_kept(folder, monkeypatch, change):
+    first, traced_first = counted()
+    check(first)
+    if change:
+        monkeypatch.setattr(compiled, "versions", lambda: ("another",))
+    second, traced_second = counted()
+    check(second, offset=4)
+    assert (len(traced_first), len(traced_second)) == (1, 1 if change else 0)
 
 
 def test_static_arguments_shapes_and_types_have_files_of_their_own(folder):
-    counted = Counted()
-    function = kept(counted)
-    check(function)
-    check(function, power=3)
-    check(function, x=X[:3])
-    check(function, offset=0.5)
-    check(function)
-    assert counted.traced == len(list(folder.iterdir())) == 4
+    function, traced = counted()
+    for given in ({}, {"power": 3}, {"x": X[:3]}, {"offset": 0.5}, {}):
+        check(function, **given)
+    assert len(traced) == len(list(folder.iterdir())) == 4
 
 
-@pytest.mark.parametrize("version", ["source", "jax"])
-def test_another_version_is_traced_anew(folder, monkeypatch, version):
-    check(kept(Counted()))
-    monkeypatch.setattr(compiled, "_version", lambda: (version,))
-    counted = Counted()
-    check(kept(counted))
-    assert counted.traced == 1
-
-
-@pytest.mark.parametrize("damage", [lambda content: content[:-1], lambda content: b"", lambda content: b"x" * 4000])
-def test_a_damaged_file_is_replaced(folder, damage):
-    check(kept(Counted()))
-    (path,) = folder.iterdir()
-    good = path.read_bytes()
-    path.write_bytes(damage(good))
-    counted = Counted()
-    check(kept(counted))
-    assert counted.traced == 1
-    assert compiled._read(path) is not None
-
-
-def test_without_a_folder_it_is_the_jitted_function(monkeypatch):
-    monkeypatch.setattr(code_folder, "_exports", None)
-    counted = Counted()
-    function = kept(counted)
-    check(function)
-    check(function)
-    assert counted.traced == 1
-
-
-def test_a_folder_that_refuses_files_costs_time_only(folder):
-    folder.rmdir()
-    check(kept(Counted()))
+@pytest.mark.parametrize("kept", [None, "a folder that is gone"])
+def test_where_nothing_can_be_kept_it_is_the_jitted_function_in_every_thread(monkeypatch, tmp_path, kept):
+    monkeypatch.setattr(compiled, "_exports", tmp_path / kept if kept else None)
+    function, traced = counted()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: check(function), range(8)))
+    assert len(traced) == 1
 
 
 def test_the_folder_is_its_owners_only(tmp_path):
-    made = code_folder._private(tmp_path / "made")
+    made = compiled._private(tmp_path / "made")
     assert made.stat().st_mode & 0o777 == 0o700
     made.chmod(0o777)
-    assert code_folder._private(made) is None
-    assert code_folder._private(tmp_path / "missing" / "made") is None
-
-
-def test_without_flatbuffers_it_is_the_jitted_function(folder, monkeypatch):
-    def missing(path):
-        raise ImportError("flatbuffers")
-
-    monkeypatch.setattr(compiled, "_read", missing)
-    check(kept(Counted()))
-    assert list(folder.iterdir()) == []
+    assert compiled._private(made) is None
+    assert compiled._private(tmp_path / "missing" / "made") is None
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")
@@ -134,8 +96,8 @@ def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting import code_folder; code_folder.keep_compiled_code();"
-        "print(jax.config.jax_compilation_cache_dir, code_folder._exports)"
+        "import jax; from lite6jax.fitting import compiled; compiled.keep_compiled_code();"
+        "print(jax.config.jax_compilation_cache_dir, compiled._exports)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.stderr == ""

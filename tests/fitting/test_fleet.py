@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import lite6jax
-from lite6jax.fitting.chunks import padded_size
+from lite6jax.fitting.residual import padded_size
 from tests.oracles.arms import lite6_positions, perturbed_parameters
 from tests.oracles.chains import seed_poses
 from tests.oracles.transforms import perturb_poses
@@ -132,22 +132,21 @@ def test_padding_is_small_and_whole_blocks(samples):
 
 def test_messages():
     _, q, T = fleet(2, 40)
-    call = lite6jax.fit_fleet
-    with pytest.raises(lite6jax.InputError, match=r"T_base_flange of shape .*: give \(arm, sample, 4, 4\)"):
-        call(q, T[0], nominal="lite6")
-    with pytest.raises(
-        lite6jax.InputError, match=r"joint_position of shape \(2, 40, 6\): xarm7 with these poses takes \(2, 40, 7\)"
-    ):
-        call(q, T, nominal="xarm7")
-    with pytest.raises(lite6jax.InputError, match=r"two positive standard deviations"):
-        call(q, T, nominal="lite6", noise=(0.0, 1e-4))
-    with pytest.raises(lite6jax.InputError, match=r"weight of shape \(2, 39\): give \(2, 40\)"):
-        call(q, T, nominal="lite6", weight=np.ones((2, 39)))
-    with pytest.raises(lite6jax.InputError, match="not negative"):
-        call(q, T, nominal="lite6", weight=-np.ones((2, 40)))
-    with pytest.raises(lite6jax.InputError, match="at least one arm"):
-        call(q[:0], T[:0], nominal="lite6")
+    for positions, poses, options, message in [
+        (q, T[0], {}, r"T_base_flange of shape .*: give \(arm, sample, 4, 4\)"),
+        (
+            q,
+            T,
+            {"nominal": "xarm7"},
+            r"joint_position of shape \(2, 40, 6\): xarm7 with these poses takes \(2, 40, 7\)",
+        ),
+        (q, T, {"noise": (0.0, 1e-4)}, r"two positive standard deviations"),
+        (q, T, {"weight": np.ones((2, 39))}, r"weight of shape \(2, 39\): give \(2, 40\)"),
+        (q, T, {"weight": -np.ones((2, 40))}, "not negative"),
+        (q[:0], T[:0], {}, "at least one arm"),
+        (q, T, {"nominal": "lite7"}, "lite7"),
+    ]:
+        with pytest.raises(lite6jax.InputError, match=message):
+            lite6jax.fit_fleet(positions, poses, **{"nominal": "lite6", **options})
     with pytest.raises(lite6jax.InputError, match=r"factory of shape \(6, 6\): lite6 takes \(arm, 6, 6\)"):
         lite6jax.fit_fleet_calibrations(np.zeros((6, 6)), nominal="lite6")
-    with pytest.raises(lite6jax.InputError, match="lite7"):
-        call(q, T, nominal="lite7")

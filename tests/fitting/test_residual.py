@@ -11,12 +11,13 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.se3 import turn
 from lite6jax.fitting.residual import (
+    LARGEST,
     Observations,
     Robust,
     evaluate,
-    identification_jacobian,
     linearise,
     over_blocks,
+    quick_turn,
     residuals,
 )
 from lite6jax.model import ArmModel, ModelForm, arm_model
@@ -103,8 +104,8 @@ def reference(form, model, observed, robust):
 
 @partial(jax.jit, static_argnums=0, compiler_options=QUICK)
 def from_twists(form, model, observed, robust):
-    """The same three things and more, by the library."""
-    return [f(form, model, observed, robust) for f in (evaluate, linearise, identification_jacobian)]
+    """Cost and gradient, and these with the curvature, by the library."""
+    return [f(form, model, observed, robust) for f in (evaluate, linearise)]
 
 
 def assert_close(found, expected, part=1e-12):
@@ -136,7 +137,7 @@ def test_residuals_are_what_they_say(poses, isotropic):
 @pytest.mark.parametrize(("frame", "tool", "poses", "isotropic", "robust"), KINDS)
 def test_derivatives_equal_automatic_differentiation(frame, tool, poses, isotropic, robust):
     c = case(frame, tool, poses, isotropic)
-    (cost, gradient), (same_cost, same_gradient, curvature), J = from_twists(c.form, c.model, c.observed, robust)
+    (cost, gradient), (same_cost, same_gradient, curvature) = from_twists(c.form, c.model, c.observed, robust)
     full = ModelForm(CHAIN, True, True)  # its step holds the smaller models' steps
     kept = np.isin(full.names, c.form.names)
     plain_cost, plain_gradient, plain_J = (np.asarray(part) for part in reference(full, c.model, c.observed, robust))
@@ -145,17 +146,16 @@ def test_derivatives_equal_automatic_differentiation(frame, tool, poses, isotrop
         np.testing.assert_allclose(found, plain_cost, rtol=1e-13)
     for found in (gradient, same_gradient):
         assert_close(found, plain_gradient[kept])
-    assert J.shape == (c.form.size, 6 if poses else 3, SAMPLES)
-    flat = np.asarray(J).reshape(c.form.size, -1)
-    assert_close(curvature, flat @ flat.T)
+    assert curvature.shape == (c.form.size, c.form.size)
     if isotropic and poses:
-        return  # its orientation rows are in other axes
+        return  # its orientation rows are without the logarithm's derivative
     r = np.asarray(residuals(c.form, c.model, c.observed))
     factor = np.ones(SAMPLES)
     if robust is not None:
         nu, scale2 = float(robust.freedom), float(robust.scale) ** 2
         factor = (nu + len(r)) / (nu * scale2 + np.sum(r**2, 0) / c.observed.weight)
-    assert_close(J, np.sqrt(factor) * plain_J[kept])
+    J = (np.sqrt(factor) * plain_J[kept]).reshape(c.form.size, -1)
+    assert_close(curvature, J @ J.T)
 
 
 @pytest.mark.parametrize("isotropic", [False, True])
@@ -165,7 +165,7 @@ def test_gradient_is_exact_however_far_the_orientation(angle, isotropic):
     if angle == 1.5:  # the farthest come near half a turn, which poor starts do
         raw = residuals(c.form, c.model, c.observed._replace(whitener=jnp.ones(2), weight=jnp.ones(SAMPLES)))
         assert np.max(np.linalg.norm(raw[3:], axis=0)) > 2.5
-    (_, gradient), *_ = from_twists(c.form, c.model, c.observed, STUDENT_T)
+    (_, gradient), _ = from_twists(c.form, c.model, c.observed, STUDENT_T)
     # the rotations themselves are rounded, so that an angle of 1e-9 rad is known to 2e-7 of itself only
     rounding = max(1e-12, np.finfo(float).eps / angle)
     assert_close(gradient, reference(c.form, c.model, c.observed, STUDENT_T)[1], rounding)
@@ -182,7 +182,7 @@ def test_gradient_of_a_six_parameter_chain():
         rotation=jnp.asarray(np.moveaxis(measured[:, :3, :3], 0, -1)),
     )
     model = arm_model(kinematics.ravel())
-    (_, gradient), _, _ = from_twists(form, model, observed, STUDENT_T)
+    (_, gradient), _ = from_twists(form, model, observed, STUDENT_T)
     assert_close(gradient, reference(form, model, observed, STUDENT_T)[1])
 
 
@@ -228,8 +228,48 @@ def test_samples_without_weight_count_for_nothing(isotropic):
         return leaf if leaf.shape[-1] != SAMPLES else jnp.where(gone, 7.0, leaf)
 
     spoiled = jax.tree.map(spoil, weighted)._replace(weight=weighted.weight)
-    (cost, gradient), (same_cost, same_gradient, curvature), _ = from_twists(c.form, c.model, spoiled, STUDENT_T)
+    (cost, gradient), (same_cost, same_gradient, curvature) = from_twists(c.form, c.model, spoiled, STUDENT_T)
     np.testing.assert_allclose([cost, same_cost], expected[0], rtol=1e-13)
     assert_close(gradient, expected[1])
     assert_close(same_gradient, expected[1])
     assert_close(curvature, from_twists(c.form, c.model, weighted, STUDENT_T)[1][2])
+
+
+# ------------------------------------------------------------------ sine and cosine
+
+
+def exact(angle):
+    """In the 64 bits of the processor's long double, of which the argument is reduced exactly."""
+    wide = np.asarray(angle, np.longdouble)
+    return np.cos(wide), np.sin(wide)
+
+
+@pytest.mark.parametrize("reach", [1e-300, 1e-8, np.pi / 4, 2 * np.pi, 100.0, LARGEST])
+def test_cosine_and_sine_are_those_of_long_doubles(reach):
+    angle = np.random.default_rng(0).uniform(-reach, reach, 100_000)
+    found = jax.jit(quick_turn)(angle)
+    for value, right in zip((found.cos, found.sin), exact(angle), strict=True):
+        assert float(np.max(np.abs(np.asarray(value) - right))) < 2.3e-16
+
+
+def test_multiples_of_a_quarter_turn():
+    angle = np.concatenate([np.arange(-8, 9) * np.pi / 2, np.nextafter(np.arange(-8, 9) * np.pi / 4, 10)])
+    found = jax.jit(quick_turn)(angle)
+    for value, right in zip((found.cos, found.sin), exact(angle), strict=True):
+        np.testing.assert_allclose(np.asarray(value), right.astype(float), rtol=1e-12, atol=1e-16)
+    assert quick_turn(np.zeros(1)).cos == 1
+    assert np.isnan(quick_turn(np.array([np.nan, np.inf])).sin).all()
+
+
+def test_what_no_joint_shows_is_still_a_turn():
+    angle = np.array([1e7, -1e15, 1e30, -1e100, np.finfo(float).max])
+    found = quick_turn(angle)
+    np.testing.assert_allclose(found.cos**2 + found.sin**2, 1, rtol=0, atol=1e-15)
+
+
+def test_a_turn_has_length_one_and_adds_up():
+    one, other = np.random.default_rng(1).uniform(-7, 7, (2, 10_000))
+    a, b, both = (quick_turn(angle) for angle in (one, other, one + other))
+    np.testing.assert_allclose(a.cos**2 + a.sin**2, 1, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(both.cos, a.cos * b.cos - a.sin * b.sin, rtol=0, atol=4e-15)
+    np.testing.assert_allclose(both.sin, a.sin * b.cos + a.cos * b.sin, rtol=0, atol=4e-15)

@@ -11,9 +11,9 @@ from lite6jax.arms.files import write_table
 from lite6jax.cli import main
 from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.fitting.calibration_fit import fit_calibration
-from lite6jax.fitting.calibrations_fit import fit_calibrations
-from lite6jax.fitting.solution import Result
+from lite6jax.fitting.fit import fit_calibration
+from lite6jax.fitting.fleet import fit_calibrations
+from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit, place
 from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, table_of_rows
 from lite6jax.folders.place import Place, url_of

@@ -13,19 +13,22 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.domains.pose.screening.hypotheses import touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.recognition import with_arm
-from lite6jax.fitting.recording_fit import fit_recording
-from lite6jax.fitting.sampling import check_positions
-from lite6jax.fitting.start import frames_from_poses
+from lite6jax.fitting.source import with_arm
+from lite6jax.fitting.start import (
+    calibration_poses,
+    check_positions,
+    declared_tool,
+    frames_from_recording,
+    nominal_calibration,
+)
 from lite6jax.recordings import Recording, outside_limits
 from lite6jax.recordings.fault import DataFault, row_numbers
 
@@ -76,14 +79,16 @@ def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions
     """A calibration's distance to each nominal table, and a constant displacement of the flange."""
     options, arm = options or ScreeningOptions(), calibration.arm
     q = check_positions(arm)
-    links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
-    pose = frames.chain(links, q, arm.sliding) @ calibration.T_joint_flange
-    tables = _tables(arm)
-    nominal = [frames.chain(table.links, q, table.sliding) @ table.T_joint_flange for table in tables]
+    pose = calibration_poses(calibration, q)
+    # the arm's own nominal table first, then those of the same model that the vendor publishes elsewhere
+    family = arm.name.split("_")[0]
+    same = [name for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
+    tables = [arm, *(table for table in map(load_bundled, same) if table.dof == arm.dof)]
+    nominal = [calibration_poses(nominal_calibration(table), q) for table in tables]
     distances = [np.linalg.norm(pose[:, :3, 3] - T[:, :3, 3], axis=1) for T in nominal]
     nearest = int(np.argmin([distance.max() for distance in distances]))
     compared = [
-        {"table": table.name, "rms_m": _rms(d), "largest_m": float(d.max())}
+        {"table": table.name, "rms_m": float(np.sqrt(np.mean(d**2))), "largest_m": float(d.max())}
         for table, d in zip(tables, distances, strict=True)
     ]
     numbers = {"arm": arm.name, "nearest": tables[nearest].name, "tables": compared}
@@ -114,17 +119,7 @@ def check_recording(
     screened = screen(recording, nominal, options=options, allow_undecided=True)
     recording, arm = screened.recording, screened.arm
     assert arm is not None
-    causes = _joint_limits(recording, arm)
-    # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
-    if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
-        tool = _recorded_tool_offset(recording, arm, options)
-        likely = any(cause.numbers["likely"] for cause in tool)
-        causes += [*tool, *_geometry_and_outliers(recording, arm, options, likely)]
-    return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
-
-
-def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
-    return [
+    causes = [
         Cause(
             "joint_limits",
             True,
@@ -136,6 +131,12 @@ def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
         )
         for outside in outside_limits(recording, arm.joint_limits)
     ]
+    # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
+    if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
+        tool = _recorded_tool_offset(recording, arm, options)
+        likely = any(cause.numbers["likely"] for cause in tool)
+        causes += [*tool, *_geometry_and_outliers(recording, arm, options, likely)]
+    return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
 
 def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
@@ -144,30 +145,18 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     if settings.tool == "unknown" or _one_point(recording):
         return []
     path = settings.factory_path(Path(recording.source).parent)
-    links, after = arm.links, arm.T_joint_flange
-    if path is not None:
-        factory = read_factory(path, arm)
-        links = np.stack([frames.transform_from_row(row) for row in factory.kinematics])
-        after = factory.T_joint_flange
-    flange = frames.chain(links, recording.joint_position, recording.sliding) @ after
-    known = np.eye(4)
-    if isinstance(settings.tool, tuple):
-        known = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
-    before, declared = _residual(recording, flange, known)
-    rest, tool = _residual(recording, flange, None)
-    cause = _tool_offset(tool[:3, 3] - declared[:3, 3], np.sum(before**2, 1), np.sum(rest**2, 1), options)
-    numbers = {**cause.numbers, "declared_m": known[:3, 3].tolist()}
-    return [replace(cause, numbers=numbers)]
-
-
-def _residual(recording: Recording, flange: Array, tool: Array | None) -> tuple[Array, Array]:
-    """Measured minus predicted positions `(sample, 3)` m with unknown frames in closed form, and the tool `(4, 4)`."""
-    position = recording.position
+    known = nominal_calibration(arm) if path is None else read_factory(path, arm)
+    flange = calibration_poses(known, recording.joint_position)
+    declared, position = declared_tool(recording), recording.position
     assert position is not None
-    rotation = None if recording.quaternion is None else np.asarray(rotation_from_quaternion(recording.quaternion))
-    frame = np.eye(4) if recording.settings.pose_frame == "base" else None
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
-    return position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3], T_flange_tool
+    squares, tools = [], []
+    for tool in (declared, None):
+        T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
+        missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
+        squares.append(np.sum(missed**2, 1))
+        tools.append(T_flange_tool)
+    cause = _tool_offset(tools[1][:3, 3] - tools[0][:3, 3], squares[0], squares[1], options)
+    return [replace(cause, numbers={**cause.numbers, "declared_m": declared[:3, 3].tolist()})]
 
 
 def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOptions) -> Cause:
@@ -211,14 +200,3 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
         return [geometry, Cause("outliers", False)]
     worst = float(solution.errors.position[outlying].max())
     return [geometry, Cause("outliers", True, row_numbers(recording.row[outlying]), {"largest_m": worst})]
-
-
-def _tables(arm: Arm) -> list[Arm]:
-    """The arm's own nominal table first, then those of the same model that the vendor publishes elsewhere."""
-    family = arm.name.split("_")[0]
-    same = [name for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
-    return [arm, *(table for table in map(load_bundled, same) if table.dof == arm.dof)]
-
-
-def _rms(distance: Array) -> float:
-    return float(np.sqrt(np.mean(distance**2)))

@@ -1,34 +1,62 @@
-"""Joint positions at which a diagnosed arm reaches given poses: the compensation of the errors that were found."""
+"""Joint positions at which a diagnosed arm reaches given poses: the compensation of the errors that were found.
 
-from collections.abc import Sequence
+They are searched for from many starts; of the solutions, those on the path of least motion are selected, and solved
+again until the directions of approach are those of the joint positions found.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.domains.pose.compensation_search import CompensationSearch, reached
-from lite6jax.domains.pose.files import read_pose_targets
-from lite6jax.domains.pose.inverse import Solved
-from lite6jax.domains.pose.predict import DiagnosedArm, recording_of, require_model
-from lite6jax.domains.pose.uncertainty import Bars, bars_of
+from lite6jax.domains.pose import inverse
+from lite6jax.domains.pose.files import declare_anew
+from lite6jax.domains.pose.inspection import inspect
+from lite6jax.domains.pose.inverse import Solved, Target
+from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, recording_of, require_model
+from lite6jax.domains.pose.uncertainty import bars_of
+from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.surroundings import BaseDrift
+from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
-from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording, Targets
+from lite6jax.fitting.start import measured_rotations
+from lite6jax.model import ArmModel, predict_poses
+from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
+from lite6jax.recordings.sidecar import read_sidecar
+from lite6jax.recordings.sources import TABLES, open_table
 from lite6jax.results import PublicResult
+from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
+Rows = NDArray[np.integer]
 TargetFrame = Literal["sensor", "base"]
 
+REACHED = (1e-6, 1e-5)
+"""m and rad: a target is reached where the model's pose differs from it by no more."""
 _SINGULAR = 2e-3
 """m: with a smaller error inside the joint limits, a target is next to a singular position; else out of reach."""
 _FAR = 0.2
 """rad: a solution further than this from the joint positions given is reported."""
+_NEAREST = 0.03
+"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
+_STARTS = (8, 24, 96)
+"""Random joint positions to start from where none are given, and how many more where these do not converge."""
+_RIGID_STEPS = 40
+"""Steps of the arm without effects from each of them."""
+_NEAR = 1e-2
+"""m: a target that the rigid arm misses by no more may be in reach of the arm with effects."""
+_SAME = 1e-3
+"""rad: joint positions no further apart are one solution."""
+_SETTLINGS = 12
+"""Rounds in which directions and velocities follow the joint positions found."""
 
 
 class Reason(NamedTuple):
@@ -128,15 +156,46 @@ def compensate(
         targets = targets._replace(recording=replace(targets.recording, sliding=model.sliding))
     model, omitted = _without_sensor(model, frame)
     recording = targets.recording
-    complete = _complete(recording)
+    filled = {name: column for name, column in recording.columns().items() if not name.startswith("q")}
+    complete = np.logical_and.reduce([np.isfinite(column) for column in filled.values()])
+    if recording.quaternion is not None:
+        complete &= np.isfinite(recording.quaternion).all(1)
     if not complete.any():
         raise InputError(f"{recording.source}: every row has an empty field; fill one row at least")
-    search = CompensationSearch(model, recording.select(complete), np.asarray(model.joint_limits), approach)
+    search = _Search(model, recording.select(complete), np.asarray(model.joint_limits), approach)
     first = None if targets.start is None else targets.start[complete]
-    solved, reverses = search.settled(search.branches(first))
-    found = _compensation(targets, complete, solved, reverses, search.limits, omitted)
+    solved, reverses = search.settle(search.branches(first))
+
+    def spread(values: NDArray) -> Array:
+        """Row for row of the targets, NaN where a row has none."""
+        full = np.full((recording.samples, *values.shape[1:]), np.nan)
+        full[complete] = values
+        return full
+
+    q, hit = spread(solved.joint_position.T), _reached(solved)
+    correction = None if targets.start is None else q - targets.start
+    reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
+    for k, row in enumerate(np.flatnonzero(complete)):
+        if reverses[k]:
+            reasons[row] = Reason("reverses")
+        elif hit[k]:
+            reasons[row] = None if correction is None else _far(correction[row])
+        else:
+            reasons[row] = _missed(solved, k, search.limits)
     bars = bars_of(model, search.motion(solved.joint_position.T))
-    return found if bars is None else _with_bars(found, complete, bars, model.orientation)
+    return Compensation(
+        recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
+        position_error=spread(solved.position_error),
+        orientation_error=None if recording.quaternion is None else spread(solved.orientation_error),
+        reached=spread(hit) == 1.0,
+        reason=tuple(reasons),
+        correction=correction,
+        omitted=omitted,
+        notes=recording.notes,
+        position_std=None if bars is None else spread(bars.position),
+        orientation_std=None if bars is None or not model.orientation else spread(bars.orientation),
+        outside=None if bars is None else spread(bars.outside) == 1.0,
+    )
 
 
 def _targets_of(
@@ -170,58 +229,16 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     return model.keeping([not left_out for left_out in without]), omitted
 
 
-def _complete(recording: Recording) -> Flags:
-    """`(row,)`, rows in which everything but the joint positions is given."""
-    columns = {name: column for name, column in recording.columns().items() if not name.startswith("q")}
-    if recording.quaternion is not None:
-        columns |= dict(enumerate(recording.quaternion.T))  # type: ignore[arg-type]
-    return np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
-
-
-def _compensation(
-    targets: Targets, complete: Flags, solved: Solved, reverses: Flags, limits: Array, omitted: tuple[str, ...]
-) -> Compensation:
-    """Row for row of the targets."""
-    recording, start = targets
-
-    def spread(values: NDArray) -> Array:
-        full = np.full((recording.samples, *values.shape[1:]), np.nan)
-        full[complete] = values
-        return full
-
-    q, hit = spread(solved.joint_position.T), spread(reached(solved)) == 1.0
-    correction = None if start is None else q - start
-    reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
-    for k, row in enumerate(np.flatnonzero(complete)):
-        reasons[row] = None
-        if reverses[k]:
-            reasons[row] = Reason("reverses")
-        elif not hit[row]:
-            reasons[row] = _missed(solved, k, limits)
-        elif correction is not None and np.abs(correction[row]).max() > _FAR:
-            joint = int(np.argmax(np.abs(correction[row])))
-            reasons[row] = Reason("far_from_start", (joint + 1,), (float(correction[row, joint]),))
-    return Compensation(
-        recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
-        position_error=spread(np.asarray(solved.position_error)),
-        orientation_error=None if recording.quaternion is None else spread(np.asarray(solved.orientation_error)),
-        reached=hit,
-        reason=tuple(reasons),
-        correction=correction,
-        omitted=omitted,
-        notes=recording.notes,
-    )
-
-
-def _with_bars(found: Compensation, complete: Flags, bars: Bars, orientation: bool) -> Compensation:
-    """With the bars of the complete rows."""
-    outside = np.zeros(len(complete), bool)
-    position, turned = np.full((2, len(complete), 3), np.nan)
-    position[complete], turned[complete], outside[complete] = bars
-    return replace(found, position_std=position, orientation_std=turned if orientation else None, outside=outside)
+def _far(moved: Array) -> Reason | None:
+    """That a target is reached far from its start; None where it is not, or has no start."""
+    if not np.abs(moved).max() > _FAR:
+        return None
+    joint = int(np.argmax(np.abs(moved)))
+    return Reason("far_from_start", (joint + 1,), (float(moved[joint]),))
 
 
 def _missed(solved: Solved, k: int, limits: Array) -> Reason:
+    """Why the k-th target is not reached."""
     joints = np.flatnonzero(solved.pressed[:, k])
     if joints.size:
         at = solved.joint_position[joints, k]
@@ -229,3 +246,285 @@ def _missed(solved: Solved, k: int, limits: Array) -> Reason:
         angles = np.where(upper, limits[joints, 1], limits[joints, 0])
         return Reason("at_limit", tuple(map(int, joints + 1)), tuple(map(float, angles)))
     return Reason("near_singular" if solved.cost[k] < _SINGULAR**2 else "out_of_reach")
+
+
+def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str, str] | None = None) -> Targets:
+    """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
+
+    Args:
+        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`; the arm's reach says
+            whether positions are in m or mm.
+        model: the arm.
+        given: columns with the names that they have in a recording, where the caller knows better; or `ignore`.
+
+    Raises:
+        InputError: as `read_targets`; or what a column means, or its unit, is not certain.
+    """
+    reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
+    reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
+    columns, said = _recognised(Path(path), model, reach, given or {})
+    recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
+    recording = replace(recording, notes=(*said, *recording.notes))
+    settings = recording.settings
+    if not exists(sidecar_path(path)):
+        settings = replace(settings, reference_temperature_degC=model.reference_temperature)
+    if settings.motion is None:
+        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
+    return Targets(declare_anew(recording, settings), start)
+
+
+def _recognised(
+    path: Path, model: DiagnosedArm, reach: float, given: Mapping[str, str]
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
+    declared = read_sidecar(sidecar_path(path)).columns
+    _, table = open_table(path, (), ArmJoints(model.dof), [], TABLES)
+    if not given and (declared or any(name in ("x_m", "x_mm") for name in table.names)):
+        return {}, ()
+    columns = dict(table.numbers())
+    found = inspect(list(columns.items()), given={**declared, **given}, source=str(path))
+    place, turned = found.of("position"), found.of("rotation")
+    if place is None:
+        if {"x_m", "x_mm"} & set(found.columns.values()):
+            return found.columns, ()
+        raise InputError(
+            f"{path}: no columns look like positions to reach; say which they are: --column NAME=x_mm, and likewise "
+            "y_mm and z_mm (x_m … in metres)"
+        )
+    if turned is not None and turned.form is not None and turned.form.sure != "certain":
+        first = turned.block.columns[0]
+        raise InputError(
+            f"{path}: what the angles {', '.join(turned.block.columns)} mean is not certain; say it: --column "
+            f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
+        )
+    unit = place.unit.choice
+    if place.unit.reason != "name":
+        points = np.stack([np.asarray(columns[name], float) for name in place.block.columns], 1)
+        T = np.asarray(model.model.T_sensor_base)
+        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
+        if len(units) != 1:
+            name = place.block.columns[0]
+            raise InputError(
+                f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
+                f"{name}=x_mm (or x_m), and likewise the others"
+            )
+        unit = units[0]
+    meant = found.columns | place.renamed(unit=unit)
+    told = ", ".join(f"{own}={name}" for own, name in meant.items() if name != "ignore" and own != name)
+    return meant, ((f"columns are read as {told}",) if told else ())
+
+
+def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
+    """Whether most points `(row, 3)` m, in the base's frame or the sensor's, are where an arm can work."""
+    far = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in (np.zeros(3), T_sensor_base[:3, 3])]
+    return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
+
+
+def _reached(solved: Solved) -> Flags:
+    """`(sample,)`, whether the errors are within `REACHED`."""
+    return (solved.position_error <= REACHED[0]) & (solved.orientation_error <= REACHED[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A model, targets without empty fields, joint limits.
+
+    Attributes:
+        model: the arm.
+        targets: poses.
+        limits: `(joint, 2)` rad.
+        approach: for each joint -1, 0 or 1; None where each row is approached from the one before.
+    """
+
+    model: DiagnosedArm
+    targets: Recording
+    limits: Array
+    approach: Sequence[int] | None
+
+    def motion(self, q: Array) -> Motion:
+        """The motion through joint positions `(row, joint)`: what is not recorded of it follows from them."""
+        at = self.targets.made_anew(joint_position=q, position=None, quaternion=None)
+        motion = self.model.motion_of(at)
+        if self.approach is None:
+            return motion
+        direction = np.broadcast_to(np.array(self.approach, float)[:, None], q.T.shape)
+        return motion._replace(direction=direction)  # type: ignore[arg-type]
+
+    def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> Solved:
+        """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
+        m, target = self.model, self._target(rows)
+        return inverse.solve(
+            m.physics, m.model, m.values, _at(motion, rows, q), m.inertia, target, self.limits, **options
+        )
+
+    def branches(self, start: Array | None) -> Array:
+        """`(row, joint)`: for each row a solution, or the nearest found; on the branch of `start`, or a short path."""
+        count, dof = self.targets.samples, self.model.dof
+        everywhere = np.arange(count)
+        given = np.zeros(count, bool) if start is None else np.asarray(np.isfinite(start).all(1))
+        at = np.zeros((count, dof)) if start is None else np.where(given[:, None], start, 0.0)
+        motion = self.motion(at)
+        rows, found = everywhere[given], at[given]
+        first = self.solve(motion, rows, found) if given.any() else None
+        unsolved = ~given
+        if first is not None:
+            unsolved[rows] = ~_reached(first)
+        if not unsolved.any():
+            assert first is not None
+            return first.joint_position.T
+        where: list[NDArray] = [rows]
+        q = [found if first is None else first.joint_position.T]
+        cost = [np.zeros(0) if first is None else first.cost]
+        for k, starts in enumerate(_STARTS):
+            tried = np.repeat(everywhere[unsolved], starts)
+            rigid, missed = self._rigid(motion, tried, self._random(len(tried), k), unlimited=k > 0)
+            best = np.full(count, np.inf)
+            np.minimum.at(best, tried, missed)
+            kept = (missed < _NEAR**2) | (missed == best[tried])
+            tried, rigid = _distinct(tried[kept], rigid[kept])
+            solved = self.solve(motion, tried, rigid)
+            where.append(tried)
+            q.append(solved.joint_position.T)
+            cost.append(solved.cost)
+            unsolved[tried[_reached(solved)]] = False
+            if not unsolved.any():
+                break
+        rows, positions, costs = (np.concatenate(each) for each in (where, q, cost))
+        return _least_motion(rows, positions, costs, at, given, self._usual())
+
+    def settle(self, q: Array) -> tuple[Solved, Flags]:
+        """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
+
+        Also `(row,)`, where that does not converge: the direction in which a row is approached leads to joint positions
+        that are approached from the other side.
+        """
+        rows = np.arange(len(q))
+        motion = self.motion(q)
+        solved = self.solve(motion, rows, q)
+        for _ in range(_SETTLINGS):
+            before, motion = motion, self.motion(solved.joint_position.T)
+            changed = np.flatnonzero(self._differ(before, motion))
+            if not changed.size:
+                break
+            again = self.solve(motion, changed, solved.joint_position.T[changed])
+            for whole, part in zip(solved, again, strict=True):
+                whole[..., changed] = part
+        q = solved.joint_position.T
+        evaluated = self._evaluated(q)
+        return evaluated._replace(pressed=solved.pressed), _reached(solved) & ~_reached(evaluated)
+
+    def _evaluated(self, q: Array) -> Solved:
+        """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
+        motion, m = self.motion(q), self.model
+        solved = self.solve(motion, np.arange(len(q)), q, steps=0)
+        if not any(has_memory(effect) for effect in m.physics.effects):
+            return solved
+        poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
+        position, rotation = self._target(np.arange(len(q)))
+        errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
+        turned = np.zeros(len(q))
+        if rotation is not None:
+            relative = np.einsum("jis,sjk->sik", np.asarray(rotation), poses[:, :3, :3])
+            turned = Rotation.from_matrix(relative).magnitude()
+        return solved._replace(position_error=errors, orientation_error=turned)
+
+    def _target(self, rows: Rows) -> Target:
+        assert self.targets.position is not None
+        R = measured_rotations(self.targets)
+        rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
+        return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
+
+    def _rigid(self, motion: Motion, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
+        """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
+
+        Without limits it does not stop at one of them; its joints are then returned by whole turns.
+        """
+        turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
+        limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
+        bare = (Physics(), self.model.model, np.zeros(0), _at(motion, rows, q), None, self._target(rows), limits)
+        solved = inverse.solve(*bare, steps=_RIGID_STEPS)
+        q = solved.joint_position.T
+        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
+        q = np.where(turns & unlimited, q - whole, q)
+        inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
+        return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
+
+    def _differ(self, one: Motion, other: Motion) -> Flags:
+        """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""
+        differ = np.zeros(one.samples, bool)
+        drivers = {driver.quantity for effect in self.model.physics.effects for driver in effect.drivers}
+        for quantity, name, within in (("direction of motion", "direction", 0.0), ("velocity", "joint_velocity", 1e-9)):
+            if quantity in drivers:
+                change = np.abs(np.asarray(getattr(one, name)) - np.asarray(getattr(other, name)))
+                differ |= (change > within).any(0)
+        return differ
+
+    def _random(self, count: int, seed: int) -> Array:
+        lower, upper = (self._usual() if seed == 0 else self._middle_turn()).T
+        lower, upper = np.where(lower < upper, (lower, upper), self.limits.T)  # limits beyond half a turn
+        return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+
+    def _usual(self) -> Array:
+        """`(joint, 2)`, the range that was recorded, where the model is known; without one `_middle_turn`."""
+        known = self.model.uncertainty
+        if known is None:
+            return self._middle_turn()
+        lower, upper = np.clip(known.recorded.joints.T, *self.limits.T)
+        return np.stack([lower, upper], 1)
+
+    def _middle_turn(self) -> Array:
+        """`(joint, 2)`, the limits within half a turn of zero; of prismatic joints all of them."""
+        slides = np.isin(np.arange(self.model.dof), self.model.sliding)[:, None]
+        return np.where(slides, self.limits, np.clip(self.limits, -np.pi, np.pi))
+
+
+def _at(motion: Motion, rows: Rows, q: Array) -> Motion:
+    """Samples of a motion at other joint positions `(row, joint)`."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[..., rows], motion)._replace(joint_position=q.T)
+
+
+def _distinct(rows: Rows, q: Array) -> tuple[Rows, Array]:
+    """One of those that are the same joint positions for the same row."""
+    key = np.column_stack([rows, np.round(q / _SAME / 4).astype(int)])
+    _, first = np.unique(key, axis=0, return_index=True)
+    return rows[first], q[first]
+
+
+def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags, usual: Array) -> Array:
+    """`(row, joint)`: of the solutions of each row the one on the path that moves the joints least, by squares.
+
+    The shortest path through the rows (R. Bellman, 1957). Where a row has solutions in the usual range, it takes one of
+    these. A row with joint positions given takes the solution nearest to them, and one without a solution the joint
+    positions nearest to its target.
+
+    Args:
+        rows: `(candidate,)`, the row of each.
+        q: `(candidate, joint)`.
+        cost: `(candidate,)` m², its squared error.
+        start: `(row, joint)`, the joint positions given.
+        given: `(row,)`, whether they were.
+        usual: `(joint, 2)`, the usual range, from whose middle the first row is approached.
+    """
+    order = np.argsort(rows, kind="stable")
+    groups = np.split(order, np.searchsorted(rows[order], np.arange(1, len(start))))
+    kept, inside = [], np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
+    for row, group in enumerate(groups):
+        solutions = group[cost[group] < REACHED[0] ** 2]
+        if not solutions.size:
+            solutions = group[[np.argmin(cost[group])]]
+        elif inside[solutions].any() and not given[row]:
+            solutions = solutions[inside[solutions]]
+        if given[row]:
+            solutions = solutions[[np.argmin(np.abs(q[solutions] - start[row]).max(1))]]
+        kept.append(solutions)
+    length, before = np.sum((q[kept[0]] - usual.mean(1)) ** 2, 1), []
+    for previous, here in pairwise(kept):
+        steps = length[:, None] + np.sum((q[previous][:, None] - q[here]) ** 2, 2)
+        before.append(np.argmin(steps, 0))
+        length = np.min(steps, 0)
+    at = int(np.argmin(length))
+    path = [at]
+    for predecessor in reversed(before):
+        at = int(predecessor[at])
+        path.append(at)
+    return np.stack([q[group[at]] for group, at in zip(kept, reversed(path), strict=True)])

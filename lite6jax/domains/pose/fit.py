@@ -1,6 +1,7 @@
 """The fit of one arm, from its calibration or from a recording; the latter is screened for data faults first."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, overload
 
@@ -8,15 +9,17 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import wrong_type
-from lite6jax.fitting.calibration_fit import calibration_of_array, fit_calibration
-from lite6jax.fitting.chunks import MAX_STEPS
+from lite6jax.fitting import fit as plain
+from lite6jax.fitting.fit import Loss, calibration_from_array, fit_calibration
+from lite6jax.fitting.gauss_newton import MAX_STEPS
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recording_fit import Loss
-from lite6jax.fitting.sampling import SAMPLES
 from lite6jax.fitting.solution import Solution
 from lite6jax.fitting.solve import Solver
-from lite6jax.fitting.source import load_nominal, read_source
+from lite6jax.fitting.source import load_nominal, read_source, with_arm
+from lite6jax.fitting.start import SAMPLES
 from lite6jax.recordings import Recording
 from lite6jax.recordings.units import real_array
 
@@ -86,14 +89,39 @@ def fit(
     if isinstance(source, str | Path):
         source = read_source(source, arm)
     if isinstance(source, Recording):
-        # the screening takes as long to import as a calibration takes to fit
-        from lite6jax.domains.pose.fit_recording import fit_recording
-
         return fit_recording(source, arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps)
-    if isinstance(source, FactoryCalibration):
-        calibration = source
-    elif isinstance(source, list | tuple) or hasattr(source, "__array__"):
-        calibration = calibration_of_array(real_array("source", cast(ArrayLike, source)), arm)
-    else:
+    if isinstance(source, list | tuple) or hasattr(source, "__array__"):
+        source = calibration_from_array(real_array("source", cast(ArrayLike, source)), arm)
+    if not isinstance(source, FactoryCalibration):
         raise wrong_type("source", source, "a file or a list of files, a Recording, or (joint, 6) numbers in m and rad")
-    return fit_calibration(calibration, solver=solver, samples=samples, seed=seed, max_steps=max_steps)
+    return fit_calibration(source, solver=solver, samples=samples, seed=seed, max_steps=max_steps)
+
+
+def fit_recording(
+    recording: Recording,
+    nominal: Arm | None = None,
+    *,
+    geometry: Geometry = "declared",
+    loss: Loss = "student_t",
+    solver: Solver = "gauss_newton",
+    max_steps: int = MAX_STEPS,
+    options: ScreeningOptions | None = None,
+) -> Solution:
+    """The fit of a recording without the faults of its data, as in a diagnosis; these are in `faults` of the solution.
+
+    Args:
+        recording: measured poses.
+        nominal: the nominal arm; from the sidecar, or recognised, where not given.
+        geometry, loss, solver, max_steps: as in `fit`.
+        options: thresholds of the screening.
+
+    Raises:
+        InputError: no measured poses, too few of them, or as `recording_problem`.
+    """
+    recording = recording if nominal is not None else with_arm(recording)
+    # without the rigid arm, whose residuals take as much memory as the recording
+    screened = replace(screen(recording, nominal, geometry, options), rigid=None)
+    solution = plain.fit_recording(
+        screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
+    )
+    return replace(solution, faults=screened.found)

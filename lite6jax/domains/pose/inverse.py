@@ -96,37 +96,25 @@ def solve(
     Raises:
         InputError: as `predict_frames_with`.
     """
-    rows = np.arange(motion.samples)
-    found = _in_chunks(physics, model, values, motion, inertia, target, limits, rows, min(steps, _MOST_NEED))
+
+    def solve_rows(start: Motion, rows: np.ndarray, steps: int) -> Solved:
+        size = next(size for size in _CHUNKS if size >= min(len(rows), _CHUNKS[-1]))
+        parts = []
+        for first in range(0, len(rows), size):
+            chunk = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]  # the last fills it
+            picked, wanted = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (start, target))
+            alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
+            parts.append(_solve(start.chain, physics, model, values, alone, inertia, wanted, limits, steps))
+        return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
+
+    found = solve_rows(motion, np.arange(motion.samples), min(steps, _MOST_NEED))
     if steps > _MOST_NEED and not found.ended.all():  # only those continue
-        rows = rows[~found.ended]
+        rows = np.flatnonzero(~found.ended)
         onward = motion._replace(joint_position=found.joint_position)  # type: ignore[arg-type]
-        later = _in_chunks(physics, model, values, onward, inertia, target, limits, rows, steps - _MOST_NEED)
+        later = solve_rows(onward, rows, steps - _MOST_NEED)
         for whole, part in zip(found, later, strict=True):
             whole[..., rows] = part
     return found
-
-
-def _in_chunks(
-    physics: Physics,
-    model: ArmModel,
-    values: np.ndarray,
-    motion: Motion,
-    inertia: Inertia | None,
-    target: Target,
-    limits: np.ndarray,
-    rows: np.ndarray,
-    steps: int,
-) -> Solved:
-    size = next(size for size in _CHUNKS if size >= min(len(rows), _CHUNKS[-1]))
-    parts = []
-    for first in range(0, len(rows), size):
-        chunk = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]  # the last again and again fills it
-        picked, wanted = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (motion, target))
-        alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
-        chain = motion.chain
-        parts.append(_solve(chain, physics, model, values, alone, inertia, wanted, limits, steps))
-    return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
 
 
 class _State(NamedTuple):

@@ -163,12 +163,6 @@ def site_columns(
     return sites
 
 
-def joint_columns(rigid: RigidFrames, measured: Measured, sliding: tuple[int, ...]) -> Array:
-    """How differences change with each joint's position, `(joint, row, sample)`, m and rad."""
-    twists = frame_columns(rigid, measured)[0][1:]
-    return np.stack([twist[2 if j in sliding else 5] for j, twist in enumerate(twists)])
-
-
 def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmModel:
     """The rigid arm with the frames at the sites `unknown` displaced by `nuisance` `(unknown,)`, m and rad."""
     twists: dict[tuple[str, int], Array] = {}

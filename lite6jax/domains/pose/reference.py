@@ -28,7 +28,7 @@ from lite6jax.domains.pose.reference_arm import (
 from lite6jax.domains.pose.reference_rows import matched
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recognition import arm_of
+from lite6jax.fitting.source import arm_of
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
 from lite6jax.recordings.units import other_joints
 

@@ -1,6 +1,5 @@
 """Sensor frame and tool of a known chain from measured poses: a closed form, then a robust fit."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,11 +7,19 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.se3 import rotation_from_quaternion
+from lite6jax.arms import frames
 from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.kinematics import (
+    Measured,
+    RigidFrames,
+    frame_columns,
+    rigid_differences,
+    small_displacement,
+    whitened,
+)
 from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
+from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.pose.uncertainty import registered
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
 from lite6jax.errors import InputError, wrong_type
@@ -20,9 +27,8 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
-from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.start import frames_from_poses
+from lite6jax.fitting.start import frames_from_poses, measured_rotations, nearest_rotation
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.results import PublicResult
@@ -98,9 +104,12 @@ def register(
     if tool is None and rotation is None and tool_rotation is not None:
         T[:3, :3] = tool_rotation
     unknown = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
-    problem = relinearise(_Frames(flange, position, rotation, noise, F, T, np.flatnonzero(unknown)), DEFAULTS)
-    missed, turned = problem.differences
-    squares = np.sum(problem.whitened**2, 0)
+    turned = np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1)
+    measured = Measured(position.T, turned, 1 / np.array(noise))
+    problem = relinearise(_Frames(flange, measured, F, T, np.flatnonzero(unknown)), DEFAULTS)
+    missed = problem.differences[:3].T
+    turned = None if rotation is None else problem.differences[3:].T
+    squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
     count, parameters = problem.rows * problem.samples, len(problem.unknown)
     lost = np.sqrt(count / max(count - parameters, 1))
@@ -128,18 +137,17 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
     model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
-    bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
-    flange, shifted = (predict(one, recording) for one in bare)
+    by_a_metre = frames.transform_from_row([1, 0, 0, 0, 0, 0])
+    bare = [ArmModel(model.model.geometry, T, np.eye(4)) for T in (np.eye(4), by_a_metre)]  # type: ignore[arg-type]
+    flange, shifted = (predict(replace(model, model=rigid), recording) for rigid in bare)
     # an effect of the sensor's scale multiplies positions: by how much a frame shifted by a metre shows them moved
     growth = (shifted - flange)[:, 0, 3]
     flange[:, :3, 3] /= growth[:, None]
     used = np.isfinite(growth)
     require_samples(recording.select(used), _NUMBERS[recording.numbers_per_sample])
-    position, rotation = recording.position, None
+    position, rotation, settings = recording.position, measured_rotations(recording), recording.settings
     assert position is not None
-    if recording.quaternion is not None:
-        rotation = np.asarray(rotation_from_quaternion(recording.quaternion))[used]
-    settings = recording.settings
+    rotation = None if rotation is None else rotation[used]
     noise = (
         settings.position_noise_m or UNDECLARED_NOISE[0],
         settings.orientation_noise_rad or UNDECLARED_NOISE[1],
@@ -151,55 +159,40 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
             f"{recording.source}: its poses do not determine sensor frame and tool; record some that turn the flange "
             "about other axes"
         )
-    frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
-    moved = replace(model, model=frames, orientation=rotation is not None)
+    rigid = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
+    moved = replace(model, model=rigid, orientation=rotation is not None)
     noise = found.noise[0], found.noise[1] if rotation is not None else None
     return replace(moved, uncertainty=registered(moved, moved.motion_of(recording.select(used)), noise)), found
 
 
-def _shift(x: float) -> Array:
-    T = np.eye(4)
-    T[0, 3] = x
-    return T
-
-
 @final
 @dataclass(frozen=True, eq=False)
-class _Frames:
+class _Frames(NuisanceProblem):
     """Sensor frame and tool of a known chain as a problem of least squares, whose nuisance they are.
 
-    The nuisance's twelve numbers displace the sensor frame by a translation in its axes and a rotation in the base's,
-    and the tool by a translation in the flange's axes and a rotation in its own.
+    The nuisance's twelve numbers are a twist of the base and one of the flange, each in its own axes.
 
     Attributes:
-        flange: `(sample, 4, 4)`.
-        position: `(sample, 3)`.
-        rotation: `(sample, 3, 3)` or None.
-        noise: of position and orientation.
+        flange: `T_base_flange` `(sample, 4, 4)`.
+        measured: the poses, and the noise.
         T_sensor_base: `(4, 4)`.
         T_flange_tool: `(4, 4)`.
         unknown: which of the twelve.
     """
 
     flange: Array
-    position: Array
-    rotation: Array | None
-    noise: tuple[float, float]
+    measured: Measured
     T_sensor_base: Array
     T_flange_tool: Array
     unknown: NDArray[np.integer]
 
     @property
     def rows(self) -> int:
-        return 3 if self.rotation is None else 6
+        return self.measured.rows
 
     @property
     def samples(self) -> int:
         return len(self.flange)
-
-    @property
-    def groups(self) -> NDArray[np.integer]:
-        return np.zeros(self.rows, int)
 
     @property
     def precision(self) -> Array:
@@ -207,66 +200,31 @@ class _Frames:
 
     offset = precision
 
-    @property
-    def preset(self) -> tuple[Terms, Array]:
-        return Terms(), np.zeros(0)
+    @cached_property
+    def rigid(self) -> RigidFrames:
+        flange = self.T_sensor_base @ self.flange
+        base = np.broadcast_to(self.T_sensor_base, flange.shape)
+        return RigidFrames(np.stack([base, flange]), flange @ self.T_flange_tool)
 
     @cached_property
-    def differences(self) -> tuple[Array, Array | None]:
-        """Predicted minus measured: `(sample, 3)` m in sensor axes, and rotation vectors in tool axes."""
-        predicted = self.T_sensor_base @ self.flange @ self.T_flange_tool
-        missed = predicted[:, :3, 3] - self.position
-        if self.rotation is None:
-            return missed, None
-        relative = np.swapaxes(self.rotation, 1, 2) @ predicted[:, :3, :3]
-        return missed, Rotation.from_matrix(relative).as_rotvec()
+    def differences(self) -> Array:
+        """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
+        return rigid_differences(self.rigid.tool, self.measured)
 
     @property
-    def whitened(self) -> Array:
-        """`(row, sample)`."""
-        missed, turned = self.differences
-        parts = [missed / self.noise[0]] + ([] if turned is None else [turned / self.noise[1]])
-        return np.hstack(parts).T
+    def residuals(self) -> Array:
+        return whitened(self.differences, self.measured.whitener)
 
     @property
     def nuisance(self) -> Array:
-        """`(unknown, row, sample)`."""
-        R, R_sensor = self.flange[:, :3, :3], self.T_sensor_base[:3, :3]
-        arm = R @ self.T_flange_tool[:3, 3] + self.flange[:, :3, 3]
-        J = np.zeros((self.samples, self.rows, 12))
-        J[:, :3, :3] = np.eye(3) / self.noise[0]
-        J[:, :3, 3:6] = -R_sensor @ _cross(arm) / self.noise[0]
-        J[:, :3, 6:9] = R_sensor @ R / self.noise[0]
-        if self.rotation is not None:
-            J[:, 3:, 3:6] = np.swapaxes(R @ self.T_flange_tool[:3, :3], 1, 2) / self.noise[1]
-            J[:, 3:, 9:12] = np.eye(3) / self.noise[1]
-        return np.moveaxis(J[:, :, self.unknown], 0, -1).swapaxes(0, 1)
-
-    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
-        """How residuals change with each nuisance number, whatever terms are beside it: `nuisance`."""
-        return self.nuisance
-
-    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
-        return self.relinearised(nuisance).whitened
-
-    def columns(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        return np.zeros((0, self.rows, self.samples))
-
-    def factored(self, term: Term) -> None:
-        return
+        twists = frame_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
+        return whitened(twists[self.unknown], self.measured.whitener)
 
     def relinearised(self, nuisance: Array) -> "_Frames":
-        if not nuisance.any():
-            return self
         change = np.zeros(12)
         change[self.unknown] = nuisance
-        F, T = self.T_sensor_base.copy(), self.T_flange_tool.copy()
-        for frame, shift, turn in ((F, change[:3], change[3:6]), (T, change[6:9], change[9:])):
-            frame[:3, 3] += shift
-            frame[:3, :3] = frame[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
-        return replace(self, T_sensor_base=F, T_flange_tool=T)
+        F, T = (small_displacement(twist) for twist in (change[:6], change[6:]))
+        return replace(self, T_sensor_base=self.T_sensor_base @ F, T_flange_tool=T @ self.T_flange_tool)
 
 
 def _start(
@@ -294,12 +252,4 @@ def _spread(errors: Array) -> float:
 
 def _rotation(M: Array) -> Array:
     """The rotation nearest to a multiple, of either sign, of a matrix."""
-    U, _, Vt = np.linalg.svd(M * np.sign(np.linalg.det(M)))
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-
-
-def _cross(vector: Array) -> Array:
-    """`(sample, 3, 3)`, what takes u to vector × u."""
-    x, y, z = vector.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
+    return nearest_rotation(M * np.sign(np.linalg.det(M)))

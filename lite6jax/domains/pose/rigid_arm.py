@@ -6,7 +6,7 @@ Everything here is NumPy, so that a recording is screened in milliseconds and no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from lite6jax.domains.pose.kinematics import (
     Site,
     displaced,
     frame_columns,
-    joint_columns,
     measured_poses,
     rigid_frames,
     rigid_residuals,
@@ -31,19 +30,52 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem, whitener_of
+from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 
 
+class NuisanceProblem:
+    """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
+
+    What derives from it has `rows`, `samples`, `residuals`, `nuisance` and `relinearised`.
+    """
+
+    @property
+    def groups(self: Any) -> NDArray[np.integer]:
+        """Position and orientation share one scale over their noise."""
+        return np.zeros(self.rows, int)
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """No terms."""
+        return Terms(), np.zeros(0)
+
+    def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
+        """`nuisance`, whatever terms are beside it."""
+        return self.nuisance
+
+    def residual(self: Any, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(row, sample)` with the unknowns displaced."""
+        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
+
+    def columns(
+        self: Any, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """Of no terms."""
+        return np.zeros((0, self.rows, self.samples))
+
+    def factored(self, term: Term) -> None:
+        """None, of no terms."""
+        return
+
+
 @final
 @dataclass(frozen=True, eq=False)
-class RigidArm:
-    """A rigid arm and its measured poses, a `LinearisedProblem` of the unknown displacements of its frames.
-
-    It has more than twelve members because that protocol has.
+class RigidArm(NuisanceProblem):
+    """A rigid arm and its measured poses, a problem of the unknown displacements of its frames.
 
     Attributes:
         recording: joints and poses.
@@ -81,16 +113,6 @@ class RigidArm:
     def rows(self) -> int:
         """Numbers that a sample has: 3 or 6."""
         return self.recording.numbers_per_sample
-
-    @property
-    def groups(self) -> NDArray[np.integer]:
-        """Position and orientation share one scale over their declared noise."""
-        return np.zeros(self.rows, int)
-
-    @property
-    def preset(self) -> tuple[Terms, Array]:
-        """None: a rigid arm has no effects."""
-        return Terms(), np.zeros(0)
 
     @cached_property
     def links(self) -> Array:
@@ -183,24 +205,6 @@ class RigidArm:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
         return whitened(columns, self.whitener)
 
-    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
-        """How residuals change with each nuisance number, whatever terms are beside it: `nuisance`."""
-        return self.nuisance
-
-    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
-        """Residuals `(row, sample)` with the unknowns displaced."""
-        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
-
-    def columns(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        """Of no terms."""
-        return np.zeros((0, self.rows, self.samples))
-
-    def factored(self, term: Term) -> None:
-        """None: it has no terms."""
-        return
-
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
         return replace(self, start=displaced(self.start, self.unknown, nuisance), offset=self.offset + nuisance)
@@ -259,9 +263,8 @@ def rigid_arm(
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
-    position, orientation = problem.noise
-    noise = np.repeat((position, orientation or position), 3)[: problem.rows]
-    rigid = RigidArm(
+    whitener = problem.whitener
+    return RigidArm(
         recording=recording,
         arm=arm,
         start=start,
@@ -271,12 +274,6 @@ def rigid_arm(
         informative=uncertainty is not None,
         noise=problem.noise,
         declared_noise=problem.declared_noise,
-        whitener=whitener_of(np.diag(noise**2)),
+        whitener=whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1),
         exact=exact,
     )
-    if not problem.joint_noise:
-        return rigid
-    # read-out noise of the joints: the covariance of a sample is Σ + σ_q² J Jᵀ
-    J = joint_columns(rigid.rigid, rigid.measured, arm.sliding)[~arm.slides]
-    covariance = np.diag(noise**2) + problem.joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
-    return replace(rigid, whitener=np.moveaxis(whitener_of(covariance), 0, -1))
