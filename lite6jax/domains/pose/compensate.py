@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.domains.pose.compensation_search import CompensationSearch, reached
 from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.inverse import Solved
-from lite6jax.domains.pose.predict import DiagnosedArm, recording_of, require_model
-from lite6jax.domains.pose.uncertainty import Bars, bars_of
+from lite6jax.domains.pose.predict import Bars, DiagnosedArm, bars_of, recording_of, require_model
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel

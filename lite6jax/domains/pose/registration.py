@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
-from lite6jax.domains.pose.uncertainty import registered
+from lite6jax.domains.pose.predict import DiagnosedArm, predict, registered, require_model
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise
