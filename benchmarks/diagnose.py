@@ -19,7 +19,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
 from lite6jax.diagnosis.document import read_model
-from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
@@ -159,7 +159,7 @@ def false_alarms(recordings: int, folder: Path) -> Iterator[Record]:
 
 def searched(recording: Recording) -> tuple[tuple[SelectedTerm, ...], tuple[DataFault, ...]]:
     """What screening and search of a recording find: effects, and faults of the data."""
-    explanation = explain(recording, None, "declared", Options())
+    explanation = explain(Case(recording, None, "declared", Options()))
     return explanation.selection.state.tested, explanation.screened.found
 
 

@@ -129,7 +129,7 @@ def _written(folder: Path, index: int) -> None:
 
 def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Outcome:
     """The search of all rows of a trial; held-out errors are not part of it."""
-    from lite6jax.diagnosis.explanation import explain
+    from lite6jax.diagnosis.explanation import Case, explain
     from lite6jax.diagnosis.options import Options
     from lite6jax.recordings import read_recording
     from lite6jax.search.final_estimates import final_estimates
@@ -142,7 +142,7 @@ def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Ou
         else:
             options = replace(options, **{group: replace(getattr(options, group), **{name: changed})})
     try:
-        found = explain(read_recording(folder / str(index) / "recording.csv"), None, "declared", options)
+        found = explain(Case(read_recording(folder / str(index) / "recording.csv"), None, "declared", options))
         state = final_estimates(found.problem, found.selection.state, options.engine)
     except Exception as problem:  # an option may be moved to where nothing works: that is a result too
         return Outcome({}, (), f"{type(problem).__name__}: {problem}"[:200])

@@ -34,10 +34,9 @@ if TYPE_CHECKING:
         TorqueDiagnosis as TorqueDiagnosis,
         diagnose_torques as diagnose_torques,
     )
-    from lite6jax.diagnosis.torque_document import read_torque_model as read_torque_model
     from lite6jax.domains.pose.compensate import compensate as compensate
     from lite6jax.domains.pose.fit import fit as fit
-    from lite6jax.diagnosis.document import read_model as read_model
+    from lite6jax.diagnosis.document import read_model as read_model, read_torque_model as read_torque_model
     from lite6jax.domains.pose.predict import predict as predict, predicted as predicted
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
     from lite6jax.domains.torque.predict import (
@@ -111,9 +110,8 @@ _NAMES = {
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis", "diagnose_torques"),
-    "lite6jax.diagnosis.torque_document": ("read_torque_model",),
     "lite6jax.domains.pose.compensate": ("compensate",),
-    "lite6jax.diagnosis.document": ("read_model",),
+    "lite6jax.diagnosis.document": ("read_model", "read_torque_model"),
     "lite6jax.domains.pose.predict": ("predict", "predicted"),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
     "lite6jax.domains.torque.predict": ("predict_torques", "predicted_torques"),

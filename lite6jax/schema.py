@@ -1,13 +1,41 @@
-"""Schemas of JSON documents: what each value may be, as functions that refuse any other in one line."""
+"""Checks of JSON documents: what a value may be is a type of msgspec; what it is instead is said in one line."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, inspect
 
 from lite6jax.errors import InputError
 
-Check = Callable[[Any, str], None]
-"""Of a value and its place in the document; raises `InputError`, whose message begins with the place."""
+Positive = Annotated[float, Meta(ge=0.0)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""A share or a probability."""
+Count = Annotated[int, Meta(ge=0)]
+Number = Annotated[int, Meta(ge=1)]
+"""Of a row or a joint, which count from 1; or of samples."""
+
+_MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?", re.DOTALL)
+_STEP = re.compile(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]")
+_KEY = re.compile(r"(unknown|missing required) field `(.*)`")
+
+
+def record(required: Mapping[str, Any], further: Mapping[str, Any] | None = None) -> Any:
+    """The type of an object with all the required keys, some of the further ones, and no others.
+
+    Args:
+        required: types of values by key, in the order in which they are written.
+        further: likewise.
+    """
+    fields = [*required.items(), *((key, kind, msgspec.UNSET) for key, kind in (further or {}).items())]
+    return msgspec.defstruct("record", fields, forbid_unknown_fields=True)
+
+
+PLACE: dict[str, Any] = {"effect": str, "site": str, "driver": str}
+"""Keys of which effect, where it acts, and what it depends on."""
+ESTIMATE = record({"value": float, "std": Positive})
 
 
 class RepeatedKeyError(ValueError):
@@ -28,128 +56,97 @@ def unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def number(lower: float = -math.inf, upper: float = math.inf) -> Check:
-    """A finite number, which true and false are not, between two bounds."""
+def check(value: Any, kind: Any, place: str = "") -> None:
+    """Refuses a value of JSON that is not of a type, or has a number that is not finite.
 
-    def check(value: Any, place: str) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{place} is {_shown(value)}, which is no number")
-        if not abs(value) < math.inf or value != value:
-            raise InputError(f"{place} is {value}, which is not finite")
-        if not lower <= value <= upper:
-            raise InputError(f"{place} is {value:.6g}, which is not {_bounds(lower, upper)}")
+    Args:
+        value: as `json` reads it.
+        kind: a type that msgspec knows.
+        place: what the value is.
 
-    return check
-
-
-def whole(lower: float = -math.inf, upper: float = math.inf) -> Check:
-    """A whole number, written without a point."""
-    between = number(lower, upper)
-
-    def check(value: Any, place: str) -> None:
-        between(value, place)
-        if not isinstance(value, int):
-            raise InputError(f"{place} is {_shown(value)}, which is no whole number")
-
-    return check
+    Raises:
+        InputError: the message begins with the place in the document.
+    """
+    plain = require_finite(value, place)
+    try:
+        msgspec.convert(plain, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(_refusal(plain, kind, str(error), place)) from error
 
 
-def flag(value: Any, place: str) -> None:
-    """True or false."""
-    if not isinstance(value, bool):
-        raise InputError(f"{place} is {_shown(value)}, which is neither true nor false")
+def require_finite(value: Any, place: str) -> Any:
+    """The value with numbers of Python in place of NumPy's.
 
-
-def text(value: Any, place: str) -> None:
-    """A text."""
-    if not isinstance(value, str):
-        raise InputError(f"{place} is {_shown(value)}, which is no text")
-
-
-def one_of(*accepted: str) -> Check:
-    """One of some texts."""
-
-    def check(value: Any, place: str) -> None:
-        if not isinstance(value, str) or value not in accepted:
-            raise InputError(f"{place} is {_shown(value)}, which is not one of {', '.join(accepted)}")
-
-    return check
-
-
-def optional(check_: Check) -> Check:
-    """Null, or what another check accepts."""
-    return lambda value, place: None if value is None else check_(value, place)
-
-
-def items(check_: Check, count: int | None = None) -> Check:
-    """A list, of a certain length where `count` is given."""
-
-    def check(value: Any, place: str) -> None:
-        if not isinstance(value, list):
-            raise InputError(f"{place} is {_shown(value)}, which is no list")
-        if count is not None and len(value) != count:
-            raise InputError(f"{place} has {len(value)} entries, not {count}")
-        for i, entry in enumerate(value):
-            check_(entry, f"{place}[{i}]")
-
-    return check
-
-
-def array(*shape: int | None, lower: float = -math.inf, upper: float = math.inf) -> Check:
-    """Nested lists of numbers between two bounds; None in the shape stands for any length."""
-    check: Check = number(lower, upper)
-    for length in reversed(shape):
-        check = items(check, length)
-    return check
-
-
-def mapping(check_: Check) -> Check:
-    """An object of any names, whose values another check accepts."""
-
-    def check(value: Any, place: str) -> None:
-        if not isinstance(value, Mapping):
-            raise InputError(f"{place} is {_shown(value)}, which is no object")
-        for name, entry in value.items():
-            check_(entry, f"{place}.{name}")
-
-    return check
-
-
-def record(required: Mapping[str, Check], further: Mapping[str, Check] | None = None) -> Check:
-    """An object with all the required names, some of the further ones, and no others."""
-    accepted = {**required, **(further or {})}
-
-    def check(value: Any, place: str) -> None:
-        if not isinstance(value, Mapping):
-            raise InputError(f"{place} is {_shown(value)}, which is no object")
-        for name in value:
-            if name not in accepted:
-                raise InputError(f"{place} has the unknown key {_shown(name)}")
-        for name in required:
-            if name not in value:
-                raise InputError(f"{place} lacks the key {name!r}")
-        for name, entry in value.items():
-            accepted[name](entry, f"{place}.{name}")
-
-    return check
-
-
-def plain(value: Any, place: str) -> None:
-    """Any value of JSON all of whose numbers are finite."""
+    Raises:
+        InputError: a number in it is not finite; the message begins with its place.
+    """
     if isinstance(value, Mapping):
-        mapping(plain)(value, place)
-    elif isinstance(value, list):
-        items(plain)(value, place)
-    elif not (value is None or isinstance(value, bool | str)):
-        number()(value, place)
+        return {name: require_finite(entry, f"{place}.{name}") for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [require_finite(entry, f"{place}[{i}]") for i, entry in enumerate(value)]
+    if isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+        raise InputError(f"{place.removeprefix('.')} is {str(value)[:40]}, which is not finite")
+    return float(value) if isinstance(value, float) else value
 
 
-def _shown(value: Any) -> str:
+def _refusal(value: Any, kind: Any, message: str, place: str) -> str:
+    """What msgspec says of a value, with its place, the value there and what may be there."""
+    found = _MESSAGE.fullmatch(message)
+    assert found is not None
+    what, path = found.groups()
+    node: Any = inspect.type_info(kind)
+    for key, index in _STEP.findall(path or ""):
+        place += f".{key}" if key else f"[{index}]"
+        node = _accepted(node)
+        if index == "...":  # an entry of a mapping, whose name is not said
+            return f"{place.removeprefix('.')}: {what}"
+        if key:
+            value, node = value[key], next(field.type for field in node.fields if field.name == key)
+        else:
+            value = value[int(index)]
+            node = node.item_type if isinstance(node, inspect.ListType) else node.item_types[int(index)]
+    place = place.removeprefix(".")
+    if key := _KEY.search(what):
+        if key[1] == "unknown":
+            return f"{place} has the unknown key {key[2]!r}" if place else f"the key {key[2]!r} is unknown"
+        return f"{place or 'it'} lacks the key {key[2]!r}"
+    return f"{place or 'it'} {_departure(value, _accepted(node))}"
+
+
+def _accepted(node: Any) -> Any:
+    """The type beside null."""
+    if isinstance(node, inspect.UnionType):
+        return next(each for each in node.types if not isinstance(each, inspect.NoneType))
+    return node
+
+
+def _departure(value: Any, node: Any) -> str:
+    """How a value is none of a type."""
     shown = repr(value)
-    return shown if len(shown) <= 40 else f"{shown[:37]}..."
+    shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
+    match node:
+        case inspect.LiteralType(values=values):
+            return f"is {shown}, which is not one of {', '.join(map(str, values))}"
+        case inspect.TupleType(item_types=types) if isinstance(value, list):
+            return f"has {len(value)} entries, not {len(types)}"
+        case inspect.ListType(min_length=length) if isinstance(value, list):
+            return f"has {len(value)} entries, not {length}"
+        case inspect.FloatType(ge=least, le=most) | inspect.IntType(ge=least, le=most):
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                return f"is {shown}, which is no number"
+            if isinstance(node, inspect.IntType) and not isinstance(value, int):
+                return f"is {shown}, which is no whole number"
+            return f"is {value:.6g}, which is not {_bounds(least, most)}"
+        case inspect.BoolType():
+            return f"is {shown}, which is neither true nor false"
+        case inspect.StrType():
+            return f"is {shown}, which is no text"
+        case inspect.ListType() | inspect.TupleType():
+            return f"is {shown}, which is no list"
+    return f"is {shown}, which is no object"
 
 
-def _bounds(lower: float, upper: float) -> str:
-    if upper == math.inf:
-        return f"{lower:g} or more"
-    return f"{upper:g} or less" if lower == -math.inf else f"between {lower:.6g} and {upper:.6g}"
+def _bounds(least: float | None, most: float | None) -> str:
+    if least is None or most is None:
+        return f"{most:.6g} or less" if least is None else f"{least:.6g} or more"
+    return f"between {least:.6g} and {most:.6g}"

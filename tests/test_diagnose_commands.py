@@ -271,7 +271,7 @@ def test_without_out_nothing_is_written_and_json_is_the_file(capsys, recorded, d
 
 
 def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, monkeypatch, corpus):
-    from lite6jax.diagnosis.folds import held_out_folds
+    from lite6jax.diagnosis.heldout import held_out_folds
     from lite6jax.diagnosis.options import QUICK, Options
 
     given, found = [], corpus["compliance"].diagnosis

@@ -1,5 +1,6 @@
-"""Commands on what an arm has beyond its model: find it in a recording, predict with it."""
+"""The command `diagnose`: what an arm has beyond its model, found in a recording; of a folder see `diagnose_folder`."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -20,15 +21,16 @@ from lite6jax.cli.arguments import (
 )
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
-from lite6jax.cli.outputs import Drawings, check_figures, present
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable, write_atomically
+from lite6jax.storage import write_atomically
 
 if TYPE_CHECKING:
-    from lite6jax.arms.arm import Arm
     from lite6jax.diagnosis.result import Diagnosis
     from lite6jax.diagnosis.torque_result import TorqueDiagnosis
     from lite6jax.recordings import Recording
+    from lite6jax.report.next_steps import Files
+
+Domain = Literal["poses", "torques", "both"]
 
 
 @dataclass(frozen=True)
@@ -97,16 +99,12 @@ class Diagnose:
         """Reads, searches, writes, prints."""
         if self.poses and self.torques:
             raise InputError("--poses and --torques: give one of them, or none to diagnose both")
-        from lite6jax.cli.diagnose_folder import diagnose_recordings, is_folder
+        from lite6jax.cli.diagnose_folder import diagnose_recorded_fleet, diagnose_recordings, is_folder
 
         if self.over is not None and not self.fleet:
             raise InputError("--over: is of recordings that are pooled; add --fleet")
         if is_folder(self.source):
-            if self.fleet:
-                from lite6jax.cli.diagnose_fleet import diagnose_recorded_fleet
-
-                return diagnose_recorded_fleet(self)
-            return diagnose_recordings(self)
+            return diagnose_recorded_fleet(self) if self.fleet else diagnose_recordings(self)
         if self.fleet:
             raise InputError(f"--fleet: is for a folder of recordings; {self.source} is one file")
         if self.scheduler is not None:
@@ -117,10 +115,7 @@ class Diagnose:
         if self.report:
             check_out(self.report, ".html", self.force)
         refuse_inputs([self.out, self.report], [self.source, self.reference, self.arm, self.effects])
-        if self.figures:
-            from lite6jax.report.diagnosis_figures import NAMES
-
-            check_figures(self, NAMES)
+        self._check_figures("poses")
         from lite6jax.diagnosis.fold_processes import fold_processes
 
         # other processes cannot import classes that this one reads from a file
@@ -129,54 +124,89 @@ class Diagnose:
 
     def _diagnosed_file(self) -> int:
         """Diagnoses one file: reads it, searches, and writes and prints the result."""
-        from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import to_document
-        from lite6jax.diagnosis.options import QUICK
-        from lite6jax.diagnosis.reference_diagnosis import diagnose_against
-        from lite6jax.effects.user_effects import by_domain, load_effects
-        from lite6jax.fitting.source import arm_of, load_nominal
-        from lite6jax.report import stages, worth
-        from lite6jax.report.diagnosis_tables import diagnosis_report
-        from lite6jax.report.statements import with_statements
+        from lite6jax.diagnosis.document import document_text, write_document
+        from lite6jax.report import diagnosis_tables, screen, stages
+        from lite6jax.report.next_steps import Files
 
-        nominal = load_nominal(self.arm)
-        recording = self._read(self.source, nominal)
-        effects = load_effects(self.effects) if self.effects else ()
-        if self.torques or (recording.position is None and recording.has_torques):
-            from lite6jax.cli.diagnose_torques import diagnose_motors
-
-            other = self._read(self.reference, nominal) if self.reference else None
-            return diagnose_motors(self, recording, nominal, other, effects)
-        arm = nominal or arm_of(recording)
-        other = self._read(self.reference, arm) if self.reference else None
-        if recording.has_torques and recording.position is not None and not self.poses:
-            from lite6jax.cli.diagnose_torques import diagnose_both
-
-            return diagnose_both(self, recording, arm, other, effects)
-        effects, _ = by_domain(effects)
-        options, seen = QUICK if self.quick else None, None
+        recording, domain, search = self._search(both=True)
+        if domain != "poses":
+            self._check_figures(domain)
         with stages.shown() as entered:
-            if other is None:
-                found = diagnose(
-                    recording, arm, geometry=self.geometry, effects=effects, options=options, progress=entered
-                )
-            else:
-                found, seen = diagnose_against(
-                    recording, other, arm, geometry=self.geometry, effects=effects, options=options, progress=entered
-                )
-        document = {**to_document(found), "inputs": inputs(self.source, self.arm, self.reference, self.effects)}
-        if seen is not None:
-            document["against"] = seen.to_dict()
-        document = with_statements(document)
+            found: Any = search(progress=entered)
+        document = self._document(found, domain)
+        poses = found.poses if domain == "both" else found
+        files = Files(self.source, self.out, self.effects)
+        written = [write_document(document, self.out, self.force)] if self.out else []
+        if self.report or self.figures:
+            against = None if poses.against is None else poses.against.file
+            if domain == "both" and self.reference:
+                against = str(self.reference)
+            sides = str(self.source) if against is None else f"{self.source} against {against}"
+            written += self._draw(found, domain, document, sides, files)
+        if self.json:
+            print(document_text(document))
+        else:
+            report = diagnosis_tables.diagnosis_report
+            if domain == "both":
+                from lite6jax.report.combined import combined_report as report
+            screen.show(report(document, str(self.source), files, self.details))
+            screen.show(screen.notes(recording.notes))
+            screen.written(written)
+        return BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else DONE
 
-        def drawings() -> Drawings:
-            from lite6jax.report import diagnosis_figures, page
+    def _draw(self, found: Any, domain: "Domain", document: Any, sides: str, files: "Files") -> list[Path]:
+        """Writes the figures and the page where there are places for them.
 
-            figures = diagnosis_figures.drawings(found, self.source.name, worth.order(document))
-            return Drawings(figures, len(diagnosis_figures.NAMES), partial(page.diagnosis_page, found, document))
+        Args:
+            found: the diagnosis.
+            domain: of what it is.
+            document: as in the JSON file, with statements.
+            sides: what was diagnosed, and against what.
+            files: for commands to copy.
+        """
+        from lite6jax.report import (
+            canvas,
+            combined,
+            diagnosis_figures,
+            page,
+            screen,
+            torque_figures,
+            torque_page,
+            worth,
+        )
 
-        present(self, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
-        return BAD_FIT if found.quality.verdict == "bad" else DONE
+        name, written, drawn = self.source.name, [], {}
+        page_of: Any = partial(page.diagnosis_page, found)
+        if domain == "both":
+            figures = combined.drawings(found, name, document)
+            alone = found.torques is None
+            page_of = partial(page.diagnosis_page, found.poses) if alone else partial(combined.combined_page, found)
+        elif domain == "torques":
+            figures = torque_figures.drawings(found, name, worth.order(document))
+            page_of = partial(torque_page.torque_page, found)
+        else:
+            figures = diagnosis_figures.drawings(found, name, worth.order(document))
+        most = len(_figures_of(domain))
+        with screen.progress(2 * most + 1, "drawing") as advance:
+            for each, figure in figures:
+                drawn[each] = figure
+                advance(1)
+            if self.figures:
+                named = {f"{self.source.stem}_{each}": figure for each, figure in drawn.items()}
+                written += canvas.save(named, self.figures, self.force)
+            advance(most)
+            if self.report:
+                html = page_of(document, sides, drawn, files)
+                written.append(write_atomically(self.report, html, self.force))
+        return written
+
+    def _check_figures(self, domain: "Domain") -> None:
+        """Refuses figures that cannot be written where they are asked for, before a long computation."""
+        if self.figures:
+            from lite6jax.report import canvas
+
+            names = [f"{self.source.stem}_{name}" for name in _figures_of(domain)]
+            canvas.check_names(self.figures, names, self.force)
 
     def diagnosed(self) -> "tuple[Diagnosis | TorqueDiagnosis, dict[str, Any]]":
         """The diagnosis of the recording's poses, or with `torques`, or where it has no poses, of its torques.
@@ -187,128 +217,73 @@ class Diagnose:
         Raises:
             InputError: the recording has neither, or as `diagnose` and `diagnose_torques`.
         """
+        _, domain, search = self._search(both=False)
+        found = search()
+        return found, self._document(found, domain)
+
+    def _search(self, both: bool) -> "tuple[Recording, Domain, Callable[..., Any]]":
+        """Reads what is to be diagnosed.
+
+        Args:
+            both: whether poses and torques of one recording are diagnosed together.
+
+        Returns:
+            the recording, what of it is diagnosed, and the search, which takes `progress`.
+        """
+        from lite6jax.diagnosis import diagnose, torque_diagnosis
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.effects.user_effects import by_domain, load_effects
-        from lite6jax.fitting.source import arm_of, load_nominal
-
-        nominal = load_nominal(self.arm)
-        recording = self._read(self.source, nominal)
-        kinematic, dynamic = by_domain(load_effects(self.effects) if self.effects else ())
-        options, read = QUICK if self.quick else None, inputs(self.source, self.arm, None, self.effects)
-        if self.torques or (recording.position is None and recording.has_torques):
-            from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-            from lite6jax.diagnosis.torque_document import to_torque_document
-            from lite6jax.report import torque_statements
-
-            motors = diagnose_torques(recording, nominal, effects=dynamic, options=options)
-            return motors, torque_statements.with_statements({**to_torque_document(motors), "inputs": read})
-        from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import to_document
-        from lite6jax.report import statements
-
-        found = diagnose(
-            recording, nominal or arm_of(recording), geometry=self.geometry, effects=kinematic, options=options
-        )
-        return found, statements.with_statements({**to_document(found), "inputs": read})
-
-    def _read(self, path: Path, of: "Arm | None") -> "Recording":
-        from lite6jax.fitting.source import load_recording
+        from lite6jax.fitting.source import arm_of, load_nominal, load_recording
 
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        return load_recording(path, of, **assumed)
+        arm = load_nominal(self.arm)
+        recording = load_recording(self.source, arm, **assumed)
+        effects = load_effects(self.effects) if self.effects else ()
+        kinematic, dynamic = by_domain(effects)
+        domain: Domain = "poses"
+        if self.torques or (recording.position is None and recording.has_torques):
+            domain = "torques"
+        elif both and recording.has_torques and recording.position is not None and not self.poses:
+            domain = "both"
+        if domain != "torques":
+            arm = arm or arm_of(recording)
+        other = load_recording(self.reference, arm, **assumed) if self.reference else None
+        given: dict[str, Any] = {"options": QUICK if self.quick else None}
+        if domain == "torques":
+            given["effects"] = dynamic
+            if other is None:
+                return recording, domain, partial(torque_diagnosis.diagnose_torques, recording, arm, **given)
+            return recording, domain, partial(torque_diagnosis.diagnose_torques_against, recording, other, arm, **given)
+        given |= {"geometry": self.geometry, "effects": kinematic}
+        if domain == "both":
+            from lite6jax.diagnosis import combined
+
+            given |= {"effects": effects, "reference": other}
+            return recording, domain, partial(combined.diagnose_combined, recording, arm, **given)
+        if other is None:
+            return recording, domain, partial(diagnose.diagnose, recording, arm, **given)
+        return recording, domain, partial(diagnose.diagnose_against, recording, other, arm, **given)
+
+    def _document(self, found: "Any", domain: "Domain") -> dict[str, Any]:
+        """The document of what was found, with the files that were read and with sentences."""
+        read = {"inputs": inputs(self.source, self.arm, self.reference, self.effects)}
+        if domain == "both":
+            from lite6jax.report import combined
+
+            return combined.with_statements(found.to_dict() | read)
+        from lite6jax.report import statements, torque_statements
+
+        document = found.document() | read
+        if found.against is not None:
+            document["against"] = found.against.to_dict()
+        return (torque_statements if domain == "torques" else statements).with_statements(document)
 
 
-@dataclass(frozen=True)
-class Predict:
-    """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
+def _figures_of(domain: "Domain") -> list[str]:
+    """The names of the figures of a diagnosis of poses, of torques or of both."""
+    from lite6jax.report import combined, diagnosis_figures, torque_figures
 
-    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors, and tau1_std_Nm …, which contain the
-    sensor's noise as well. Of one of poses and torques both are written, if the motion is a trajectory.
-
-    Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
-    axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
-    the recording does not support the row: it is beyond the recorded range, or in a gap of it.
-
-    For example:
-
-        lite6jax predict diagnosis.json motion.csv --out predicted.csv
-        lite6jax predict diagnosis.json run9.csv --register --out predicted.csv
-    """
-
-    diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
-    """What `diagnose` wrote (.json)."""
-    motion: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Joint positions, and the other quantities on which the model's effects depend (.csv, .parquet)."""
-    out: Annotated[Path, arg(metavar="FILE")]
-    """Write the poses here (.csv), one row per sample."""
-    register: bool = False
-    """First fit sensor frame and tool to the poses in the file, for another set-up of the same arm."""
-    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
-    """Effects of your own that the model has. Runs the file."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace the file if it exists."""
-
-    def run(self) -> int:
-        """Reads, predicts, writes."""
-        check_writable(self.out, self.force)
-        if self.out.suffix.lower() != ".csv":
-            raise InputError(f"{self.out}: what is written here is csv; let the name end in .csv")
-        refuse_inputs([self.out], [self.diagnosis, self.motion, self.effects])
-        import sys
-
-        import numpy as np
-        import pyarrow as pa
-
-        from lite6jax.diagnosis.document import check_sum, model_from_document, parsed_document
-        from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
-        from lite6jax.domains.pose.files import read_motion
-        from lite6jax.domains.pose.predict import predicted, prediction_columns
-        from lite6jax.domains.pose.registration import register_model
-        from lite6jax.effects.user_effects import load_effects
-        from lite6jax.recordings.writing import write_table
-        from lite6jax.report import compensation_tables, diagnosis_tables, screen
-        from lite6jax.report.reference import origin_statement
-
-        document, effects = parsed_document(self.diagnosis), load_effects(self.effects) if self.effects else ()
-        if is_of_torques(document):
-            from lite6jax.cli.diagnose_torques import predict_motors
-
-            return predict_motors(self, document, effects)
-        model = model_from_document(document, effects, str(self.diagnosis))
-        check_sum(document, self.diagnosis)
-        recording = read_motion(self.motion, model)
-        found = None
-        if self.register:
-            model, found = register_model(model, recording)
-        shown = predicted(model, recording)
-        written = prediction_columns(shown, model.orientation)
-        said: list[str] = []
-        if of_torques(document) is not None:
-            from lite6jax.cli.diagnose_torques import torques_beside
-
-            written, said = torques_beside(self, document, written, recording, effects)
-        columns = pa.table(written)
-        path = write_atomically(self.out, lambda target: write_table(columns, target), self.force)
-        if self.json:
-            from lite6jax.report import documents
-
-            print(documents.text(documents.of_prediction(shown, found), [path]))
-            return DONE
-        if model.reference is not None:
-            screen.show([origin_statement(model.reference)])
-        if found is not None:
-            screen.show(diagnosis_tables.registration_report(found))
-        screen.show(screen.notes(recording.notes))
-        empty = int(np.isnan(shown.poses[:, 0, 0]).sum())
-        if empty:
-            print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
-        if shown.outside is None:
-            print(f"{self.diagnosis}: {compensation_tables.NO_BARS}", file=sys.stderr)
-        else:
-            print(compensation_tables.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
-        for line in said:
-            print(line)
-        screen.written([path])
-        return DONE
+    if domain == "torques":
+        return [*torque_figures.NAMES]
+    torques = [combined.PREFIX + name for name in torque_figures.NAMES] if domain == "both" else []
+    return [*diagnosis_figures.NAMES, *torques]

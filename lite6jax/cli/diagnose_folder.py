@@ -1,4 +1,4 @@
-"""The command `diagnose` of a folder, or of what is behind a URL: a document for each recording, and a table."""
+"""The command `diagnose` of a folder, or of what is behind a URL: a document for each recording, a table, a fleet."""
 
 import contextlib
 import io
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lite6jax.cli.arguments import check_processes
 from lite6jax.cli.exit_codes import DONE
@@ -18,8 +18,11 @@ from lite6jax.storage import temporary_folder
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from lite6jax.cli.diagnose import Diagnose
     from lite6jax.distribution.batches import Run
+    from lite6jax.populations.population import Population
+
+Command = Any
+"""The command `diagnose` as it was given, of which this module is a part."""
 
 
 def is_folder(source: Path) -> bool:
@@ -33,7 +36,7 @@ def is_folder(source: Path) -> bool:
     return recording_file(source) is None
 
 
-def diagnose_recordings(command: "Diagnose") -> int:
+def diagnose_recordings(command: Command) -> int:
     """Diagnoses every recording of the folder, writes the documents and the table, and prints the table.
 
     Args:
@@ -60,7 +63,65 @@ def diagnose_recordings(command: "Diagnose") -> int:
     return DONE
 
 
-def refuse_options_of_one(command: "Diagnose", many: str) -> None:
+def diagnose_recorded_fleet(command: Command) -> int:
+    """Diagnoses and pools the recordings of the folder, writes what `diagnose` of a folder does and fleet.json.
+
+    Args:
+        command: as it was given; its source is a folder or a URL.
+    """
+    refuse_options_of_one(command, "--fleet pools many")
+    if command.out is None or command.out.suffix.lower() == ".json":
+        raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
+    check_processes(command.processes, command.scheduler)
+    import pyarrow as pa
+
+    from lite6jax.diagnosis.document import document_text
+    from lite6jax.distribution.batches import Parts
+    from lite6jax.folders.diagnoses import POOLED, TABLE, check_pooled
+    from lite6jax.folders.place import recording_names
+    from lite6jax.report import population_tables, screen
+    from lite6jax.storage import write_atomically
+
+    place = Place.of(command.source)
+    names = recording_names(place)
+    check_pooled(command.out, names, command.force)
+    asked, also_read = asked_of(command)
+    parts = Parts(command.out / POOLED, asked)
+    diagnoses = parts.key(place.content(names) + also_read)
+    if parts.find(diagnoses) is None:  # a run that was ended while it pooled has them all
+        run = run_on_folder(command, command.out, diagnose_and_reduce)
+        parts.keep(diagnoses, pa.table({"recordings": [run.rows]}))
+    document = _pooled(command).to_dict()
+    path = write_atomically(command.out / POOLED, document_text(document), overwrite=command.force)
+    parts.remove()
+    if command.json:
+        print(document_text(document))
+        return DONE
+    screen.show(population_tables.population_report(document))
+    screen.written([command.out / TABLE, path])
+    return DONE
+
+
+def _pooled(command: Command) -> "Population":
+    from lite6jax.folders.diagnoses import pool_folder
+    from lite6jax.populations.options import DEFAULTS
+    from lite6jax.report import screen
+
+    assert command.out is not None
+    effects = [0]
+    with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
+        return pool_folder(
+            str(command.source),
+            command.out,
+            DEFAULTS,
+            command.over,
+            command.scheduler,
+            command.processes,
+            lambda count: effects.__setitem__(0, count),
+        )
+
+
+def refuse_options_of_one(command: Command, many: str) -> None:
     """Refuses what can only be made of one recording.
 
     Args:
@@ -75,7 +136,7 @@ def refuse_options_of_one(command: "Diagnose", many: str) -> None:
             raise InputError(f"--{option}: is of one recording, and {many}; leave it out")
 
 
-def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Table]") -> "Run":
+def run_on_folder(command: Command, out: Path, diagnose: "Callable[..., pa.Table]") -> "Run":
     """Diagnoses every recording of the folder by a function of a module, with progress.
 
     Args:
@@ -101,7 +162,7 @@ def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Ta
         )
 
 
-def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
+def asked_of(command: Command) -> tuple[Command, bytes]:
     """What of the command the diagnoses depend on, and the checksums of the files that they all read."""
     read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
     alike = {"source": Path(), "out": None, "force": True, "fleet": False}
@@ -109,7 +170,7 @@ def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
     return replace(command, **alike), sha256_of(read)
 
 
-def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":
+def diagnose_names(names: Sequence[str], place: Place, command: Command) -> "pa.Table":
     """The rows of some recordings of a folder with their documents, which are those of the command on each file."""
     from lite6jax.distribution.batches import concatenate
 
@@ -119,8 +180,8 @@ def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "
 def diagnosed(
     name: str,
     place: Place,
-    command: "Diagnose",
-    work: "Callable[[Diagnose], tuple[str, bytes | None]]",
+    command: Command,
+    work: Callable[[Command], tuple[str, bytes | None]],
 ) -> "pa.Table":
     """The row of one recording.
 
@@ -155,7 +216,26 @@ def diagnosed(
         return row if reduced is None else with_reduced(row, reduced)
 
 
-def _as_by_the_command(command: "Diagnose") -> tuple[str, None]:
+def _as_by_the_command(command: Command) -> tuple[str, None]:
     command.run()
     assert command.out is not None
     return command.out.read_text(), None
+
+
+def diagnose_and_reduce(names: Sequence[str], place: Place, command: Command) -> "pa.Table":
+    """The rows of some recordings with their documents and reduced recordings."""
+    from lite6jax.distribution.batches import concatenate
+
+    return concatenate([diagnosed(name, place, command, _reduced) for name in names])
+
+
+def _reduced(command: Command) -> tuple[str, bytes]:
+    """The document of the poses of one recording as of the command, or of its torques, and its reduced form."""
+    from lite6jax.diagnosis.document import document_text
+    from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+    from lite6jax.populations.files import to_bytes
+    from lite6jax.populations.reduction import reduced, reduced_torques
+
+    found, document = command.diagnosed()
+    made = reduced_torques(found) if isinstance(found, TorqueDiagnosis) else reduced(found)
+    return document_text(document), to_bytes(made)

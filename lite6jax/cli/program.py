@@ -19,7 +19,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 from lite6jax.cli.compensate import Compensate
 from lite6jax.cli.demo import Demo
 from lite6jax.cli.design import Design
-from lite6jax.cli.diagnose import Diagnose, Predict
+from lite6jax.cli.diagnose import Diagnose
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
@@ -29,6 +29,7 @@ from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.init import Init
 from lite6jax.cli.listing import Arms, Effects
 from lite6jax.cli.live import Read, Record
+from lite6jax.cli.predict import Predict
 from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity

@@ -93,8 +93,7 @@ class Report:
 
 def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     """What adds the sentences to a document, and what makes the screen report of it then; refuses a damaged one."""
-    from lite6jax.diagnosis.document import check_document
-    from lite6jax.diagnosis.torque_document import check_torque_document, is_of_torques
+    from lite6jax.diagnosis.document import check_document, is_of_torques
     from lite6jax.populations.schema import check_fleet_document, is_of_fleet
 
     if is_of_fleet(document):
@@ -105,12 +104,10 @@ def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     if is_of_torques(document):
         from lite6jax.report import diagnosis_tables, torque_statements
 
-        check_torque_document(document, diagnosis)
+        check_document(document, diagnosis)
         return torque_statements.with_statements, diagnosis_tables.diagnosis_report
     check_document(document, diagnosis)
-    if "torques" in document:
-        check_torque_document(document, diagnosis)
-    elif "torques_refused" not in document:
+    if "torques" not in document and "torques_refused" not in document:
         from lite6jax.report import diagnosis_tables, statements
 
         return statements.with_statements, diagnosis_tables.diagnosis_report

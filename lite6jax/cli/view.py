@@ -68,8 +68,14 @@ class View:
         return DONE
 
     def _scene(self) -> "tuple[Scene, Path]":
-        from lite6jax.diagnosis.document import DAMAGED, parsed_document, read_model
-        from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, read_torque_model
+        from lite6jax.diagnosis.document import (
+            DAMAGED,
+            is_of_torques,
+            parsed_document,
+            read_model,
+            read_torque_model,
+            torques_of,
+        )
         from lite6jax.domains.pose.files import read_motion
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import read_recording
@@ -85,7 +91,7 @@ class View:
                 return scene.pose_scene(document, arm, read_motion(file, arm)), file
             assert motors is not None
             recording = read_recording(file, arm=motors.arm)
-            return scene.torque_scene(of_torques(document) or {}, motors, recording), file
+            return scene.torque_scene(torques_of(document) or {}, motors, recording), file
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:

@@ -1,8 +1,9 @@
-"""The pipeline of a diagnosis: screen, explain, estimate finally, cross-validate, design what to record next."""
+"""The diagnosis of poses: screen, explain, estimate finally, verify on held-out rows, design what to record next."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,20 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
-from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.folds import fold_count, held_out_folds, likely_folds, spread_folds
-from lite6jax.diagnosis.heldout import HeldOut, held_out_ahead, held_out_errors, refitted_errors
+from lite6jax.diagnosis.explanation import Case, explain
+from lite6jax.diagnosis.heldout import (
+    fold_count,
+    held_out_ahead,
+    held_out_errors,
+    held_out_folds,
+    likely_folds,
+    refitted_errors,
+    verify,
+)
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, Withdrawn
+from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import require_effects
@@ -29,7 +38,6 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection
-from lite6jax.search.state import State
 
 
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
@@ -74,56 +82,71 @@ def diagnose(
         rows = screen_rows(recording, options.screening)
         # what cannot be read at all ends here, before any process has begun
         screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
+        case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
         if (likely := likely_folds(rows.recording, options)) is not None:
-            held_out_ahead(rows.recording, arm, geometry, options, likely, effects, factory)
+            held_out_ahead(case, likely)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
-            found = explain(rows.recording, arm, geometry, options, effects, factory)
+            found = explain(case)
             selection = found.selection
             entered("estimating")
             selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
         folds = held_out_folds(found.problem, options)
-        decisions = found.final_decisions
-        held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
-        findings, withdrawn, searched_again = findings_of(selection), None, None
-        outliers = _outliers(selection, options)
-        if findings and held_out.rejects(selection, ~outliers, folds, options):
-            spread = spread_folds(folds, selection.state.fit.noise, options)
-            refitted = refitted_errors(selection, spread, options)
-            if refitted.rejects(selection, ~outliers, spread, options):
-                withdrawn = Withdrawn(
-                    findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after))
-                )
-                selection, findings = without_effects(selection), ()
-                outliers = _outliers(selection, options)
-            else:
-                searched_again = SearchedAgain(len(folds), held_out.ratio(~outliers))
-                held_out, folds = refitted, spread
-        with part(len(folds) + 1, len(folds) + 1):
+        errors = held_out_errors(case, found.final_decisions, folds)
+        kept, of_all = ~_outliers(selection, options), selection
+        verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
+        selection, errors = verified.selection, verified.errors
+        with part(len(verified.folds) + 1, len(verified.folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)
     problem = selection.problem
     assert isinstance(problem, PoseProblem)
+    ruled_out: dict[str, DataFault] = {}
+    for fault in (*rows.ruled_out, *found.screened.ruled_out):
+        if fault.code not in {corrected.code for corrected in rows.found}:  # for which the corrected rows are screened
+            ruled_out.setdefault(fault.code, fault)
+    faults = (*rows.found, *found.screened.found)
+    if not problem.valid.all():  # joints were not recorded at the instant of the pose
+        without_joints = row_numbers(problem.recording.row[~problem.valid])
+        faults = (*faults, DataFault("no_joints", without_joints, {"clock_offset_s": problem.clock_offset}))
     return Diagnosis(
         problem=problem,
         selection=selection,
-        findings=findings,
-        before=held_out.before,
-        after=held_out.before if withdrawn else held_out.after,
-        outliers=outliers,
-        faults=(*rows.found, *found.screened.found, *_without_joints(problem)),
-        ruled_out=_ruled_out(rows.found, (*rows.ruled_out, *found.screened.ruled_out)),
-        separating=separating,
+        findings=verified.findings,
+        before=errors.before,
+        after=errors.after,
+        faults=faults,
+        ruled_out=tuple(ruled_out.values()),
         options=options,
-        folds=tuple(folds),
-        withdrawn=withdrawn,
-        searched_again=searched_again,
-        turned=_turned(held_out, withdrawn is not None) if problem.rows == 6 else None,
+        folds=tuple(verified.folds),
+        withdrawn=verified.withdrawn,
+        searched_again=verified.searched_again,
+        outliers=_outliers(selection, options),
+        separating=separating,
+        turned=(errors.angle_before, errors.angle_after) if problem.rows == 6 else None,
     )
 
 
-def _turned(held_out: HeldOut, withdrawn: bool) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """The held-out errors of orientations, before and after."""
-    return held_out.angle_before, held_out.angle_before if withdrawn else held_out.angle_after
+def diagnose_against(
+    recording: Recording, reference: Recording, arm: Arm | None = None, *, geometry: Geometry = "declared", **given: Any
+) -> Diagnosis:
+    """Compares a recording with a reference, and diagnoses what the recording has beyond it.
+
+    Args:
+        recording: measured poses.
+        reference: poses at the same joint positions.
+        arm: the nominal arm; from the recording's settings where not given.
+        geometry: of the recording, as in `fit`.
+        given: further arguments of `diagnose`.
+
+    Returns:
+        the diagnosis, whose `against` is the comparison.
+
+    Raises:
+        InputError: as `compare` and `diagnose`.
+    """
+    seen = compare(recording, reference, arm, geometry)
+    found = diagnose(seen.recording, arm, geometry=seen.geometry, factory=seen.factory, **given)
+    return replace(found, against=seen)
 
 
 def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
@@ -136,41 +159,3 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     least = ROUNDING if (declared := problem.recording.settings.position_noise_m) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
     return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
-
-
-def without_effects(selection: Selection) -> Selection:
-    """The selection of nothing: the nuisance alone, as it was fitted without the effects."""
-    baseline = selection.state.baseline
-    return replace(selection, problem=selection.reference, state=State(baseline, baseline))
-
-
-def _rms(errors: NDArray[np.floating]) -> float:
-    return float(np.sqrt(np.mean(errors**2)))
-
-
-def findings_of(selection: Selection) -> tuple[Finding, ...]:
-    state, findings = selection.state, []
-    for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
-        assert isinstance(tested.term, Effect)
-        rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
-        values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        gain, std, share = tested.score.gain, tested.chosen_std, tested.input_share
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
-    return tuple(findings)
-
-
-def _ruled_out(found: tuple[DataFault, ...], ruled_out: tuple[DataFault, ...]) -> tuple[DataFault, ...]:
-    """Each once: the faults of rows are screened for again in the corrected recording, where there are none."""
-    first: dict[str, DataFault] = {}
-    for fault in ruled_out:
-        first.setdefault(fault.code, fault)
-    corrected = {fault.code for fault in found}
-    return tuple(fault for code, fault in first.items() if code not in corrected)
-
-
-def _without_joints(problem: PoseProblem) -> tuple[DataFault, ...]:
-    """Rows whose joints were not recorded at the instant of the pose."""
-    if problem.valid.all():
-        return ()
-    rows = row_numbers(problem.recording.row[~problem.valid])
-    return (DataFault("no_joints", rows, {"clock_offset_s": problem.clock_offset}),)

@@ -1,38 +1,35 @@
-"""The JSON of a diagnosis: codes and plain numbers in SI units. Nothing but this and `stored_uncertainty` writes it.
+"""The JSON of a diagnosis: codes and plain numbers in SI units, of poses, of torques, or of both.
 
-`lite6jax/diagnosis/2` is written; of version 1 the model is still read. Sentences are added by the report where a file
-is written.
+`lite6jax/diagnosis/2` is written; of version 1 the model of poses is still read. Sentences are added by the report
+where a file is written.
 """
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.checksum import KEY, verify, with_checksum
-from lite6jax.diagnosis.discrimination import differ
-from lite6jax.diagnosis.evidence_map import peak_to_peak
-from lite6jax.diagnosis.folds import block_count
-from lite6jax.diagnosis.result import Diagnosis, Rival
-from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
-from lite6jax.diagnosis.stored_uncertainty import uncertainty_as_dict, uncertainty_from_dict
-from lite6jax.diagnosis.uncertainty import uncertainty_of
+from lite6jax.diagnosis.schema import RANGES, TORQUE_DOCUMENT, check_effect, check_poses
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
+from lite6jax.domains.torque.predict import DiagnosedMotors, link_sites, with_free_numbers
+from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.effect import Effect, require_kind
-from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
-from lite6jax.effects.statics import inertia_of, with_mass_errors
+from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError, InputWarning, command_line, require_type
-from lite6jax.estimation.concentration import Concentration
+from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
 from lite6jax.recordings.sources import recording_file
-from lite6jax.schema import RepeatedKeyError, unique_keys
+from lite6jax.schema import RepeatedKeyError, check, unique_keys
 from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
@@ -40,190 +37,318 @@ Array = NDArray[np.floating]
 SCHEMA = "lite6jax/diagnosis/2"
 SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
 """Those that are read."""
-_SIZE_LIMIT = 1 << 26
 DAMAGED = "run `lite6jax diagnose` again"
+_SIZE_LIMIT = 1 << 26
+_ROUNDING = 1e-9
+"""Of the largest covariance, by which rounding may make a variance of zero negative."""
+_AXES = ("position_m", "orientation_rad")
+_WRONG = (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
+"""What a damaged document leads to where it is read."""
 
 
-def to_document(found: Diagnosis) -> dict[str, Any]:
-    """The whole diagnosis as values that JSON can hold."""
-    problem, kept, settings = found.problem, ~found.outliers, found.problem.recording.settings
-    turned = (None, None) if found.turned is None else tuple(errors[kept] for errors in found.turned)
-    before, after = _summary(found.before[kept], turned[0]), _summary(found.after[kept], turned[1])
-    heldout = before["heldout_position_rms_m"], after["heldout_position_rms_m"]
-    faults = [fault.to_dict() for fault in found.faults]
-    outliers = found.outliers & problem.valid
-    if outliers.any():
-        faults.append({"fault": "outliers", "rows": problem.recording.row[outliers].tolist(), "numbers": {}})
-    nearest = found.nearest
-    return {
-        "schema": SCHEMA,
-        "verdict": found.verdict,
-        "before": before,
-        "after": after,
-        "left": {
-            "position_over_noise": found.left.position,
-            "orientation_over_noise": found.left.orientation,
-            "white": found.left.white,
-            "acts_at": _acts_at(found.left.acts_at),
-        },
-        "quality": found.quality.to_dict(),
-        "withdrawn": _withdrawn(found),
-        "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
-        "samples": problem.samples,
-        "left_out": problem.recording.row[found.left_out].tolist(),
-        "heldout_rows": int(kept.sum()),
-        "heldout_blocks": block_count(found.folds),
-        "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
-        "quick": found.options.quick,
-        "pose_source": settings.pose_source,
-        "date": settings.date,
-        "instrument": settings.instrument,
-        "noise": {
-            "declared_position_m": problem.declared_noise[0],
-            "declared_orientation_rad": problem.declared_noise[1],
-            "estimated_position_m": found.estimated_noise,
-        },
-        "data_faults": faults,
-        "ruled_out": [fault.to_dict() for fault in found.ruled_out],
-        "findings": [_finding(found, k, *heldout) for k in range(len(found.findings))],
-        "nearest": None
-        if nearest is None
-        else {"effect": nearest[0].name, "site": nearest[0].site, "p_value": nearest[1]},
-        "separating_poses": [
-            {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
-            for item in found.separating
-        ],
-        "untestable": [
-            {"effect": item.effect.name, "site": item.effect.site, "driver": item.driver.phrase}
-            for item in found.untestable
-        ],
-        "confounded": [located(effect) for effect in found.confounded],
-        "nuisance": {
-            "numbers": len(problem.frames),
-            "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
-        },
-        "model": _model(found),
-    }
+class _Documented(Protocol):
+    def document(self) -> dict[str, Any]: ...
 
 
-def _acts_at(where: Concentration | None) -> dict[str, Any] | None:
-    return None if where is None else {"site": where.site, "share": where.share, "share_of_noise": where.expected}
-
-
-def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:
-    if found.withdrawn is None:
-        return None
-    return {
-        "effects": [located(finding.effect) for finding in found.withdrawn.findings],
-        "heldout_position_rms_m": {"before": found.withdrawn.before, "after": found.withdrawn.after},
-    }
-
-
-def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str, Any]:
-    finding = found.findings[k]
-    effect, size = finding.effect, {}
-    if isinstance(effect, Unnamed):
-        size = {"peak_to_peak": _peak_to_peak(found, k, effect), "effective_parameters": finding.effective_parameters}
-    if finding.nearest is not None:
-        rival, share = finding.nearest
-        size |= {"nearest": {**located(rival.effect), "share": share}}
-    if finding.input_share:
-        size |= {"payload_share": finding.input_share}
-    return {
-        **located(effect),
-        "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
-        **size,
-        "p_value": finding.p_value,
-        "log_likelihood_gain": finding.gain,
-        "moves_rms_m": found.moves[k].position,
-        "moves_rms_rad": found.moves[k].orientation,
-        "heldout_rms_before_m": before,
-        "heldout_rms_after_m": after,
-        "confusable_with": [_rival(found, k, rival) for rival in finding.rivals],
-    }
-
-
-def _peak_to_peak(found: Diagnosis, k: int, effect: Unnamed) -> dict[str, dict[str, float]]:
-    sizes: dict[str, dict[str, float]] = {}
-    for i, name in enumerate(effect.components):
-        unit = effect.coordinates[effect.part(i).start].unit
-        end = name if unit == "1" else unit if len(effect.components) == 1 else f"{name}_{unit}"
-        sizes[f"peak_to_peak_{end}"] = peak_to_peak(found, k, i)._asdict()
-    return sizes
+def to_document(found: _Documented) -> dict[str, Any]:
+    """A whole diagnosis as values that JSON can hold, without a checksum."""
+    return found.document()
 
 
 def located(effect: Effect) -> dict[str, Any]:
-    return {"effect": effect.name, "site": effect.site, "driver": _driver(effect)}
+    """Which effect, where, and of what."""
+    driver = " and ".join(driver.phrase for driver in effect.drivers) or "none"
+    return {"effect": effect.name, "site": effect.site, "driver": driver}
 
 
-def _driver(effect: Effect) -> str:
-    return " and ".join(driver.phrase for driver in effect.drivers) or "none"
+# ------------------------------------------------------------------ models as values of JSON
 
 
-def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
-    """A rival with its status: rejected, found itself, separable by the designed poses, undecided, or equivalent."""
-    effect, labels = rival.effect, (found.findings[k].effect.label, rival.effect.label)
-    if rival.gap >= found.options.engine.close:
-        status = "rejected"
-    elif effect in found.fit.terms.terms:
-        status = "found"
-    elif any(item.effects == labels for item in found.separating):
-        status = "separable"
-    elif effect.periodic and labels[0] == labels[1]:
-        status = "undecided"  # another order of the same wave
-    else:
-        status = "undecided" if differ(found.selection, k, effect, found.options) else "equivalent"
-    numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
-    return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
+def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
+    """A model of poses as values that JSON can hold.
 
-
-def _model(found: Diagnosis) -> dict[str, Any]:
-    """All that a prediction needs."""
-    problem, fit = found.problem, found.fit
-    arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
-    if inertia is not None and errors is not None:
-        inertia = with_mass_errors(inertia, errors.links, errors.payload)
-    physics = Physics(tuple(finding.effect for finding in found.findings))
-    model = DiagnosedArm(
-        model=arm,
-        values=physics.join([finding.values for finding in found.findings]),
-        inertia=inertia,
-        joint_limits=None,
-        arm=problem.arm.name,
-        physics=physics,
-        sliding=problem.arm.sliding,
-    )
-    prismatic = {"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}
+    Args:
+        model: all that a prediction needs.
+        covariances: of the numbers of each effect.
+    """
+    pairs = zip(model.physics.effects, model.physics.slices, covariances, strict=True)
+    limits, known = model.joint_limits, model.uncertainty
+    uncertainty = None
+    if known is not None:
+        left, unseen, noise = (_per_axis(part) for part in (known.left, known.unseen, known.noise))
+        uncertainty = {
+            "sites": [list(site) for site in known.sites],
+            "covariance": _lower_triangle(known.covariance),
+            "left": left,
+            "unseen": unseen,
+            "noise": noise,
+            "typical": None if known.typical is None else _per_axis(known.typical),
+            "curves": [None if curve is None else _per_axis(curve) for curve in known.curves],
+            "recorded": _recorded_entry(known.recorded),
+        }
     return {
-        "arm": problem.arm.name,
-        "kinematics": np.asarray(arm.geometry).reshape(-1, 6).tolist(),
-        **prismatic,
-        "T_sensor_base": np.asarray(arm.T_sensor_base).tolist(),
-        "T_flange_tool": np.asarray(arm.T_flange_tool).tolist(),
-        "joint_limits": problem.arm.joint_limits.tolist(),
-        "orientation": problem.rows == 6,
+        "arm": model.arm,
+        "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
+        **_prismatic(model.sliding),
+        "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
+        "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
+        "joint_limits": None if limits is None else np.asarray(limits).tolist(),
+        "orientation": model.orientation,
         "inertia": None
-        if inertia is None
-        else {name: np.asarray(value).tolist() for name, value in inertia._asdict().items()},
-        "reference_temperature_degC": problem.recording.settings.reference_temperature_degC,
-        "motion": problem.recording.motion,
-        "accelerated": found.inertial_loads,
-        "effects": [effect_as_dict(f.effect, f.values, f.covariance) for f in found.findings],
-        "uncertainty": uncertainty_as_dict(uncertainty_of(found, model)),
+        if model.inertia is None
+        else {name: np.asarray(value).tolist() for name, value in model.inertia._asdict().items()},
+        "reference_temperature_degC": model.reference_temperature,
+        "motion": model.motion,
+        "accelerated": model.accelerated,
+        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in pairs],
+        "uncertainty": uncertainty,
     }
 
 
-def _summary(errors: Array, turned: Array | None) -> dict[str, float]:
-    """Of errors `(sample,)` m of positions and rad of orientations, where these were measured."""
-    found = {}
-    for name, unit, values in (("position", "m", errors), ("orientation", "rad", turned)):
-        if values is not None:
-            there = values if values.size else np.zeros(1)
-            found[f"heldout_{name}_mean_{unit}"] = float(there.mean())
-            found[f"heldout_{name}_rms_{unit}"] = float(np.sqrt(np.mean(there**2)))
-            found[f"heldout_{name}_p95_{unit}"] = float(np.percentile(there, 95))
-            found[f"heldout_{name}_max_{unit}"] = float(there.max())
-    return found
+def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
+    """A model of torques as values that JSON can hold; arguments as of `pose_model_entry`."""
+    arm, known = model.arm, model.uncertainty
+    declared = {field: getattr(arm, field) for field in DRIVE_FIELDS}
+    drives = {field: values.tolist() for field, values in declared.items() if values is not None}
+    pairs = zip(model.terms.terms, model.terms.slices, covariances, strict=True)
+    uncertainty = None
+    if known is not None:
+        uncertainty = {
+            "inertial": bool(known.sites),
+            "covariance": _lower_triangle(known.covariance),
+            "left_Nm": np.asarray(known.left).tolist(),
+            "unseen_Nm": np.asarray(known.unseen).tolist(),
+            "noise_Nm": np.asarray(known.noise).tolist(),
+            "curves_Nm": [None if curve is None else float(np.sum(curve)) for curve in known.curves],
+            "recorded": _recorded_entry(known.recorded),
+        }
+    return {
+        "domain": "torque",
+        "arm": arm.name,
+        "kinematics": arm.kinematics.tolist(),
+        "T_joint_flange": arm.T_joint_flange.tolist(),
+        "links": model.links.tolist(),
+        **({"drives": drives} if drives else {}),
+        **_prismatic(arm.sliding),
+        "payload_center": model.payload_center.tolist(),
+        "gravity": model.gravity.tolist(),
+        "joint_limits": arm.joint_limits.tolist(),
+        "reference_temperature_degC": model.reference_temperature,
+        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in pairs],  # type: ignore[arg-type]
+        "uncertainty": uncertainty,
+    }
+
+
+def _prismatic(sliding: Sequence[int]) -> dict[str, Any]:
+    return {"prismatic_joints": [joint + 1 for joint in sliding]} if sliding else {}
+
+
+def _per_axis(std: Sequence[float] | Array) -> dict[str, float]:
+    return dict(zip(_AXES, map(float, std), strict=True))
+
+
+def _lower_triangle(covariance: Array) -> list[float]:
+    return covariance[np.tril_indices(len(covariance))].tolist()
+
+
+def _recorded_entry(recorded: RecordedRange) -> dict[str, Any]:
+    ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
+    return {
+        **{name: limits.tolist() for name, limits in ranges if limits is not None},
+        "joint_position_rad": recorded.positions.tolist(),
+        "spacing_rad": recorded.spacing,
+        "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+    }
+
+
+# ------------------------------------------------------------------ models from values of JSON
+
+
+def model_from_document(document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis") -> DiagnosedArm:
+    """The model in a diagnosis of poses of version 1 or 2, as JSON holds it.
+
+    Args:
+        document: all of it.
+        effects: a user's own, where the model has them.
+        source: what messages begin with.
+
+    Raises:
+        InputError: not a diagnosis, or something in it is missing or not possible.
+    """
+    if not _has_model(document, SCHEMAS):
+        raise InputError(
+            f"{source}: is no diagnosis ({' or '.join(SCHEMAS)} with a model); give what `lite6jax diagnose --out` "
+            "wrote"
+        )
+    model: dict[str, Any] = document["model"]
+    try:
+        check_poses(document, whole=document["schema"] == SCHEMA)
+    except (InputError, *_WRONG) as error:
+        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
+    try:
+        kinematics = np.asarray(model["kinematics"], float)
+        frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
+        joints, sliding = len(kinematics), tuple(joint - 1 for joint in model.get("prismatic_joints", ()))
+        found, numbers = _effects(model, kinds_of(effects), joints, sliding)
+        physics, masses = Physics(found), model["inertia"]
+        inertia = None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()})
+        if inertia is not None and len(inertia.mass) != joints:
+            raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
+        limits = model.get("joint_limits")
+        if limits is not None:
+            limits = np.asarray(limits, float)
+            if limits.shape != (joints, 2) or not (limits[:, 0] < limits[:, 1]).all():
+                raise ValueError("joint_limits are not the lower and the upper one of each joint")
+        rms = [document.get(stage, {}).get("heldout_position_rms_m") for stage in ("before", "after")]
+        against = document.get("against")
+        if against is not None:
+            file, said = (str(against.get(key, "")) for key in ("file", "statement"))
+            against = ReferenceOrigin(file, against.get("rigid"), said)
+        return DiagnosedArm(
+            arm=model["arm"],
+            model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
+            physics=physics,
+            values=physics.join(numbers),
+            inertia=inertia,
+            joint_limits=limits,
+            orientation=model["orientation"],
+            reference_temperature=float(model["reference_temperature_degC"]),
+            motion=model["motion"],
+            accelerated=model.get("accelerated", False),
+            heldout_rms=None if None in rms else (float(rms[0]), float(rms[1])),
+            reference=against,
+            uncertainty=_pose_uncertainty(model.get("uncertainty"), found, joints),
+            sliding=sliding,
+        )
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    except _WRONG as error:
+        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
+
+
+def torque_model_from_document(
+    document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis"
+) -> DiagnosedMotors:
+    """The model in a diagnosis of torques, or of poses and torques, as JSON holds it; arguments as above.
+
+    Raises:
+        InputError: not a diagnosis of torques, or something in it is missing or not possible.
+    """
+    document = _torques_in(document, source)
+    model: Mapping[str, Any] = document["model"]
+    try:
+        check(document, TORQUE_DOCUMENT)
+        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.get("drives", {}).items()}
+        arm = Arm(
+            model["arm"],
+            np.asarray(model["kinematics"], float),
+            joint_limits=np.asarray(model["joint_limits"], float),
+            T_joint_flange=np.asarray(model["T_joint_flange"], float),
+            sliding=tuple(joint - 1 for joint in model.get("prismatic_joints", ())),
+            **drives,
+        )
+        links, against = np.asarray(model["links"], float), document.get("against", {})
+        if len(links) != arm.dof:
+            raise InputError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
+        found, numbers = _effects(model, torque_kinds_of(effects), arm.dof, arm.sliding)
+        terms, values = Terms(found), join(numbers)
+        return DiagnosedMotors(
+            arm=arm,
+            links=links,
+            payload_center=np.asarray(model["payload_center"], float),
+            gravity=np.asarray(model["gravity"], float),
+            terms=terms,
+            values=values,
+            reference_temperature=float(model["reference_temperature_degC"]),
+            relative_to=against["file"] if against.get("by") == "rows" else None,
+            uncertainty=_torque_uncertainty(model.get("uncertainty"), terms, values, arm.dof),
+        )
+    except (InputError, *_WRONG) as error:
+        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
+
+
+def _effects(
+    model: Mapping[str, Any], kinds: Mapping[str, type[Effect]], joints: int, sliding: tuple[int, ...]
+) -> tuple[tuple[Effect, ...], list[Array]]:
+    """The effects of a model of so many joints, and their numbers."""
+    pairs = [effect_from_dict(entry, kinds) for entry in model["effects"]]
+    for effect, values in pairs:
+        check_effect(effect, values, joints)
+        require_kind(effect, sliding)
+    return tuple(effect for effect, _ in pairs), [values for _, values in pairs]
+
+
+def _pose_uncertainty(entry: Any, effects: Sequence[Effect], joints: int) -> Uncertainty | None:
+    """The uncertainty of a model of poses, whose keys and types have been checked; None of a document without it."""
+    if entry is None:
+        return None
+    sites = tuple((name, j, k) for name, j, k in entry["sites"])
+    sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
+    if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in sites):
+        raise ValueError("a site of its uncertainty is none of this arm")
+
+    def axes(part: Mapping[str, float] | None) -> Array | None:
+        return None if part is None else np.array([part[axis] for axis in _AXES], float)
+
+    left, unseen, noise = (
+        np.array([entry[name][axis] for axis in _AXES], float) for name in ("left", "unseen", "noise")
+    )
+    C = _covariance(entry["covariance"], len(sites) + sum(freed(effect).size for effect in effects))
+    curves = _one_of_each([axes(curve) for curve in entry["curves"]], effects)
+    recorded, typical = _recorded(entry["recorded"], joints), axes(entry.get("typical"))
+    return Uncertainty(sites, C, left, unseen, noise, curves, recorded, typical)
+
+
+def _torque_uncertainty(entry: Any, terms: Terms, values: Array, joints: int) -> Uncertainty | None:
+    """As `_pose_uncertainty`, of a model of torques."""
+    if entry is None:
+        return None
+    sites = link_sites(joints) if entry["inertial"] else ()
+    left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
+    if any(part.shape != (joints,) for part in (left, unseen, noise)):
+        raise ValueError("its uncertainty is not one of this arm")
+    moved = _one_of_each(entry["curves_Nm"], terms.terms)
+    curves = tuple(
+        None if size is None else size * (np.arange(joints) == getattr(effect, "joint", 0) - 1)
+        for effect, size in zip(terms.terms, moved, strict=True)
+    )
+    C = _covariance(entry["covariance"], len(sites) + with_free_numbers(terms, values)[0].size)
+    return Uncertainty(sites, C, left, unseen, noise, curves, _recorded(entry["recorded"], joints))
+
+
+def _one_of_each(curves: list[Any], effects: Sequence[Any]) -> tuple[Any, ...]:
+    if len(curves) != len(effects):
+        raise ValueError("its curves are not one for each effect")
+    return tuple(curves)
+
+
+def _covariance(triangle: Any, size: int) -> Array:
+    """The covariance `(size, size)` of its lower triangle, row by row."""
+    triangle = np.asarray(triangle, float)
+    if triangle.shape != (size * (size + 1) // 2,):
+        raise ValueError(f"its covariance is not one of {size} numbers")
+    C = np.zeros((size, size))
+    C[np.tril_indices(size)] = triangle
+    if (np.diagonal(C) < -_ROUNDING * np.abs(triangle).max(initial=0.0)).any():
+        raise ValueError("a variance of its uncertainty is negative")
+    return C + np.tril(C, -1).T
+
+
+def _recorded(entry: Mapping[str, Any], joints: int) -> RecordedRange:
+    """Where a model of so many joints was recorded."""
+    ranges = [np.asarray(entry[name], float) for name in RANGES if name in entry]
+    positions = np.asarray(entry["joint_position_rad"], float)
+    if any(limits.shape != (joints, 2) for limits in ranges) or positions.shape != (len(positions) or 1, joints):
+        raise ValueError("its recorded range is not one of this arm")
+    drivers = {phrase: (float(lower), float(upper)) for phrase, (lower, upper) in entry["drivers"].items()}
+    if any((part[:, 0] > part[:, 1]).any() for part in ranges) or any(
+        lower > upper for lower, upper in drivers.values()
+    ):
+        raise ValueError("a recorded range of its uncertainty ends before it begins")
+    return RecordedRange(ranges[0], positions, float(entry["spacing_rad"]), drivers, *ranges[1:])
+
+
+# ------------------------------------------------------------------ files
 
 
 def write_document(document: Mapping[str, Any], path: str | Path, overwrite: bool = False) -> Path:
@@ -259,31 +384,8 @@ def _laid_out(value: Any, line: str) -> str:
     return first + ",".join(f"{line} {entry}" for entry in entries) + line + last
 
 
-def check_document(document: Any, path: str | Path) -> None:
-    """Refuses what is no whole diagnosis of poses, for a report; effects of a user's own are not needed.
-
-    Args:
-        document: all of it, as JSON holds it.
-        path: what messages begin with.
-
-    Raises:
-        InputError: not a diagnosis of this version, or something in it is missing or not possible.
-    """
-    if (
-        not isinstance(document, dict)
-        or document.get("schema") != SCHEMA
-        or not isinstance(document.get("model"), dict)
-    ):
-        raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
-    try:
-        check_parts(document)
-        check_model(document["model"])
-    except InputError as error:
-        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
-
-
-def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:
-    """The model in a diagnosis file.
+def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm:
+    """The model of the poses in a diagnosis file.
 
     Args:
         path: what `diagnose` wrote.
@@ -302,6 +404,14 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedA
     return model
 
 
+def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
+    """The model of the torques in a diagnosis file, of torques or of poses and torques; otherwise as `read_model`."""
+    document = parsed_document(path)
+    model = torque_model_from_document(document, effects, str(path))
+    check_sum(document, path)
+    return model
+
+
 def parsed_document(path: str | Path) -> Any:
     """A document as JSON holds it.
 
@@ -312,14 +422,13 @@ def parsed_document(path: str | Path) -> Any:
         made = command_line("diagnose", path, "--out", Path(path).with_suffix(".json"))
         raise InputError(f"{path}: is a recording and no diagnosis; give what `{made}` writes")
     try:
-        document = json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
+        return json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
     except InputError:
         raise
     except RepeatedKeyError as error:
         raise InputError(f"{path}: the key {error} is given twice; {DAMAGED}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
-    return document
 
 
 def check_sum(document: Mapping[str, Any], path: str | Path) -> None:
@@ -331,85 +440,47 @@ def check_sum(document: Mapping[str, Any], path: str | Path) -> None:
     verify(document, path)
 
 
-def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source: str = "diagnosis") -> DiagnosedArm:
-    """The model in a diagnosis of version 1 or 2, as JSON holds it.
+def check_document(document: Any, path: str | Path) -> None:
+    """Refuses what is no whole diagnosis of this version, for a report; effects of a user's own are not needed.
 
     Args:
-        document: all of it.
-        effects: a user's own, where the model has them.
-        source: what messages begin with.
+        document: of poses, of torques or of both, as JSON holds it.
+        path: what messages begin with.
 
     Raises:
-        InputError: not a diagnosis, or something in it is missing or not possible.
+        InputError: not a diagnosis of this version, or something in it is missing or not possible.
     """
-    if (
-        not isinstance(document, dict)
-        or document.get("schema") not in SCHEMAS
-        or not isinstance(document.get("model"), dict)
-    ):
-        raise InputError(
-            f"{source}: is no diagnosis ({' or '.join(SCHEMAS)} with a model); give what `lite6jax diagnose --out` "
-            "wrote"
-        )
-    model: dict[str, Any] = document["model"]
+    torques = torques_of(document)
+    if not _has_model(document, (SCHEMA,)):
+        raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
     try:
-        check_parts(document, whole=document["schema"] == SCHEMA)
-        check_model(model)
-        kinematics = np.asarray(model["kinematics"], float)
-        frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
-    except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
-    try:
-        sliding = tuple(joint - 1 for joint in model.get("prismatic_joints", ()))
-        pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
-        for effect, values in pairs:
-            check_effect(effect, values, len(kinematics))
-            require_kind(effect, sliding)
-        physics = Physics(tuple(effect for effect, _ in pairs))
-        masses = model["inertia"]
-        inertia = None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()})
-        if inertia is not None and len(inertia.mass) != len(kinematics):
-            raise ValueError(f"it has {len(kinematics)} joints, but {len(inertia.mass)} masses")
-        return DiagnosedArm(
-            arm=model["arm"],
-            model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
-            physics=physics,
-            values=physics.join([value for _, value in pairs]),
-            inertia=inertia,
-            joint_limits=_limits(model.get("joint_limits"), len(kinematics)),
-            orientation=model["orientation"],
-            reference_temperature=float(model["reference_temperature_degC"]),
-            motion=model["motion"],
-            accelerated=model.get("accelerated", False),
-            heldout_rms=_heldout(document),
-            reference=_origin(document.get("against")),
-            uncertainty=uncertainty_from_dict(model.get("uncertainty"), physics, len(kinematics)),
-            sliding=sliding,
-        )
+        if torques is not document:
+            check_poses(document)
+        if torques is not None or "torques" in document:
+            check(_torques_in(document, str(path)), TORQUE_DOCUMENT)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
+        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
 
 
-def _limits(limits: Any, joints: int) -> Array | None:
-    if limits is None:
-        return None
-    array = np.asarray(limits, float)
-    if array.shape != (joints, 2) or not (array[:, 0] < array[:, 1]).all():
-        raise ValueError("joint_limits are not the lower and the upper one of each joint")
-    return array
+def is_of_torques(document: Any) -> bool:
+    """Whether a document is a diagnosis of torques alone."""
+    return _has_model(document, (SCHEMA,)) and document.get("domain") == "torque"
 
 
-def _heldout(document: Mapping[str, Any]) -> tuple[float, float] | None:
-    before, after = (document.get(part, {}).get("heldout_position_rms_m") for part in ("before", "after"))
-    return None if before is None or after is None else (float(before), float(after))
+def torques_of(document: Any) -> dict[str, Any] | None:
+    """The diagnosis of torques that a document is, or that stands in one of poses; None where there is none."""
+    if is_of_torques(document):
+        return document
+    inside = document.get("torques") if isinstance(document, dict) else None
+    return inside if is_of_torques(inside) else None
 
 
-def _origin(entry: Mapping[str, Any] | None) -> ReferenceOrigin | None:
-    if entry is None:
-        return None
-    rigid = entry.get("rigid")
-    if not isinstance(rigid, bool | None):
-        raise ValueError("whether the reference is rigid is neither true nor false")
-    return ReferenceOrigin(str(entry.get("file", "")), rigid, str(entry.get("statement", "")))
+def _has_model(document: Any, schemas: Sequence[str]) -> bool:
+    return isinstance(document, dict) and document.get("schema") in schemas and isinstance(document.get("model"), dict)
+
+
+def _torques_in(document: Any, source: str) -> dict[str, Any]:
+    torques = torques_of(document)
+    if torques is None:
+        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    return torques

@@ -1,16 +1,32 @@
-"""What figures show of a diagnosis, as tables: explained shares of variance, spectra of orders, remaining residuals."""
+"""What figures show of a diagnosis, as tables: of poses explained shares of variance, spectra of orders and remaining
+residuals; of torques their course over time, friction over velocity, and power spectra.
+"""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from lite6jax.diagnosis.partial_residuals import added_torque
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.effects.effect import Estimate
+from lite6jax.domains.torque import filtering
+from lite6jax.effects.dynamic.friction import (
+    CoulombFriction,
+    CoupledFriction,
+    FrictionTemperature,
+    LoadFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.equations import Explained
 from lite6jax.estimation.least_squares import Fit
@@ -39,6 +55,11 @@ _AT_ONCE = 32
 """Orders whose gains are computed in one call, which bounds the memory."""
 _LAGS = 40
 """Largest lag of the autocorrelation, in samples."""
+_LONGEST = 400
+"""Samples of a run that are shown over time: more are not legible."""
+_POINTS = 400
+"""Of a curve of friction."""
+_FRICTION = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature)
 _RANGE = 5.0
 """Standard deviations to either side that the histogram covers."""
 
@@ -214,32 +235,6 @@ def remaining_residuals(found: Diagnosis) -> list[Remaining]:
     return remaining
 
 
-def peak_to_peak(found: Diagnosis, k: int, component: int = 0) -> Estimate:
-    """The range of a nonparametric finding's curve where it was measured, m or rad, and its standard deviation.
-
-    The range of each driver is that of its central 96 %: few samples are beyond.
-
-    Args:
-        found: the diagnosis.
-        k: which of its findings.
-        component: which of the finding's components, from 0.
-    """
-    problem, finding = found.problem, found.findings[k]
-    effect = finding.effect
-    assert isinstance(effect, Unnamed)
-    motion = problem.time_shifted
-    values = effect.values_at(motion, problem.loads)
-    drivers = np.atleast_2d(np.asarray(values))
-    low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
-    inside = ((drivers >= low) & (drivers <= high)).all(0)
-    basis = np.asarray(effect.basis.at(values, motion.run))[:, inside]
-    own = effect.part(component)
-    curve = finding.values[own] @ basis
-    apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
-    variance = float(apart @ finding.covariance[own, own] @ apart)
-    return Estimate(float(apart @ finding.values[own]), float(np.sqrt(max(variance, 0.0))))
-
-
 def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Spectrum:
     """The nuisance is projected out of orders up to `exact_below`, with which it is confounded."""
     orders, gains = spectrum(test, family)
@@ -260,3 +255,132 @@ def _adjusted(score: Explained, total: float, freedom: float) -> float:
     """The share explained, adjusted for degrees of freedom (adjusted R²)."""
     left = 1 - min(2 * score.gain / total, 1.0)
     return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))
+
+
+# ------------------------------------------------------------------ torques
+
+
+class TorquesOverTime(NamedTuple):
+    """A part of a recording, filtered.
+
+    Attributes:
+        time: `(sample,)` s since the start of the recording.
+        measured: `(joint, sample)` Nm, N of prismatic joints as in all of these.
+        rigid: `(joint, sample)` Nm, of the rigid arm alone, its inertial numbers fitted where they are not declared.
+        modelled: `(joint, sample)` Nm, with the findings.
+    """
+
+    time: Array
+    measured: Array
+    rigid: Array
+    modelled: Array
+
+
+class JointFriction(NamedTuple):
+    """The friction of one joint.
+
+    Attributes:
+        velocity: `(sample,)` rad/s, or m/s.
+        partial: `(sample,)` Nm, what was measured, less the model without friction of this joint.
+        at: `(point,)` rad/s, ascending; none where no friction was found.
+        friction: `(point,)` Nm, as found, at the median of load and temperature, with the other joints at rest.
+    """
+
+    velocity: Array
+    partial: Array
+    at: Array
+    friction: Array
+
+
+class Spectra(NamedTuple):
+    """Power spectral densities of what was recorded, without spikes and before any filter.
+
+    Attributes:
+        frequency: `(frequency,)` Hz.
+        velocity: `(joint, frequency)` (rad/s)²/Hz, (m/s)²/Hz of prismatic joints.
+        torque: `(joint, frequency)` Nm²/Hz, N²/Hz of prismatic joints.
+    """
+
+    frequency: Array
+    velocity: Array
+    torque: Array
+
+
+def spectra(found: TorqueDiagnosis) -> Spectra | None:
+    """Of each joint; None of static postures."""
+    data = found.problem.data
+    if data.recording.motion == "static":
+        return None
+    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.filter)
+    return Spectra(frequency, velocity, filtering.spectra(data.torque, data.filter)[1])
+
+
+def torques_over_time(found: TorqueDiagnosis) -> TorquesOverTime:
+    """The middle of the longest run."""
+    problem, state = found.problem, found.selection.state
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(problem.run)) + 1, [problem.samples]])
+    longest = int(np.argmax(np.diff(edges)))
+    start, stop = edges[longest], edges[longest + 1]
+    start = start + max(0, stop - start - _LONGEST) // 2
+    shown = slice(start, min(start + _LONGEST, stop))
+    recorded = problem.data.recording.time
+    assert recorded is not None
+    rigid, modelled = (problem.torque(fit.nuisance, fit.terms, fit.values) for fit in (state.baseline, state.fit))
+    time = problem.data.time[problem.chosen][shown] - recorded[0]
+    return TorquesOverTime(time, problem.measured[:, shown], rigid[:, shown], modelled[:, shown])
+
+
+def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
+    """The friction of each joint."""
+    problem, fit = found.problem, found.fit
+    used = problem.valid
+    velocity = np.asarray(problem.data.motion.joint_velocity)[:, problem.data.filter.kept][:, problem.chosen]
+    left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
+    shown = []
+    for j in range(problem.rows):
+        own = [k for k, effect in enumerate(fit.terms.terms) if _is_friction(effect, j + 1)]
+        partial = left[j] + added_torque(found, own)[j]
+        at = np.linspace(velocity[j].min(), velocity[j].max(), _POINTS) if own else np.zeros(0)
+        at = np.sort(np.append(at, [-1e-9, 1e-9])) if own else at  # so that a step at zero is one
+        friction = _friction_at(found, own, j, at) if own else at
+        shown.append(JointFriction(velocity[j, used], partial[used], at, friction))
+    return tuple(shown)
+
+
+def _is_friction(effect: object, joint: int) -> bool:
+    if isinstance(effect, CoupledFriction):
+        return joint in (effect.joint, effect.source_joint)
+    if isinstance(effect, UnnamedTorque):
+        own = [(effect.own_driver(quantity),) for quantity in ("velocity", "speed")]
+        return effect.joint == joint and effect.of in own
+    return isinstance(effect, _FRICTION) and effect.joint == joint
+
+
+def _friction_at(found: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity: Array) -> Array:
+    """Friction `(point,)` Nm of joint j, from 0, at velocities, with everything else as it typically is."""
+    fit, dynamics = found.fit, found.problem.dynamics
+    typical = _still(dynamics, j, velocity)
+    total = np.zeros_like(velocity)
+    for k in chosen:
+        effect = fit.terms.terms[k]
+        assert isinstance(effect, TorqueEffect)
+        total = total + effect.torque(fit.values[fit.terms.slices[k]], typical)[j]
+    scales = zip(fit.terms.terms, fit.terms.slices, strict=True)
+    return total * (1 + sum(fit.values[part][0] for e, part in scales if isinstance(e, Scaling) and e.joint == j + 1))
+
+
+def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
+    """The dynamics in which only joint j, from 0, moves, its load and all temperatures at their medians."""
+    shape = (len(dynamics.torque), len(velocity))
+    own = np.arange(shape[0])[:, None] == j
+    moving = np.where(own, velocity, 0.0)
+    rise = dynamics.motion.joint_temperature_rise
+    warm = None if rise is None else np.median(np.asarray(rise), axis=1, keepdims=True) * np.ones(shape)
+    overall = dynamics.motion.temperature_rise
+    motion = motion_of(np.zeros(shape).T, sliding=dynamics.motion.sliding.joints)._replace(
+        joint_velocity=moving,  # type: ignore[arg-type]
+        joint_temperature_rise=warm,  # type: ignore[arg-type]
+        temperature_rise=None if overall is None else np.full(shape[1], np.median(np.asarray(overall))),  # type: ignore[arg-type]
+    )
+    load = np.where(own, np.median(np.abs(dynamics.torque[j])), 0.0) * np.ones(shape)
+    return dynamics._replace(motion=motion, torque=load)

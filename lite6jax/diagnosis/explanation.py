@@ -6,8 +6,8 @@ resemble physics: each is accepted only where it is more likely than the physics
 margin (`trusted_log_likelihood`).
 """
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import final
 
 import numpy as np
@@ -36,6 +36,7 @@ from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
 
+_evidence = attrgetter("evidence")
 _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
 """Standard deviations, m and rad, of the errors of a calibration: from a controller's last digit to another arm."""
 
@@ -107,56 +108,31 @@ class Explanation:
         return [term.label for term in self.selection.state.fit.terms.terms]
 
 
-def explain(
-    recording: Recording,
-    arm: Arm | None,
-    geometry: Geometry,
-    options: Options,
-    effects: Sequence[Effect] = (),
-    factory: FactoryCalibration | None = None,
-    training: Mask | None = None,
-    thorough: bool = True,
-    decisions: Decisions | None = None,
-) -> Explanation:
-    """The most likely explanation of a recording by data faults and physics.
+@final
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is to be explained.
 
-    Args:
+    Attributes:
         recording: measured poses.
-        arm: the nominal arm; from the sidecar where not given.
+        arm: the nominal arm; from the sidecar where not case.
         geometry: what is known of it, as in `fit`.
         options: thresholds.
         effects: a user's own candidates.
-        factory: the arm's calibration; from the sidecar where not given.
-        training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
+        factory: the arm's calibration; from the sidecar where not case.
+        training: `(sample,)` bool, the rows that may be used; all where not case. Screening, clock, linearisation and
             search use no other.
         thorough: as in `search`.
-        decisions: between faults and physics, where they have been made; else faults are weighed here.
-
-    Raises:
-        InputError: as `screen` and `pose_problem`.
     """
-    given = _Given(recording, arm, geometry, options, tuple(effects), factory, training, thorough)
-    best = given.explained(decisions or Decisions())
-    if decisions is not None:
-        return best
-    for weighed in (_jumps_weighed, _settling_weighed, _table_weighed, _calibration_weighed):
-        best = weighed(best, given)
-    return best
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Given:
-    """What is to be explained; attributes as the arguments of `explain`."""
 
     recording: Recording
     arm: Arm | None
     geometry: Geometry
     options: Options
-    effects: tuple[Effect, ...]
-    factory: FactoryCalibration | None
-    training: Mask | None
-    thorough: bool
+    effects: tuple[Effect, ...] = ()
+    factory: FactoryCalibration | None = None
+    training: Mask | None = None
+    thorough: bool = True
 
     def screened(self, corrections: Corrections) -> Screened:
         """With these faults corrected, from the training rows."""
@@ -185,7 +161,7 @@ class _Given:
         problem = self.problem(screened, "exact")
         return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
 
-    def found(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
+    def search(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
         """With the physics that a search finds under these decisions."""
         screened, problem = self.prepared(screened, decisions)
         training, engine = self.training, self.options.engine
@@ -198,30 +174,43 @@ class _Given:
             price_ = price(screened, readings, problem.samples)
         return Explanation(screened, selection, price_, self.options, decisions)
 
-    def explained(self, decisions: Decisions) -> Explanation:
+    def explanation(self, decisions: Decisions) -> Explanation:
         """With the faults corrected that these decisions name, and the physics found then."""
-        return self.found(self.screened(decisions.corrections), decisions)
+        return self.search(self.screened(decisions.corrections), decisions)
 
 
-def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
+def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
+    """The most likely explanation of a recording by data faults and physics.
+
+    Args:
+        case: what is to be explained.
+        decisions: between faults and physics, where they have been made; else faults are weighed here.
+
+    Raises:
+        InputError: as `screen` and `pose_problem`.
+    """
+    best = case.explanation(decisions or Decisions())
+    if decisions is not None:
+        return best
+    for weighed in (_jumps_weighed, _settling_weighed, _table_weighed, _calibration_weighed):
+        best = weighed(best, case)
+    return best
+
+
+def _jumps_weighed(best: Explanation, case: Case) -> Explanation:
     """With as many of the frame jumps corrected as physics does not explain better."""
     count = best.screened.count("frame_jump")
     if not count:
         return best
     # a twist estimated beside all physics has a large variance, and one estimated beside none is biased by physics
-    bare = given.explained(Decisions(Corrections(beside_physics=False)))
-    fewer = [given.explained(Decisions(Corrections(jumps=k))) for k in range(count)]
+    bare = case.explanation(Decisions(Corrections(beside_physics=False)))
+    fewer = [case.explanation(Decisions(Corrections(jumps=k))) for k in range(count)]
     best, rival = max(best, bare, key=_evidence), max(fewer, key=_evidence)
-    gap = best.evidence - rival.evidence
-    if gap > 0:
-        return _annotated(best, "frame_jump", log_likelihood_gap=gap, rival_terms=rival.labels)
     rows = [fault.rows[0] for fault in best.screened.found if fault.code == "frame_jump"]
-    numbers = {"candidate_rows": rows, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
-    ruled_out = DataFault("frame_jump", (), {"reason": "physics", **numbers})
-    return replace(rival, screened=replace(rival.screened, ruled_out=(*rival.screened.ruled_out, ruled_out)))
+    return _likelier(best, rival, "frame_jump", candidate_rows=rows)
 
 
-def _settling_weighed(best: Explanation, given: _Given) -> Explanation:
+def _settling_weighed(best: Explanation, case: Case) -> Explanation:
     """With the joint positions as they were read, where physics explains the poses better than a rest of each move.
 
     Among few poses an effect that is not modelled yet can look like such a rest, whose correction would then have to be
@@ -230,40 +219,46 @@ def _settling_weighed(best: Explanation, given: _Given) -> Explanation:
     if not any(f.code == "unsettled_readouts" and f.numbers["shape"] != "rows" for f in best.screened.found):
         return best
     corrections = replace(best.decisions.corrections, settling=False)
-    rival = given.explained(replace(best.decisions, corrections=corrections))
+    rival = case.explanation(replace(best.decisions, corrections=corrections))
+    return _likelier(best, rival, "unsettled_readouts")
+
+
+def _likelier(best: Explanation, rival: Explanation, code: str, **numbers: object) -> Explanation:
+    """The explanation with a fault, or the one by physics in its place with the fault ruled out."""
     gap = best.evidence - rival.evidence
     if gap > 0:
-        return _annotated(best, "unsettled_readouts", log_likelihood_gap=gap, rival_terms=rival.labels)
-    numbers = {"reason": "physics", "log_likelihood_gap": -gap, "rival_terms": rival.labels}
-    ruled_out = (*rival.screened.ruled_out, DataFault("unsettled_readouts", (), numbers))
+        more = {"log_likelihood_gap": gap, "rival_terms": rival.labels}
+        return replace(best, screened=_with_numbers(best.screened, code, more))
+    numbers = {"reason": "physics", **numbers, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
+    ruled_out = (*rival.screened.ruled_out, DataFault(code, (), numbers))
     return replace(rival, screened=replace(rival.screened, ruled_out=ruled_out))
 
 
-def _table_weighed(best: Explanation, given: _Given) -> Explanation:
+def _table_weighed(best: Explanation, case: Case) -> Explanation:
     """With another nominal table than the file's, where that is more likely than physics: as published, or fitted.
 
     A table that the screening leaves open is weighed against physics. Of one that it has decided on, and of the other,
     the question is whether the chain is fitted from there.
     """
-    file, likelier = given.recording.settings.factory_calibration, best.screened.likelier_table
+    file, likelier = case.recording.settings.factory_calibration, best.screened.likelier_table
     if file is None or (likelier is None and not best.screened.count("nominal_table")):
         return best
     used = best.screened
     if likelier is not None:
-        other = given.screened(replace(used.corrections, table=likelier))
+        other = case.screened(replace(used.corrections, table=likelier))
         found = (*used.found, *(fault for fault in other.found if fault.code == "nominal_table"))
         ruled_out = tuple(fault for fault in used.ruled_out if fault.code != "nominal_table")
         used = replace(other, found=found, ruled_out=ruled_out)
-    published = given.found(used, Decisions(used.corrections, published=file), best.price)
+    published = case.search(used, Decisions(used.corrections, published=file), best.price)
     gap = published.evidence - best.evidence
     more: dict[str, object] = {}
     if likelier is not None:
-        if gap <= given.options.screening.trusted_log_likelihood:
+        if gap <= case.options.screening.trusted_log_likelihood:
             return best
         more = {"log_likelihood_gap": gap, "rival_terms": best.labels}
-    if given.geometry != "declared":
+    if case.geometry != "declared":
         return replace(best, screened=_with_numbers(used, "nominal_table", more))
-    fitted = best if likelier is None else given.found(used, Decisions(used.corrections))
+    fitted = best if likelier is None else case.search(used, Decisions(used.corrections))
     numbers = len(fitted.problem.frames) - len(published.problem.frames)
     if fitted.evidence - 0.5 * numbers * np.log(fitted.readings) > published.evidence:
         return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
@@ -272,40 +267,40 @@ def _table_weighed(best: Explanation, given: _Given) -> Explanation:
     return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), recording=recording))
 
 
-def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
+def _calibration_weighed(best: Explanation, case: Case) -> Explanation:
     """With a calibration whose numbers all have random errors, where that is more likely than some physics.
 
     An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere.
     """
     settings = best.screened.recording.settings
-    exact = given.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
+    exact = case.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
     if not exact or not best.selection.state.tested or best.screened.count("nominal_table"):
         return best
     # physics that is not modelled resembles autocorrelated noise, and so do a chain's errors, in a trajectory
     fit = best.selection.state.fit
     models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(best.problem.groups)]
-    gain, sigma = max(_gain_of_uncertainty(best, given, model) for model in models)
+    gain, sigma = max(_gain_of_uncertainty(best, case, model) for model in models)
     if gain <= 0:
         return best
-    rival = given.found(best.screened, replace(best.decisions, sigma=sigma))
+    rival = case.search(best.screened, replace(best.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _occam_factor(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - best.evidence
-    if gap <= given.options.screening.trusted_log_likelihood:
+    if gap <= case.options.screening.trusted_log_likelihood:
         return best
     numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": best.labels}
     fault = DataFault("calibration_off", (), numbers)
     return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 
 
-def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) -> tuple[float, float]:
+def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
     """The gain of an uncertain calibration over the physics found, and its standard deviation (m and rad).
 
     To first order, in one noise model, with those of the effects beside it that are still needed; the standard
     deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
     problem, fit, engine = best.problem, best.selection.state.fit, best.options.engine
-    chain = given.problem(_uncertain(best.screened, 1.0))
+    chain = case.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
     known = chain.precision[: len(chain.frame_columns)] > 0
@@ -364,15 +359,7 @@ def _uncertain(screened: Screened, sigma: float) -> Screened:
     return replace(screened, recording=replace(screened.recording, settings=settings))
 
 
-def _annotated(explanation: Explanation, code: str, **numbers: object) -> Explanation:
-    return replace(explanation, screened=_with_numbers(explanation.screened, code, numbers))
-
-
 def _with_numbers(screened: Screened, code: str, numbers: dict[str, object]) -> Screened:
     """With more numbers for the faults of one code."""
-    faults: Iterable[DataFault] = screened.found
-    return replace(screened, found=tuple(f.with_numbers(**numbers) if f.code == code else f for f in faults))
-
-
-def _evidence(explanation: Explanation) -> float:
-    return explanation.evidence
+    found = tuple(f.with_numbers(**numbers) if f.code == code else f for f in screened.found)
+    return replace(screened, found=found)

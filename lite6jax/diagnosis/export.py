@@ -13,8 +13,14 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
-from lite6jax.diagnosis.document import SCHEMAS, model_from_document, parsed_document
-from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, torque_model_from_document
+from lite6jax.diagnosis.document import (
+    SCHEMAS,
+    is_of_torques,
+    model_from_document,
+    parsed_document,
+    torque_model_from_document,
+    torques_of,
+)
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
@@ -71,7 +77,7 @@ def read_diagnosed_arm(
         InputError: as `read_model` and `read_torque_model`.
     """
     document = parsed_document(path)
-    torques = of_torques(document)
+    torques = torques_of(document)
     motors = None if torques is None else torque_model_from_document(torques, effects, str(path))
     if motors is not None and is_of_torques(document):
         return diagnosed_arm(motors)
@@ -194,7 +200,9 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     ]:
         fastest = max(abs(effect.lower), abs(effect.upper))
     elif isinstance(effect, StribeckFriction) and model.uncertainty is not None:
-        fastest = float(np.abs(model.uncertainty.recorded.ranges[1, effect.joint - 1]).max())
+        recorded = model.uncertainty.recorded.velocities
+        assert recorded is not None
+        fastest = float(np.abs(recorded[effect.joint - 1]).max())
     else:
         return {}, ""
     speed = np.linspace(-fastest, fastest, _SPEEDS)

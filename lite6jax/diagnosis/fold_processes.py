@@ -10,13 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, final
+from typing import Any, Generic, NamedTuple, TypeVar, final
 
 from lite6jax import interruption, threads
 from lite6jax.distribution.workers import Process, Processes
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
@@ -62,14 +59,12 @@ class RemoteWork(NamedTuple, Generic[Result]):
     """How another process works on a fold.
 
     Attributes:
-        function: of a module; `function([fold], *given)` is a table.
+        function: of a module; `function(fold, *given)` is the result.
         given: further arguments of `function`; compared by identity or equality.
-        read: makes a result of that table.
     """
 
-    function: "Callable[..., pa.Table]"
+    function: Callable[..., Result]
     given: tuple[Any, ...]
-    read: "Callable[[pa.Table], Result]"
 
 
 class _Job(Generic[Fold, Result]):
@@ -78,7 +73,7 @@ class _Job(Generic[Fold, Result]):
     def __init__(self, how: RemoteWork[Result], folds: Sequence[Fold]) -> None:
         self.how, self.folds = how, folds
         # now: while this process works, it adds to what is given
-        self.pickled = pickle.dumps((how.function, how.given))
+        self.pickled = pickle.dumps((work_on_one, (how.function, *how.given)))
         self.todo, self.results = deque(range(len(folds))), dict[int, Result]()
 
     def is_of(self, how: RemoteWork[Any], folds: Sequence[Any]) -> bool:
@@ -102,10 +97,16 @@ class _Job(Generic[Fold, Result]):
         """Gives a process the last folds until none is left; one at which it fails is for this process to work on."""
         while (k := self.take(self.todo.pop)) is not None:
             try:
-                self.results[k] = self.how.read(process.work(self.pickled, [self.folds[k]]))
+                self.results[k] = process.work(self.pickled, [self.folds[k]])  # type: ignore[assignment]
             except Exception:  # what it is shows where the fold is worked on again
                 self.todo.appendleft(k)
                 return
+
+
+def work_on_one(inputs: Sequence[Any], function: Callable[..., Any], *given: Any) -> Any:
+    """What a process does with a batch, which is one fold."""
+    (fold,) = inputs
+    return function(fold, *given)
 
 
 @final

@@ -1,43 +1,220 @@
-"""Errors on rows that were not used: screening, clock, linearisation and search are repeated without each block.
+"""Errors on rows that were not used, and which findings hold there.
 
-Only which faults are corrected rather than explained by physics, and at which rows frames jumped, is decided once, in
-all rows: a search beside every uncorrected fault would take each fold as long as the diagnosis itself, and a block that
-holds the jump cannot be predicted without its row. The size of a jump is estimated anew.
+Of poses, screening, clock, linearisation and search are repeated without each block. Only which faults are corrected
+rather than explained by physics, and at which rows frames jumped, is decided once, in all rows: a search beside every
+uncorrected fault would take each fold as long as the diagnosis itself, and a block that holds the jump cannot be
+predicted without its row. The size of a jump is estimated anew.
 
 Where these errors reject what was found, its terms are fitted again without shorter blocks that are spread over the
 recording. A contiguous fifth may hold the only rows that show how a drift begins, and without it the search may select
 another model of the same effect; neither says that the effect is not there.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextvars import copy_context
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.diagnosis.explanation import Decisions, explain
+from lite6jax import threads
+from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import RemoteWork, at_hand
-from lite6jax.diagnosis.folds import side_by_side
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
+from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.fitting.problem import Geometry
+from lite6jax.progress import part
 from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection, at_estimate
-from lite6jax.search.state import fitted_again
+from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
+Fold = TypeVar("Fold")
+Result = TypeVar("Result")
+
+_MANY_ROWS = 60
+"""Rows from which positions alone determine the frames and the geometry of any arm of up to about 14 joints."""
+
+
+# ------------------------------------------------------------------ blocks of rows
+
+
+def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
+    """The blocks `(sample,)` that are held out, one after the other.
+
+    Raises:
+        InputError: no row can be held back, because the others would be too few for the unknowns.
+    """
+    recording, unknowns = problem.recording, problem.undeclared + 1
+    needed = -(-unknowns // recording.numbers_per_sample)
+    if recording.samples <= needed:
+        raise InputError(
+            f"{recording.source}: {recording.samples} samples are what {unknowns} numbers to determine need, so that "
+            f"none can be held back; record at least {needed + 1}"
+        )
+    return recording.contiguous_folds(fold_count(problem.samples, options, needed))
+
+
+def likely_folds(recording: Recording, options: Options) -> list[Mask] | None:
+    """The blocks of `held_out_folds`, before a problem is made, where no arm needs more of them; None of fewer rows."""
+    count = fold_count(recording.samples, options)
+    if fold_count(recording.samples, options, _MANY_ROWS) != count:
+        return None
+    return recording.contiguous_folds(count)
+
+
+def fold_count(samples: int, options: Options, needed: int = 0) -> int:
+    """How many blocks of so many rows are held out: more than usual where the other rows would be fewer than `needed`,
+    and at most one for each row.
+    """
+    count = min(options.folds, samples)
+    while count < samples and samples - -(-samples // count) < needed:
+        count += 1
+    return count
+
+
+def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> list[Mask]:
+    """As many sets of rows `(sample,)` as these contiguous ones, each of up to `spread_blocks` blocks over all rows.
+
+    A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise.
+    """
+    count, samples = len(folds), folds[0].size
+    long = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
+    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, options.spread_blocks)))
+    return [np.any(blocks[number::count], 0) for number in range(count)]
+
+
+def side_by_side(
+    work: Callable[[Fold], Result], folds: Sequence[Fold], elsewhere: RemoteWork[Result] | None = None
+) -> list[Result]:
+    """What `work` makes of each fold, in their order.
+
+    Where other processes are at hand they take a part. Else as many threads as `threads.available` says share compiled
+    functions and what is known of all rows; operations on arrays release the interpreter's lock. The stages belong to
+    part 1 + the folds completed.
+
+    Args:
+        work: on a fold, here.
+        folds: all.
+        elsewhere: how another process works on one; None where only this one can.
+    """
+    others = at_hand()
+    if others is not None and elsewhere is not None:
+        with part(1, 1 + len(folds)) as going:
+            return others.results(work, elsewhere, folds, lambda done: setattr(going, "number", 1 + done))
+    pool = ThreadPoolExecutor(min(len(folds), threads.available()))
+    try:
+        with part(1, 1 + len(folds)) as going:
+            # each in a copy of this context, which says who follows the progress
+            begun = [pool.submit(copy_context().run, work, fold) for fold in folds]
+            for each in as_completed(begun):
+                each.result()
+                going.number += 1
+        return [each.result() for each in begun]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
+
+
+# ------------------------------------------------------------------ which findings hold
+
+
+class HeldOutErrors(Protocol):
+    """Errors on held-out rows, of poses or of torques: a tuple of arrays with the sample last."""
+
+    @property
+    def before(self) -> Array: ...
+    @property
+    def after(self) -> Array: ...
+    def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float: ...
+    def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool: ...
+    def without_effects(self) -> Any: ...
+
+
+E = TypeVar("E", bound=HeldOutErrors)
+
+
+def errors_of_folds(
+    errors: Callable[..., E], given: tuple[Any, ...], folds: Sequence[Mask], anywhere: bool = True
+) -> E:
+    """The errors on all rows.
+
+    Args:
+        errors: on the rows of a fold; a function of a module where other processes may call it.
+        given: to it besides the fold.
+        folds: which have each row once.
+        anywhere: whether other processes may take a part.
+    """
+    elsewhere = RemoteWork(errors, given) if anywhere else None
+    parts: list[Any] = side_by_side(lambda held: errors(held, *given), folds, elsewhere)
+    order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
+    return parts[0]._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
+
+
+class Verification(NamedTuple):
+    """What holds on rows that were not used; attributes as of a diagnosis, with `errors` on `folds`."""
+
+    selection: Selection
+    errors: Any
+    folds: Sequence[Mask]
+    findings: tuple[Finding, ...]
+    withdrawn: Withdrawn | None = None
+    searched_again: SearchedAgain | None = None
+
+
+def verify(
+    selection: Selection,
+    errors: E,
+    folds: Sequence[Mask],
+    kept: Mask,
+    options: Options,
+    refitted: Callable[[Sequence[Mask]], E],
+) -> Verification:
+    """The findings of a selection, unless both a search and a fit without some rows reject them.
+
+    Args:
+        selection: of all rows.
+        errors: on contiguous blocks, each searched without.
+        folds: these.
+        kept: `(sample,)`, the rows that count.
+        options: thresholds.
+        refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
+    """
+    state, findings = selection.state, []
+    for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
+        assert isinstance(tested.term, Effect)
+        rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
+        values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
+        gain, std, share = tested.score.gain, tested.chosen_std, tested.input_share
+        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
+    found = tuple(findings)
+    if not found or not errors.rejects(selection, kept, folds, options):
+        return Verification(selection, errors, folds, found)
+    spread = spread_folds(folds, state.fit.noise, options)
+    again = refitted(spread)
+    if again.rejects(selection, kept, spread, options):
+        sizes = (float(np.sqrt(np.mean(each[..., kept] ** 2))) for each in (errors.before, errors.after))
+        # the nuisance alone, as it was fitted without the effects
+        bare = replace(selection, problem=selection.reference, state=State(state.baseline, state.baseline))
+        return Verification(bare, errors.without_effects(), folds, (), Withdrawn(found, *sizes))
+    searched_again = SearchedAgain(len(folds), errors.ratio(selection, kept, folds))
+    return Verification(selection, again, spread, found, searched_again=searched_again)
+
+
+# ------------------------------------------------------------------ errors of poses
 
 
 class HeldOut(NamedTuple):
-    """Errors on held-out rows, `(sample,)` each.
+    """Errors of poses on held-out rows, `(sample,)` each.
 
     Attributes:
         before: m, of positions, with the nuisance alone.
@@ -57,27 +234,19 @@ class HeldOut(NamedTuple):
     angle_after: Array
     with_effects: Mask
 
+    def without_effects(self) -> "HeldOut":
+        """The errors of the nuisance alone, before and after."""
+        return self._replace(after=self.before, turned_after=self.turned_before, angle_after=self.angle_before)
+
     def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
         """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
         state = selection.state
         numbers = max(state.fit.parameters - state.baseline.parameters, 0.0)
         return self.raised(kept, numbers, options) or self.overfitted(kept, selection, folds, options)
 
-    def ratio(self, kept: Mask) -> float:
+    def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float:
         """Of the root mean squares of position errors with effects and without, of the rows `kept`."""
         return _ratio(self.before[kept], self.after[kept])
-
-    def ratio_of_folds(self, kept: Mask, folds: Sequence[Mask]) -> float:
-        """The geometric mean of `ratio` over folds, weighted by their rows among `kept`.
-
-        Errors differ in size from fold to fold: one fold in which a function meets values of its driver that it was not
-        fitted to does not decide alone.
-        """
-        held = [rows for fold in folds if (rows := fold & kept).any()]
-        if not held:
-            return 1.0
-        logs = [np.log(max(self.ratio(rows), 1e-300)) for rows in held]
-        return float(np.exp(np.average(logs, weights=[rows.sum() for rows in held])))
 
     def raised(self, kept: Mask, numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
@@ -87,7 +256,7 @@ class HeldOut(NamedTuple):
         the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
         effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
         """
-        position = self.ratio(kept)
+        position = _ratio(self.before[kept], self.after[kept])
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])
         cost = 1 + 0.5 * numbers / (3 * kept.sum())
         return position * turned > 1 or position > max(options.heldout_rise, cost)
@@ -99,82 +268,52 @@ class HeldOut(NamedTuple):
         ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
         remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
         without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
+        Errors differ in size from fold to fold, so it is the geometric mean of the ratios over folds that counts.
         """
         if (tried := kept & self.with_effects).any():
             kept = tried
-        if self.ratio_of_folds(kept, folds) < options.heldout_left:
-            return False
+        held = [rows for fold in folds if (rows := fold & kept).any()]
+        if held:
+            logs = [np.log(max(_ratio(self.before[rows], self.after[rows]), 1e-300)) for rows in held]
+            if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
+                return False
+
+        def times_fitted(errors: Array, problem: Problem, fit: Fit) -> float:
+            """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
+            assert isinstance(problem, PoseProblem)
+            share = fit.freedom / (problem.rows * fit.training.sum())
+            fitted = np.sum(_distance(problem, fit)[kept] ** 2) / share
+            return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
+
         state = selection.state
-        after = _times_fitted(self.after, selection.problem, state.fit, kept)
-        before = _times_fitted(self.before, selection.reference, state.baseline, kept)
-        return after > max(options.heldout_excess, before)
+        after = times_fitted(self.after, selection.problem, state.fit)
+        return after > max(options.heldout_excess, times_fitted(self.before, selection.reference, state.baseline))
 
 
-def held_out_errors(
-    recording: Recording,
-    arm: Arm | None,
-    geometry: Geometry,
-    options: Options,
-    decisions: Decisions,
-    folds: Sequence[Mask],
-    effects: Sequence[Effect] = (),
-    factory: FactoryCalibration | None = None,
-) -> HeldOut:
-    """The errors on every row, predicted from the other contiguous blocks; arguments as of `diagnose`.
+def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> HeldOut:
+    """The errors on every row, predicted from the other contiguous blocks.
 
     Args:
-        recording: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
+        case: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
         decisions: between faults and physics, of all rows.
         folds: those of `held_out_folds`.
     """
-    given = (recording, arm, geometry, options, decisions, tuple(effects), factory)
-    elsewhere = RemoteWork(held_out_table, given, _of_table)
-    return _in_order(side_by_side(lambda held: _predicted(held, *given), folds, elsewhere), folds)
+    return errors_of_folds(errors_of_search, (case, decisions), folds)
 
 
-def held_out_ahead(
-    recording: Recording,
-    arm: Arm | None,
-    geometry: Geometry,
-    options: Options,
-    folds: Sequence[Mask],
-    effects: Sequence[Effect] = (),
-    factory: FactoryCalibration | None = None,
-) -> None:
+def held_out_ahead(case: Case, folds: Sequence[Mask]) -> None:
     """Has other processes, where there are any, begin with the last folds before the decisions are known.
 
-    Nearly all recordings are explained without a fault that resembles physics, which is supposed here. Arguments as of
-    `held_out_errors`, which takes the results if the decisions are those.
+    Nearly all recordings are explained without a fault that resembles physics, which is supposed here;
+    `held_out_errors` of the same case takes the results if the decisions are those.
     """
     if (others := at_hand()) is not None:
-        given = (recording, arm, geometry, options, Decisions(Corrections(known_jumps=())), tuple(effects), factory)
-        others.ahead(RemoteWork(held_out_table, given, _of_table), folds)
+        others.ahead(RemoteWork(errors_of_search, (case, Decisions(Corrections(known_jumps=())))), folds)
 
 
-def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
-    """The errors on one fold as a table, for another process."""
-    (one,) = held
-    return pa.table(_predicted(one, *given)._asdict())
-
-
-def _of_table(table: pa.Table) -> HeldOut:
-    """The inverse of `held_out_table`."""
-    return HeldOut(*(table[name].to_numpy() for name in HeldOut._fields))
-
-
-def _predicted(
-    held: Mask,
-    recording: Recording,
-    arm: Arm | None,
-    geometry: Geometry,
-    options: Options,
-    decisions: Decisions,
-    effects: Sequence[Effect],
-    factory: FactoryCalibration | None,
-) -> HeldOut:
-    """The errors on the rows of a fold, from the others."""
-    found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
-    return _errors(found.selection, held)
+def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
+    """The errors on the rows of a fold, from a search of the others."""
+    return _errors(explain(replace(case, training=~held, thorough=False), decisions).selection, held)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
@@ -197,7 +336,7 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
         again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
         return _errors(at_estimate(again, engine), held)
 
-    return _in_order(side_by_side(predicted, folds), folds)
+    return errors_of_folds(predicted, (), folds, anywhere=False)
 
 
 def _errors(selection: Selection, held: Mask) -> HeldOut:
@@ -213,23 +352,9 @@ def _errors(selection: Selection, held: Mask) -> HeldOut:
     return HeldOut._make(of_all[held] for of_all in errors)
 
 
-def _in_order(parts: Sequence[HeldOut], folds: Sequence[Mask]) -> HeldOut:
-    """Of all rows, from those of each fold."""
-    order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
-    return HeldOut._make(np.concatenate(of_folds)[order] for of_folds in zip(*parts, strict=True))
-
-
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
     """`(sample,)` m between predicted and measured positions."""
     return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
-
-
-def _times_fitted(errors: Array, problem: Problem, fit: Fit, kept: Mask) -> float:
-    """Root mean square of position errors over that of the fitted rows, corrected for the degrees of freedom."""
-    assert isinstance(problem, PoseProblem)
-    share = fit.freedom / (problem.rows * fit.training.sum())
-    fitted = np.sum(_distance(problem, fit)[kept] ** 2) / share
-    return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
 
 
 def _turns(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:

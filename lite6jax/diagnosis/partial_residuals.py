@@ -4,17 +4,21 @@ Partial residuals are the residuals of the whole model with the finding's own cu
 S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technometrics 14, 1972).
 """
 
-from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.result import Diagnosis, Finding
+from lite6jax.arms.joint_units import as_revolute
+from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis, Finding
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion, motion_of
@@ -25,6 +29,7 @@ Mask = NDArray[np.bool_]
 
 _POINTS = 1000
 """Points of a curve over the position of a joint; a nonparametric one has half as many at least."""
+_TORQUE_POINTS = 400
 _POINTS_PER_WAVE = 16
 _MANY_PERIODS = 8.0
 """Periods of a harmonic over a joint's range, beyond which one period is shown."""
@@ -77,11 +82,14 @@ class _Movement(NamedTuple):
     slope: Array
 
 
-def finding_curves(found: Diagnosis, k: int) -> list[FindingCurve]:
-    """The k-th finding over its driver, a curve for each way in which it moves a site.
+def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
+    """The k-th finding over its driver: of torques one curve, of poses one for each way in which it moves a site.
 
-    A finding that no single driver describes is shown along the displacement of the measured pose.
+    A finding of poses that no single driver describes is shown along the displacement of the measured pose.
     """
+    if isinstance(found, TorqueDiagnosis):
+        return [_torque_curve(found, k)]
+    assert isinstance(found, Diagnosis)
     finding, used = found.findings[k], found.fit.training & ~found.outliers
     effect, curves = finding.effect, []
     if isinstance(effect, Bending):
@@ -156,7 +164,7 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
         curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion, at)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
         x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
-    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, covariance, slope), 0.0))
+    std = _deviation(slope, covariance)
     order = np.argsort(at, kind="stable")
     turns = at_joint and key[1] not in problem.motion.sliding.joints
     unit = "1" if key[0] in ("stretch", "scale") else "rad" if turns or key[2] > 2 else "m"
@@ -179,11 +187,8 @@ def _along_joint(
         return np.asarray(bent)[joint]
 
     if effect.linear:
-        slope = np.stack([angle(step) for step in np.eye(effect.size)])
-    else:
-        steps = 1e-6 * np.array([number.typical for number in effect.coordinates])
-        slope = np.stack([(angle(values + s) - angle(values - s)) / (2 * s.sum()) for s in np.diag(steps)])
-    return angle(values), slope
+        return angle(values), np.stack([angle(step) for step in np.eye(effect.size)])
+    return angle(values), _slopes(angle, effect, values, 1e-6)
 
 
 def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
@@ -203,7 +208,7 @@ def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     safe = np.where(size > 0, size, np.inf)
     partial = -np.sum(moved * rows, 0) / safe
     along = np.sum(columns * moved, 1) / safe
-    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", along, finding.covariance, along), 0.0))
+    std = _deviation(along, finding.covariance)
     good = used & (size > 0)
     x, over = scale * size, "displacement"
     if not good.any() or np.ptp(size[good]) < 1e-3 * size.max():  # the same everywhere
@@ -216,3 +221,70 @@ def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
 
 def _correlation(a: Array, b: Array) -> float:
     return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
+
+
+def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
+    """A finding of one joint over its driver; another over the torque that it adds where it adds most.
+
+    A finding of several drivers, or of one times the load, has no curve over one of them: it has a point for each
+    sample.
+    """
+    problem, fit, finding = found.problem, found.fit, found.findings[k]
+    effect, used = finding.effect, problem.valid
+    assert isinstance(effect, TorqueEffect)
+    moved = added_torque(found, [k])
+    j = int(np.argmax(np.sum(as_revolute(moved[:, used], "Nm", problem.data.arm.slides) ** 2, 1)))
+    unit: Literal["N", "Nm"] = "N" if problem.data.arm.slides[j] else "Nm"
+    left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
+    partial = (left + moved)[j, used]
+    if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
+        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.sigma[j]
+        at, std = moved[j, used], _deviation(columns[:, used], finding.covariance)
+        order = np.argsort(at, kind="stable")
+        x = at[order]
+        return FindingCurve(k, "displacement", None, ("joint", j, 0), unit, at, partial, x, x, std[order])
+    dynamics = problem.dynamics
+    choices = effect.of if isinstance(effect, UnnamedTorque) else effect.drivers or (Driver("time"),)
+    driver, loads = choices[0], dynamics.loads
+    values = np.asarray(driver.values(dynamics.motion, loads))
+    x = values[problem.data.filter.kept][problem.chosen][used]
+    several = len(choices) > 1 or (isinstance(effect, UnnamedTorque) and effect.full_load > 0)
+    key = ("joint", j, 0)
+    if isinstance(effect, UnnamedTorque) and not several:
+        sign = dynamics.direction(j + 1)[problem.data.filter.kept][problem.chosen][used] if effect.signed else 1.0
+        at = np.linspace(x.min(), x.max(), _TORQUE_POINTS)
+        slope = effect.functions_of(at[None])
+        std = _deviation(slope, finding.covariance)
+        return FindingCurve(k, "driver", driver, key, unit, x, sign * partial, at, finding.values @ slope, std)
+    if several:
+        own = moved[j, used]
+        return FindingCurve(k, "driver", driver, key, unit, x, partial, x, own, np.zeros_like(own), hysteresis=True)
+    # not filtered, so that it is a function of its driver
+    order = np.argsort(values, kind="stable")
+    curve, slope = (
+        effect.at_joint(finding.values, dynamics),
+        _slopes(lambda values: effect.at_joint(values, dynamics), effect, finding.values, 1e-4),
+    )
+    std = _deviation(slope, finding.covariance)
+    return FindingCurve(k, "driver", driver, key, unit, x, partial, values[order], curve[order], std[order])
+
+
+def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
+    """Torques `(joint, sample)` that some of the findings add to the others, filtered."""
+    problem, fit = found.problem, found.fit
+    without = fit.values.copy()
+    for k in chosen:
+        without[fit.terms.slices[k]] = 0.0
+    whole, rest = (problem.torque(fit.nuisance, fit.terms, values) for values in (fit.values, without))
+    return whole - rest
+
+
+def _slopes(shown: Callable[[Array], Array], effect: Effect, values: Array, step: float) -> Array:
+    """Derivatives `(number, sample)` of what is shown by numbers, by central differences of so much of their size."""
+    steps = step * np.array([number.typical for number in effect.coordinates])
+    return np.stack([(shown(values + s) - shown(values - s)) / (2 * s.sum()) for s in np.diag(steps)])
+
+
+def _deviation(slope: Array, covariance: Array) -> Array:
+    """One standard deviation `(sample,)` of what has derivatives `(number, sample)` by numbers of a covariance."""
+    return np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, covariance, slope), 0.0))

@@ -1,30 +1,52 @@
-"""The result of a diagnosis: findings, data faults, errors before and after, verdict; codes and numbers only."""
+"""The result of a diagnosis: findings, data faults, errors before and after, verdict, and its document."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.special import chdtri
 
 from lite6jax.checksum import with_checksum
-from lite6jax.diagnosis.discrimination import SeparatingPoses
-from lite6jax.diagnosis.moves import Moves, moves_of
+from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
+from lite6jax.diagnosis.document import SCHEMA, located, pose_model_entry
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.verdict import Left, Verdict, left_of, rows_needed, verdict_of
-from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.diagnosis.schema import Verdict
+from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
+from lite6jax.domains.pose.kinematics import unwhitened
+from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.effects.catalogue import BUILT_IN, Untestable
+from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.effects.catalogue import Untestable
+from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.statics import with_mass_errors
+from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.projection import scaled_solve
 from lite6jax.fitting.quality import Quality, quality_of_poses
+from lite6jax.model import ArmModel
+from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
+P = TypeVar("P", PoseProblem, TorqueProblem)
+
+STATISTICS: Mapping[str, Callable[[Array], Any]] = {
+    "mean": np.mean,
+    "rms": lambda size: np.sqrt(np.mean(size**2)),
+    "p95": lambda size: np.percentile(size, 95),
+    "max": np.max,
+}
+"""Of errors, none of which is missing."""
 
 
 @final
@@ -90,6 +112,31 @@ class Finding:
         covariance = np.asarray(block_diag(self.covariance, self.chosen_std**2))
         return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
+    def to_dict(
+        self, size: dict[str, Any], contribution: dict[str, Any], rivals: list[dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Codes and numbers.
+
+        Args:
+            size: of a curve.
+            contribution: what it moves.
+            rivals: as they are written.
+        """
+        nearest = (
+            {} if self.nearest is None else {"nearest": located(self.nearest[0].effect) | {"share": self.nearest[1]}}
+        )
+        return {
+            **located(self.effect),
+            "parameters": {name: estimate._asdict() for name, estimate in self.parameters.items()},
+            **size,
+            **nearest,
+            **({"payload_share": self.input_share} if self.input_share else {}),
+            "p_value": self.p_value,
+            "log_likelihood_gain": self.gain,
+            **contribution,
+            "confusable_with": rivals,
+        }
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -100,8 +147,8 @@ class Withdrawn:
 
     Attributes:
         findings: the effects.
-        before: m, the root mean square of held-out position errors without them.
-        after: m, with them.
+        before: m, the root mean square of held-out position errors without them; of torques Nm.
+        after: with them.
     """
 
     findings: tuple[Finding, ...]
@@ -123,47 +170,97 @@ class SearchedAgain:
     blocks: int
     ratio: float
 
-    def to_dict(self) -> dict[str, float]:
-        """Numbers by name."""
-        return {"blocks": self.blocks, "heldout_ratio": self.ratio}
 
-
-@final
-@dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(PublicResult):
-    """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
+class Contribution(NamedTuple):
+    """What a finding of poses moves, root mean square over the rows that are no outliers.
 
     Attributes:
-        problem: the screened recording as an estimation problem, linearised where the geometry is.
+        position: m.
+        orientation: rad; None where no orientation was measured.
+    """
+
+    position: float
+    orientation: float | None
+
+
+class Left(NamedTuple):
+    """What a model of poses leaves of the residuals, outliers excluded.
+
+    Attributes:
+        position: root mean square of held-out position errors per axis over the declared noise; None where that of
+            positions is not declared.
+        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
+        white: whether residuals of neighbouring rows are uncorrelated.
+        acts_at: the joint at which most of it acts; None where there is no such.
+    """
+
+    position: float | None
+    orientation: float | None
+    white: bool
+    acts_at: Concentration | None = None
+
+    def is_noise(self, limit: float) -> bool:
+        """Whether it is white, and at most `limit` times the noise of each quantity whose noise is declared."""
+        return self.white and all(ratio is None or ratio <= limit for ratio in (self.position, self.orientation))
+
+
+class Against(Protocol):
+    """How a recording was compared with a reference.
+
+    Attributes:
+        file: the reference's name.
+    """
+
+    @property
+    def file(self) -> str: ...
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DomainDiagnosis(Generic[P]):
+    """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
+
+    Errors are of positions `(sample,)` in m, or of torques `(joint, sample)` in Nm (N of prismatic joints). What a
+    domain does not have is empty.
+
+    Attributes:
+        problem: the screened recording as an estimation problem, linearised where its model is.
         selection: the search's result: fits without and with the effects.
         findings: the effects, in the order of their numbers in `fit`.
-        before: `(sample,)` m, held-out position errors with the nuisance alone.
-        after: `(sample,)` m, held-out errors with the effects that a search of the other blocks selects; where that
-            rejected the findings and these hold when they are fitted again, with the findings.
-        outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
+        before: held-out errors with the nuisance alone.
+        after: held-out errors with the effects that a search of the other blocks selects; where that rejected the
+            findings and these hold when they are fitted again, with the findings.
         faults: of the data, in the order in which they were corrected.
         ruled_out: faults that were tested for and are not there.
-        separating: poses that separate findings from their rivals.
         options: thresholds.
         folds: `(sample,)` bool each, the rows that were held out together for `before` and `after`.
         withdrawn: effects that were not kept, because they do not hold on held-out rows; None where there are none.
         searched_again: errors where the search was repeated; None where `before` and `after` are these.
+        against: how the recording was compared with a reference; None where it was not.
+        outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
+        separating: poses that separate findings from their rivals.
         turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
 
-    problem: PoseProblem
+    _keys: ClassVar[tuple[str, ...]]
+    """Of the document, in the order in which they are written."""
+
+    problem: P
     selection: Selection
     findings: tuple[Finding, ...]
     before: Array
     after: Array
-    outliers: NDArray[np.bool_]
     faults: tuple[DataFault, ...]
     ruled_out: tuple[DataFault, ...]
-    separating: tuple[SeparatingPoses, ...]
     options: Options
     folds: tuple[Mask, ...]
     withdrawn: Withdrawn | None = None
     searched_again: SearchedAgain | None = None
+    against: Against | None = None
+    outliers: Mask = field(default_factory=lambda: np.zeros(0, bool))
+    separating: tuple[SeparatingPoses, ...] = ()
     turned: tuple[Array, Array] | None = None
 
     @property
@@ -172,14 +269,9 @@ class Diagnosis(PublicResult):
         return self.selection.state.fit
 
     @property
-    def left_out(self) -> NDArray[np.bool_]:
-        """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
-        return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
-
-    @cached_property
-    def moves(self) -> tuple[Moves, ...]:
-        """What each finding moves beyond what the nuisance would take up."""
-        return moves_of(self)
+    def kept(self) -> Mask:
+        """`(sample,)`, the rows that statistics are of."""
+        return ~self.outliers if self.outliers.size else self.problem.valid
 
     @property
     def untestable(self) -> tuple[Untestable, ...]:
@@ -188,7 +280,7 @@ class Diagnosis(PublicResult):
 
     @property
     def confounded(self) -> tuple[Effect, ...]:
-        """Effects that are confounded with the frames and the geometry that are fitted."""
+        """Effects that are confounded with the nuisance that is fitted."""
         return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
 
     @property
@@ -199,6 +291,99 @@ class Diagnosis(PublicResult):
         term, p_value = self.selection.nearest
         assert isinstance(term, Effect)
         return term, p_value
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """By the findings, by what is left of the residuals, and by whether the rows are enough to tell.
+
+        *consistent*: nothing was found, and what is left is noise. *explained*: with the findings it is.
+        *partly_explained*: with the findings, more is left. *unnamed*: the largest finding has no name. *unexplained*:
+        more is left than noise, and nothing was found. *undetermined*: the rows are too few to tell, or what is left is
+        noise, but an effect that is no finding is nearly significant.
+        """
+        found = bool(self.findings)
+        if not found and self._too_few:
+            return "undetermined"
+        if found and max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
+            return "unnamed"
+        if not self._leaves_noise:
+            return "partly_explained" if found else "unexplained"
+        # What it moves may have gone into numbers of the findings, as the compliance of a joint goes into that of the
+        # base where both are loaded alike. One that is significant and yet no finding was refused for a reason of its
+        # own; beside effects that were withdrawn, the nearest is that of another model.
+        nearest, options = self.selection.nearest, self.options
+        if self.withdrawn is None and nearest and options.engine.level <= nearest[1] < options.nearly_significant:
+            return "undetermined"
+        return "explained" if found else "consistent"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `lite6jax/diagnosis/2`: codes, numbers in SI units, a checksum."""
+        return with_checksum(self.document(against=True))
+
+    def document(self, against: bool = False) -> dict[str, Any]:
+        """The document without a checksum; with the comparison with a reference where `against`."""
+        parts = self._own_parts()
+        document = {key: parts[key] for key in self._keys}
+        return document | {"against": self.against.to_dict()} if against and self.against is not None else document
+
+    @property
+    def _too_few(self) -> bool:
+        """Whether the rows are too few to say anything where nothing was found."""
+        return False
+
+    @property
+    def _leaves_noise(self) -> bool:
+        """Whether what the model leaves is noise."""
+        raise NotImplementedError
+
+    def _own_parts(self) -> dict[str, Any]:
+        """The parts of the document that only this domain has, or has in another form."""
+        raise NotImplementedError
+
+    def _parts(self, settings: RecordingSettings) -> dict[str, Any]:
+        """The parts of the document that every domain has."""
+        nearest, again = self.nearest, self.searched_again
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "heldout_blocks": block_count(self.folds),
+            "searched_again": None if again is None else {"blocks": again.blocks, "heldout_ratio": again.ratio},
+            "quick": self.options.quick,
+            "date": settings.date,
+            "instrument": settings.instrument,
+            "data_faults": [fault.to_dict() for fault in self.faults],
+            "ruled_out": [fault.to_dict() for fault in self.ruled_out],
+            "nearest": None
+            if nearest is None
+            else {"effect": nearest[0].name, "site": nearest[0].site, "p_value": nearest[1]},
+            "untestable": [
+                {"effect": item.effect.name, "site": item.effect.site, "driver": item.driver.phrase}
+                for item in self.untestable
+            ],
+            "confounded": [located(effect) for effect in self.confounded],
+        }
+
+
+def block_count(folds: tuple[Mask, ...] | list[Mask]) -> int:
+    """How many contiguous blocks of rows these sets have in all."""
+    return sum(int(np.sum(np.diff(held.astype(int), prepend=0) > 0)) for held in folds)
+
+
+@final
+class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
+    """The diagnosis of poses."""
+
+    _keys = (
+        *("schema", "verdict", "before", "after", "left", "quality", "withdrawn", "rows_needed", "samples"),
+        *("left_out", "heldout_rows", "heldout_blocks", "searched_again", "quick", "pose_source", "date"),
+        *("instrument", "noise", "data_faults", "ruled_out", "findings", "nearest", "separating_poses"),
+        *("untestable", "confounded", "nuisance", "model"),
+    )
+
+    @property
+    def left_out(self) -> Mask:
+        """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
+        return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
 
     @property
     def inertial_loads(self) -> bool:
@@ -211,9 +396,44 @@ class Diagnosis(PublicResult):
         return float(self.fit.scale[0] * self.problem.noise[0])
 
     @cached_property
+    def moves(self) -> tuple[Contribution, ...]:
+        """What each finding moves beyond what the fitted frames and geometry would take up, were it not in the model.
+
+        The displacement is that of the whole model, with the finding less without it. From it the weighted
+        least-squares fit of the nuisance beside the other findings, with its prior, is subtracted: an effect that a
+        sensor's frame imitates moves a measured pose by much and its residual by little.
+        """
+        problem, fit, kept = self.problem, self.fit, ~self.outliers
+        weight = np.where(fit.training & kept, fit.residuals.row_weight, 0.0)
+        whole = problem.residual(fit.nuisance, fit.terms, fit.values)
+
+        def rms(vectors: Array) -> float:
+            return float(np.sqrt(np.mean(np.sum(vectors**2, 0)))) if vectors.shape[1] else 0.0
+
+        moves = []
+        for k in range(len(fit.terms.terms)):
+            others = fit.terms.part(fit.values, [other != k for other in range(len(fit.terms.terms))])
+            moved = whole - problem.residual(fit.nuisance, *others)
+            nuisance = problem.nuisance_columns(*others)
+            if len(nuisance):
+                weighted = (nuisance * weight).reshape(len(nuisance), -1)
+                H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
+                moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
+            displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
+            moves.append(Contribution(rms(displaced[:3]), rms(displaced[3:]) if problem.rows == 6 else None))
+        return tuple(moves)
+
+    @cached_property
     def left(self) -> Left:
         """What the model leaves of the residuals."""
-        return left_of(self)
+        problem, fit, kept = self.problem, self.fit, ~self.outliers
+        position, orientation = None, None
+        if problem.declared_noise[0] is not None and kept.any():
+            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / 3) / problem.declared_noise[0])
+        if problem.declared_noise[1] is not None and kept.any():
+            freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
+            orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
+        return Left(position, orientation, fit.noise.white, concentration(problem, fit, self.options.engine))
 
     @cached_property
     def quality(self) -> Quality:
@@ -228,26 +448,171 @@ class Diagnosis(PublicResult):
 
     @cached_property
     def rows_needed(self) -> int:
-        """About how many rows would make the nearest effect that is no finding significant, if it is real."""
-        return rows_needed(self)
+        """About how many rows would make the nearest effect that is no finding significant, if it is real.
 
-    @cached_property
-    def verdict(self) -> Verdict:
-        """By the findings, by what is left of the residuals, and by whether the rows are enough to tell."""
-        return verdict_of(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`, as `read_model` reads it: codes, numbers in SI units, a checksum."""
-        from lite6jax.diagnosis.document import (
-            to_document,  # which reads and writes results, and so imports this module
-        )
-
-        return with_checksum(to_document(self))
+        The statistic of an effect grows with the number of rows.
+        """
+        least = max(self.options.fewest_rows, self.problem.samples + 1)
+        if self.selection.nearest is None:
+            return least
+        engine = self.options.engine
+        term, p_value = self.selection.nearest
+        searched = multiplicity(self.problem, term, engine)
+        now, needed = (float(chdtri(term.size, max(p / searched, 1e-300))) for p in (p_value, engine.level))
+        more = needed / now if now > 0 else np.inf
+        return max(int(np.ceil(min(self.problem.samples * more, 1e9))), least)
 
     @cached_property
     def model(self) -> DiagnosedArm:
         """The arm with the effects found, as `read_model` gives it from a file."""
-        from lite6jax.diagnosis.document import model_from_document
+        problem, fit = self.problem, self.fit
+        arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
+        if inertia is not None and errors is not None:
+            inertia = with_mass_errors(inertia, errors.links, errors.payload)
+        physics = Physics(tuple(finding.effect for finding in self.findings))
+        against = None if self.against is None else self.against.to_dict()
+        model = DiagnosedArm(
+            model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
+            values=physics.join([finding.values for finding in self.findings]),
+            inertia=inertia,
+            joint_limits=problem.arm.joint_limits,
+            arm=problem.arm.name,
+            physics=physics,
+            orientation=problem.rows == 6,
+            reference_temperature=problem.recording.settings.reference_temperature_degC,
+            motion=problem.recording.motion,
+            accelerated=self.inertial_loads,
+            heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
+            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"], ""),
+            sliding=problem.arm.sliding,
+        )
+        known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
+        return replace(model, uncertainty=known)
 
-        effects = tuple(finding.effect for finding in self.findings)
-        return model_from_document(self.to_dict(), tuple(e for e in effects if e.name not in BUILT_IN))
+    def peak_to_peak(self, k: int, component: int = 0) -> Estimate:
+        """The range of a nonparametric finding's curve where it was measured, m or rad, and its standard deviation.
+
+        The range of each driver is that of its central 96 %: few samples are beyond.
+
+        Args:
+            k: which of the findings.
+            component: which of the finding's components, from 0.
+        """
+        problem, finding = self.problem, self.findings[k]
+        effect = finding.effect
+        assert isinstance(effect, Unnamed)
+        motion = problem.time_shifted
+        values = effect.values_at(motion, problem.loads)
+        drivers = np.atleast_2d(np.asarray(values))
+        low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
+        inside = ((drivers >= low) & (drivers <= high)).all(0)
+        basis = np.asarray(effect.basis.at(values, motion.run))[:, inside]
+        own = effect.part(component)
+        curve = finding.values[own] @ basis
+        apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
+        variance = float(apart @ finding.covariance[own, own] @ apart)
+        return Estimate(float(apart @ finding.values[own]), float(np.sqrt(max(variance, 0.0))))
+
+    @property
+    def _too_few(self) -> bool:
+        if self.problem.samples < self.options.fewest_rows:
+            return True
+        bad = self.quality.verdict == "bad"
+        return not self._leaves_noise and not bad and self.rows_needed <= self.options.within_reach
+
+    @property
+    def _leaves_noise(self) -> bool:
+        # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
+        as_noise = self.left.is_noise(self.options.as_noise) and self.quality.verdict != "bad"
+        return as_noise and (not self.findings or self.left.position is not None)
+
+    def _errors(self, stage: int) -> dict[str, float]:
+        """Statistics of the held-out errors before (0) or after (1)."""
+        kept, found = ~self.outliers, {}
+        turned = None if self.turned is None else self.turned[stage]
+        for name, unit, errors in (("position", "m", (self.before, self.after)[stage]), ("orientation", "rad", turned)):
+            if errors is not None:
+                there = errors[kept] if kept.any() else np.zeros(1)
+                found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
+        return found
+
+    def _own_parts(self) -> dict[str, Any]:
+        problem, kept, settings = self.problem, ~self.outliers, self.problem.recording.settings
+        parts, left, withdrawn = self._parts(settings), self.left, self.withdrawn
+        outliers, acts_at = self.outliers & problem.valid, self.left.acts_at
+        if outliers.any():
+            wild = {"fault": "outliers", "rows": problem.recording.row[outliers].tolist(), "numbers": {}}
+            parts["data_faults"].append(wild)
+        before, after = self._errors(0), self._errors(1)
+        heldout = {
+            "heldout_rms_before_m": before["heldout_position_rms_m"],
+            "heldout_rms_after_m": after["heldout_position_rms_m"],
+        }
+        return parts | {
+            "before": before,
+            "after": after,
+            "left": {
+                "position_over_noise": left.position,
+                "orientation_over_noise": left.orientation,
+                "white": left.white,
+                "acts_at": None
+                if acts_at is None
+                else {"site": acts_at.site, "share": acts_at.share, "share_of_noise": acts_at.expected},
+            },
+            "quality": self.quality.to_dict(),
+            "withdrawn": None
+            if withdrawn is None
+            else {
+                "effects": [located(finding.effect) for finding in withdrawn.findings],
+                "heldout_position_rms_m": {"before": withdrawn.before, "after": withdrawn.after},
+            },
+            "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
+            "samples": problem.samples,
+            "left_out": problem.recording.row[self.left_out].tolist(),
+            "heldout_rows": int(kept.sum()),
+            "pose_source": settings.pose_source,
+            "noise": {
+                "declared_position_m": problem.declared_noise[0],
+                "declared_orientation_rad": problem.declared_noise[1],
+                "estimated_position_m": self.estimated_noise,
+            },
+            "findings": [self._finding(k, heldout) for k in range(len(self.findings))],
+            "separating_poses": [
+                {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
+                for item in self.separating
+            ],
+            "nuisance": {
+                "numbers": len(problem.frames),
+                "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
+            },
+            "model": pose_model_entry(self.model, [finding.covariance for finding in self.findings]),
+        }
+
+    def _finding(self, k: int, heldout: dict[str, float]) -> dict[str, Any]:
+        finding, size = self.findings[k], {}
+        effect = finding.effect
+        if isinstance(effect, Unnamed):
+            sizes = {}
+            for i, name in enumerate(effect.components):
+                unit = effect.coordinates[effect.part(i).start].unit
+                end = name if unit == "1" else unit if len(effect.components) == 1 else f"{name}_{unit}"
+                sizes[f"peak_to_peak_{end}"] = self.peak_to_peak(k, i)._asdict()
+            size = {"peak_to_peak": sizes, "effective_parameters": finding.effective_parameters}
+        moves = {"moves_rms_m": self.moves[k].position, "moves_rms_rad": self.moves[k].orientation}
+        return finding.to_dict(size, moves | heldout, [self._rival(k, rival) for rival in finding.rivals])
+
+    def _rival(self, k: int, rival: Rival) -> dict[str, Any]:
+        """A rival with its status: rejected, found, separable by the poses designed, undecided, or equivalent."""
+        effect, labels = rival.effect, (self.findings[k].effect.label, rival.effect.label)
+        if rival.gap >= self.options.engine.close:
+            status = "rejected"
+        elif effect in self.fit.terms.terms:
+            status = "found"
+        elif any(item.effects == labels for item in self.separating):
+            status = "separable"
+        elif effect.periodic and labels[0] == labels[1]:
+            status = "undecided"  # another order of the same wave
+        else:
+            status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
+        numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
+        return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}

@@ -1,27 +1,27 @@
-"""The pipeline of a diagnosis of torques: screen, filter, search, estimate finally, cross-validate."""
+"""The diagnosis of torques: screen, filter, search, estimate finally, verify; alone, or relative to a reference."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, final
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.diagnose import findings_of, without_effects
-from lite6jax.diagnosis.fold_processes import RemoteWork
-from lite6jax.diagnosis.folds import fold_count, side_by_side, spread_folds
+from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, fitted_beside, known_of, side_entry
+from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import SearchedAgain
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque.families import driver_values
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
+from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
@@ -32,12 +32,15 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import fitted_again
+from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
 
 _FOLDS = 10
 """Of static postures at least."""
+_VISIBLE = 1e-3
+"""Size of a torque over that of the most visible one, by unit of a direction of a function's numbers, from which rows
+show it."""
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -92,116 +95,264 @@ def diagnose_torques(
         count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
         folds = contiguous_blocks(problem.samples, count)
         whole = replace(whole, valid=problem.valid)
-        before, after = _searched_without(whole, folds, options, selection.saturated)
-        findings = findings_of(selection)
-        withdrawn, searched_again = (), None
-        if findings and (ratio := _ratio(before, after, problem, folds)) > options.heldout_rise:
-            state, spread = selection.state, spread_folds(folds, selection.state.fit.noise, options)
+        # whether terms are selected forward or from the saturated model is decided once, in all samples
+        errors = errors_of_folds(errors_of_search, (whole, options, selection.saturated), folds)
+        state = selection.state
 
-            def refitted(there: TorqueProblem, training: Mask) -> Selection:
-                return Selection(there, there, fitted_again(there, there, state, training, options.engine))
+        def refitted(spread: Sequence[Mask]) -> HeldOutTorques:
+            return errors_of_folds(_errors_of_refit, (whole, options, state), spread, anywhere=False)
 
-            of_folds = side_by_side(partial(_errors_without, whole, options, refitted), spread)
-            errors = _in_order(of_folds, spread, whole)
-            if _ratio(*errors, problem, spread) > options.heldout_rise:
-                withdrawn, selection, findings = findings, without_effects(selection), ()
-            else:
-                (before, after), searched_again, folds = errors, SearchedAgain(len(folds), ratio), spread
+        verified = verify(selection, errors, folds, problem.valid, options, refitted)
     return TorqueDiagnosis(
         problem=problem,
-        selection=selection,
-        findings=findings,
-        before=before,
-        after=after if findings else before,
+        selection=verified.selection,
+        findings=verified.findings,
+        before=verified.errors.before,
+        after=verified.errors.after if verified.findings else verified.errors.before,
         faults=(*screened.found, *events),
         ruled_out=screened.ruled_out,
         options=options,
-        folds=tuple(folds),
-        withdrawn=withdrawn,
-        searched_again=searched_again,
+        folds=tuple(verified.folds),
+        withdrawn=verified.withdrawn,
+        searched_again=verified.searched_again,
     )
 
 
-def _searched_without(
-    problem: TorqueProblem, folds: Sequence[Mask], options: Options, saturated: bool
-) -> tuple[Array, Array]:
-    """Errors `(joint, sample)` Nm on every sample, from a search of the other blocks, without and with effects.
+class HeldOutTorques(NamedTuple):
+    """Errors of torques on held-out samples, `(joint, sample)` Nm each.
 
-    Whether terms are selected forward or from the saturated model is decided once, in all samples.
+    Attributes:
+        before: with the nuisance alone.
+        after: with the effects that a search of the other samples selects, or that are fitted to them.
     """
-    given = (problem, options, saturated)
-    elsewhere = RemoteWork(held_out_table, given, partial(_of_table, joints=problem.rows))
-    return _in_order(side_by_side(lambda held: _errors_of_search(held, *given), folds, elsewhere), folds, problem)
+
+    before: Array
+    after: Array
+
+    def without_effects(self) -> "HeldOutTorques":
+        """The errors of the nuisance alone, before and after."""
+        return self._replace(after=self.before)
+
+    def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
+        """Whether the effects of a selection raise the errors on samples that were not used."""
+        return self.ratio(selection, kept, folds) > options.heldout_rise
+
+    def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float:
+        """Errors with effects over those without, of the samples `kept`: the mean of the logarithms over folds.
+
+        Of errors whose variance is unknown and differs from fold to fold that is the ratio of likelihoods: one in which
+        a curve meets what it was never fitted to does not decide alone.
+        """
+        problem, ratios = selection.problem, []
+        assert isinstance(problem, TorqueProblem)
+        for fold in folds:
+            held = fold & kept
+            if held.any():
+                squares = [float(np.sum((each[:, held] / problem.sigma[:, held]) ** 2)) for each in self]
+                ratios.append(0.5 * np.log(max(squares[1], 1e-300) / max(squares[0], 1e-300)))
+        return float(np.exp(np.mean(ratios)))
 
 
-def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
-    """The errors on one fold as a table, for another process: of each joint without effects, and then with them."""
-    (one,) = held
-    return pa.table({str(k): row for k, row in enumerate(np.concatenate(_errors_of_search(one, *given)))})
+def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> HeldOutTorques:
+    """The errors on the samples of a fold, with the model that a search of the others selects.
 
-
-def _of_table(table: pa.Table, joints: int) -> tuple[Array, Array]:
-    """The inverse of `held_out_table`."""
-    rows = np.array([table[str(k)].to_numpy() for k in range(2 * joints)])
-    return rows[:joints], rows[joints:]
-
-
-def _errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> tuple[Array, Array]:
-    """As `_errors_without`, with the model that a search of the other samples selects."""
+    Args:
+        held: `(sample,)`, the fold.
+        problem: not linearised.
+        options: thresholds.
+        saturated: whether terms are selected from the saturated model.
+    """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
         return search(there, options.engine, training, thorough=False, saturated=saturated)
 
-    return _errors_without(problem, options, searched, held)
+    return _errors_without(held, problem, options, searched)
+
+
+def _errors_of_refit(held: Mask, problem: TorqueProblem, options: Options, state: State) -> HeldOutTorques:
+    """As `errors_of_search`, with the terms of a state fitted to the other samples."""
+
+    def refitted(there: TorqueProblem, training: Mask) -> Selection:
+        return Selection(there, there, fitted_again(there, there, state, training, options.engine))
+
+    return _errors_without(held, problem, options, refitted)
 
 
 def _errors_without(
-    problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], Selection], held: Mask
-) -> tuple[Array, Array]:
-    """Errors `(joint, held)` Nm on the samples of a fold, from the others, without and with effects.
+    held: Mask, problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], Selection]
+) -> HeldOutTorques:
+    """The errors on the samples of a fold, by a model of the problem linearised at the others, and of these.
 
     The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
-
-    Args:
-        problem: not linearised.
-        options: thresholds.
-        model: of the problem linearised at the training samples, and of these.
-        held: `(sample,)`, the fold.
     """
     near = np.convolve(held, np.ones(3), "same") > 0
     training = ~near & problem.valid
-    there = linearised(problem, options.engine, training)
-    found = model(there, training)
-    state = found.state
-    return _errors(found.reference, state.baseline)[:, held], _errors(found.problem, state.fit)[:, held]
+    found = model(linearised(problem, options.engine, training), training)
+
+    def errors(problem: Problem, fit: Fit) -> Array:
+        assert isinstance(problem, TorqueProblem)
+        return (problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma)[:, held]
+
+    return HeldOutTorques(errors(found.reference, found.state.baseline), errors(found.problem, found.state.fit))
 
 
-def _in_order(
-    of_folds: Sequence[tuple[Array, Array]], folds: Sequence[Mask], problem: TorqueProblem
-) -> tuple[Array, Array]:
-    """The errors `(joint, sample)` on all samples, of those of each fold."""
-    before, after = np.zeros((2, problem.rows, problem.samples))
-    for held, (without, with_effects) in zip(folds, of_folds, strict=True):
-        before[:, held], after[:, held] = without, with_effects
-    return before, after
+# ------------------------------------------------------------------ relative to a reference
 
 
-def _ratio(before: Array, after: Array, problem: TorqueProblem, folds: Sequence[Mask]) -> float:
-    """Held-out errors with effects over those without: the mean of the logarithms over folds.
+@final
+@dataclass(frozen=True, eq=False)
+class EffectDifference:
+    """An effect that one of two recordings shows, as each shows it.
 
-    Of errors whose variance is unknown and differs from fold to fold that is the ratio of likelihoods: one in which a
-    curve meets what it was never fitted to does not decide alone.
+    Attributes:
+        effect: which.
+        here: in the recording; None where it does not show it.
+        there: in the reference.
+        p_value: of a difference as large, family-wise over all effects that are compared; None where one is silent.
     """
-    ratios = []
-    for fold in folds:
-        held = fold & problem.valid
-        if held.any():
-            size = problem.sigma[:, held]
-            squares = [float(np.sum((errors[:, held] / size) ** 2)) for errors in (before, after)]
-            ratios.append(0.5 * np.log(max(squares[1], 1e-300) / max(squares[0], 1e-300)))
-    return float(np.exp(np.mean(ratios)))
+
+    effect: TorqueEffect
+    here: Known | None
+    there: Known | None
+    p_value: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        sides = {"recording": side_entry(self.here), "reference": side_entry(self.there)}
+        differs = None if self.p_value is None else self.p_value < DISAGREE
+        place = {"effect": self.effect.name, "site": self.effect.site}
+        if isinstance(self.effect, UnnamedTorque):
+            place["driver"] = " times ".join(driver.phrase for driver in self.effect.drivers)
+        return {**place, **sides, "p_value": self.p_value, "differs": differs}
 
 
-def _errors(problem: Problem, fit: Fit) -> Array:
-    assert isinstance(problem, TorqueProblem)
-    return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma
+@final
+@dataclass(frozen=True, eq=False)
+class TorqueComparison:
+    """How a recording was compared with its reference.
+
+    Of the same motion row by row: then the findings are what the recording has beyond the reference. Of different
+    motions effect by effect: then they are those of the recording, beside those of the reference.
+
+    Attributes:
+        file: the reference's name.
+        rows: the comparison row by row; None where the motions differ.
+        effects: the comparison effect by effect; none where the motion is the same.
+    """
+
+    file: str
+    rows: RowComparison | None
+    effects: tuple[EffectDifference, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers in SI units."""
+        if self.rows is None:
+            return {"file": self.file, "by": "effects", "differences": [each.to_dict() for each in self.effects]}
+        return {
+            "file": self.file,
+            "by": "rows",
+            "rows": self.rows.rows,
+            "matched_rows": self.rows.matched,
+            "apart_rms_by_joint_Nm": self.rows.apart.tolist(),
+            "reference_rms_by_joint_Nm": self.rows.from_model.tolist(),
+        }
+
+
+def diagnose_torques_against(
+    recording: Recording, reference: Recording, arm: Arm | None = None, **given: Any
+) -> TorqueDiagnosis:
+    """Compares the torques of a recording with those of a reference, and diagnoses what the recording has beyond it.
+
+    Where both hold the same motion, their difference is diagnosed. Otherwise each is diagnosed on its own, and what
+    either shows is compared, with the uncertainty of both.
+
+    Args:
+        recording: with torques.
+        reference: torques of the same arm, or of a simulator.
+        arm: the declared arm; from the recording's sidecar where not given.
+        given: further arguments of `diagnose_torques`.
+
+    Returns:
+        the diagnosis, whose `against` is the comparison.
+
+    Raises:
+        InputError: as `compare_rows` and `diagnose_torques`.
+    """
+    arm = arm or declared_arm_of(recording)
+    by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
+    if by_rows is not None:
+        return replace(
+            diagnose_torques(by_rows.recording, arm, **given), against=TorqueComparison(by_rows.file, by_rows)
+        )
+    found, other = (diagnose_torques(side, arm, **given) for side in (recording, reference))
+    shown: dict[tuple[object, ...], TorqueEffect] = {}
+    for finding in (*found.findings, *other.findings):
+        assert isinstance(finding.effect, TorqueEffect)
+        shown.setdefault(_function(finding.effect), finding.effect)
+    differences = tuple(_difference(effect, found, other, len(shown)) for effect in shown.values())
+    return replace(found, against=TorqueComparison(Path(reference.source).name, None, differences))
+
+
+def _function(effect: Effect) -> tuple[object, ...]:
+    """What two findings have in common that are compared: the name, or the driver of a function without one."""
+    return (effect.site, effect.drivers) if effect.nonparametric else (effect.label,)
+
+
+def _difference(
+    effect: TorqueEffect, found: TorqueDiagnosis, other: TorqueDiagnosis, compared: int
+) -> EffectDifference:
+    if isinstance(effect, UnnamedTorque):
+        here, there = _curves(effect, found, other)
+    else:
+        here, there = known_of(found, effect), known_of(other, effect)
+    p = None
+    if here is not None and there is not None:
+        p = min(1.0, compared * difference_p_value(here, there))
+    return EffectDifference(effect, here, there, p)
+
+
+def _curves(effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosis) -> tuple[Known | None, Known | None]:
+    """A function without a name as both results show it: its values on the rows whose drivers both have in range.
+
+    A result that has another function of the same drivers is fitted with this one in its place.
+    """
+    problem, own, its = found.problem, _driven(found, effect), _driven(other, effect)
+    common = np.zeros(problem.samples, bool)
+    if own is not None and its is not None:
+        low, high = its.min(1, keepdims=True), its.max(1, keepdims=True)
+        common = np.all((own >= low) & (own <= high), 0)
+    functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
+    if functions is None or not functions.any():
+        whole = np.eye(effect.size)
+        here, there = (_fitted_curve(each, effect, whole) if _has(each, effect) else None for each in (found, other))
+        return here, there
+    # the directions that these rows show, each a root mean square of the torque along it
+    _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
+    seen = sizes > _VISIBLE * sizes[0]
+    along = sizes[seen, None] * V[seen]
+    return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
+
+
+def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
+    return any(finding.effect == effect for finding in result.findings)
+
+
+def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
+    """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
+    data, dynamics = result.problem.data, result.problem.dynamics
+    values = [row for driver in effect.of if (row := driver_values(driver, dynamics)) is not None]
+    if len(values) < len(effect.of):
+        return None
+    return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
+
+
+def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> Known:
+    """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
+    at = result.fit
+    if not _has(result, effect):
+        at = fitted_beside(result, effect, lambda term: _function(term) == _function(effect))
+    part = at.terms.slices[at.terms.terms.index(effect)]
+    values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
+    size = float(np.sqrt(values @ values))
+    std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
+    return Known(_has(result, effect), values, covariance, {"rms_Nm": Estimate(size, std)})

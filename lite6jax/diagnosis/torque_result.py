@@ -1,28 +1,22 @@
-"""The result of a diagnosis of torques: findings, data faults, errors before and after, verdict."""
+"""The result of a diagnosis of torques: what it has in another form than that of poses."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.checksum import with_checksum
-from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding, SearchedAgain
-from lite6jax.diagnosis.torque_uncertainty import torque_uncertainty_of
-from lite6jax.diagnosis.verdict import Verdict, nearly_significant
+from lite6jax.arms.joint_units import by_kind
+from lite6jax.diagnosis.document import located, torque_model_entry
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, Rival
+from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
+from lite6jax.domains.torque.description import described
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
-from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.dynamic.catalogue import torque_catalogue
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.effects.effect import Effect
-from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask
-from lite6jax.recordings.fault import DataFault
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import Effect, slides
 from lite6jax.results import PublicResult
-from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
 
@@ -31,66 +25,21 @@ _NORMAL = 1.4826
 
 
 @final
-@dataclass(frozen=True, eq=False, repr=False)
-class TorqueDiagnosis(PublicResult):
-    """What makes measured torques depart from the inverse dynamics of the arm.
+class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
+    """The diagnosis of torques."""
 
-    Attributes:
-        problem: the screened recording as an estimation problem.
-        selection: the search's result: fits without and with the effects.
-        findings: the effects, in the order of their numbers in `fit`.
-        before: `(joint, sample)` Nm, held-out errors with the nuisance alone, of the samples that the filter keeps.
-        after: `(joint, sample)` Nm, with the effects that a search of the other blocks selects; where that rejected
-            the findings and these hold when they are fitted again, with the findings.
-        faults: of the data.
-        ruled_out: faults that were tested for and are not there.
-        options: thresholds.
-        folds: `(sample,)` bool each, the samples that were held out together for `before` and `after`.
-        withdrawn: effects that were significant and raise the held-out errors; they are no findings.
-        searched_again: errors where the search was repeated; None where `before` and `after` are these.
-    """
-
-    problem: TorqueProblem
-    selection: Selection
-    findings: tuple[Finding, ...]
-    before: Array
-    after: Array
-    faults: tuple[DataFault, ...]
-    ruled_out: tuple[DataFault, ...]
-    options: Options
-    folds: tuple[Mask, ...]
-    withdrawn: tuple[Finding, ...] = ()
-    searched_again: SearchedAgain | None = None
-
-    @property
-    def fit(self) -> Fit:
-        """Of the nuisance and all findings."""
-        return self.selection.state.fit
-
-    @property
-    def untestable(self) -> tuple[Untestable, ...]:
-        """Effects that this recording cannot show, and why."""
-        return self.problem.untestable
+    _keys = (
+        *("schema", "domain", "verdict", "before", "after", "left", "withdrawn", "samples", "kept_samples"),
+        *("heldout_blocks", "searched_again", "quick", "filter", "noise", "torque_source", "date", "instrument"),
+        *("data_faults", "ruled_out", "findings", "nearest", "untestable", "confounded", "nuisance", "model"),
+    )
 
     @property
     def confounded(self) -> tuple[Effect, ...]:
         """Effects that are confounded with the inertial numbers that are fitted."""
-        fitted = (
-            torque_catalogue(self.problem.rows, self.problem.data.arm.sliding) if len(self.problem.precision) else ()
-        )
-        return (
-            *(term for term in self.selection.confounded if isinstance(term, Effect)),
-            *(effect for effect in fitted if isinstance(effect, FITTED)),
-        )
-
-    @property
-    def nearest(self) -> tuple[Effect, float] | None:
-        """The most significant effect that is no finding, and its family-wise p-value."""
-        if self.selection.nearest is None:
-            return None
-        term, p_value = self.selection.nearest
-        assert isinstance(term, TorqueEffect)
-        return term, p_value
+        problem = self.problem
+        fitted = torque_catalogue(problem.rows, problem.data.arm.sliding) if len(problem.precision) else ()
+        return (*super().confounded, *(effect for effect in fitted if isinstance(effect, FITTED)))
 
     @cached_property
     def over_noise(self) -> Array | None:
@@ -103,41 +52,95 @@ class TorqueDiagnosis(PublicResult):
         return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1))
 
     @cached_property
-    def verdict(self) -> Verdict:
-        """By the findings and by what is left of the residuals; see `diagnosis.verdict`."""
-        white = self.fit.noise.white
-        as_noise = self.over_noise is not None and bool((self.over_noise <= self.options.as_noise).all())
-        doubtful = not self.withdrawn and nearly_significant(self.selection.nearest, self.options)
-        if not self.findings:
-            unknown = self.over_noise is None and white and not self.withdrawn
-            if not (as_noise or unknown):
-                return "unexplained"
-            return "undetermined" if doubtful else "consistent"
-        if max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
-            return "unnamed"
-        if not as_noise:
-            return "partly_explained"
-        return "undetermined" if doubtful else "explained"
-
-    @cached_property
     def model(self) -> DiagnosedMotors:
-        """The arm with the effects found."""
-        bodies = self.problem.data.bodies
+        """The arm with the effects found, as `read_torque_model` gives it from a file."""
+        problem, fit = self.problem, self.fit
+        against = {} if self.against is None else self.against.to_dict()
         return DiagnosedMotors(
-            arm=self.problem.data.arm,
-            links=self.problem.links_at(self.fit.nuisance),
-            payload_center=bodies.payload_center,
-            gravity=bodies.gravity,
-            terms=self.fit.terms,
-            values=self.fit.values,
-            reference_temperature=self.problem.data.recording.settings.reference_temperature_degC,
-            uncertainty=torque_uncertainty_of(self),
+            arm=problem.data.arm,
+            links=problem.links_at(fit.nuisance),
+            payload_center=problem.data.bodies.payload_center,
+            gravity=problem.data.bodies.gravity,
+            terms=fit.terms,
+            values=fit.values,
+            reference_temperature=problem.data.recording.settings.reference_temperature_degC,
+            uncertainty=uncertainty_of_torques(problem, fit, self.after, self.folds),
+            relative_to=against["file"] if against.get("by") == "rows" else None,
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2` with `domain` "torque": codes, numbers in SI units, a checksum."""
-        from lite6jax.diagnosis.torque_document import (
-            to_torque_document,  # which reads and writes results, and so imports this module
-        )
+    @property
+    def _leaves_noise(self) -> bool:
+        if self.over_noise is None:
+            return not self.findings and self.fit.noise.white and self.withdrawn is None
+        return bool((self.over_noise <= self.options.as_noise).all())
 
-        return with_checksum(to_torque_document(self))
+    def _errors(self, errors: Array) -> dict[str, Any]:
+        """Statistics of held-out errors `(joint, sample)` Nm: over revolute joints, and in N over those that slide."""
+        errors, found = errors[:, self.problem.valid], {}
+        there = errors if errors.size else np.zeros((len(errors), 1))
+        for name, of in STATISTICS.items():
+            found |= by_kind(f"heldout_torque_{name}_Nm", np.abs(there), self.problem.data.arm.slides, of)
+        return found | {"heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
+
+    def _own_parts(self) -> dict[str, Any]:
+        problem, data = self.problem, self.problem.data
+        chosen, settings = data.filter, data.recording.settings
+        raw = problem.noise * np.sqrt(chosen.every)
+        return self._parts(settings) | {
+            "domain": "torque",
+            "before": self._errors(self.before),
+            "after": self._errors(self.after),
+            "left": {
+                "torque_over_noise": None if self.over_noise is None else self.over_noise.tolist(),
+                "white": self.fit.noise.white,
+            },
+            "withdrawn": [located(f.effect) for f in (self.withdrawn.findings if self.withdrawn else ())],
+            "samples": data.recording.samples,
+            "kept_samples": int(problem.valid.sum()),
+            "filter": None
+            if data.recording.motion == "static"
+            else {
+                "rate_Hz": chosen.rate,
+                "cutoff_Hz": chosen.cutoff,
+                "motion_cutoff_Hz": data.motion_cutoff,
+                "every": chosen.every,
+            },
+            "noise": {
+                "declared_torque_Nm": raw.tolist() if problem.declared else None,
+                "estimated_torque_Nm": (raw * self.fit.scale).tolist(),
+            },
+            "torque_source": settings.torque_source,
+            "findings": [self._finding(k) for k in range(len(self.findings))],
+            "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
+            "model": torque_model_entry(self.model, [finding.covariance for finding in self.findings]),
+        }
+
+    def _finding(self, k: int) -> dict[str, Any]:
+        problem, fit, finding = self.problem, self.fit, self.findings[k]
+        effect, sliding = finding.effect, problem.data.arm.slides
+        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))
+        moved = np.tensordot(fit.values[fit.terms.slices[k]], columns, 1) * problem.sigma
+        acts = np.abs(moved).max(1) > 0
+        where = acts if acts.any() else np.ones_like(acts)
+        size: dict[str, Any] = {}
+        if isinstance(effect, UnnamedTorque):
+            size[effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
+            description = described(problem, effect.joint, moved)
+            if description is not None:
+                named = [
+                    {**located(other), "parameters": {other.coordinates[0].name: float(value)}}
+                    for other, value in zip(description.effects, description.values, strict=True)
+                ]
+                size["described_by"] = {"share": description.share, "effects": named}
+        contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], sliding[where], STATISTICS["rms"])
+        contribution["joints"] = (1 + np.flatnonzero(acts)).tolist()
+        others = [rival for rival in finding.rivals if rival.effect not in fit.terms.terms]
+        rivals = [self._rival(rival) for rival in sorted(others, key=lambda rival: rival.gap)]
+        return finding.to_dict(size, contribution, rivals)
+
+    def _rival(self, rival: Rival) -> dict[str, Any]:
+        repeats = "period_m" if slides(rival.effect) else "order"
+        numbers = {key: getattr(rival.effect, key, None) for key in (repeats, "source_joint")}
+        known = {key: value for key, value in numbers.items() if value is not None}
+        status = "rejected" if rival.gap >= self.options.engine.close else "undecided"
+        return {**located(rival.effect), **known, "log_likelihood_gap": rival.gap, "status": status}

@@ -1,24 +1,26 @@
-"""How uncertain the model of a diagnosis is: the covariance of all its numbers, and what is left of it."""
+"""How uncertain a diagnosed model is: the covariance of all its numbers, what is left of it, where it was recorded."""
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.pose.kinematics import whitened
-from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, states_of, with_free_numbers
+from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.estimation.terms import Terms
-
-if TYPE_CHECKING:
-    from lite6jax.diagnosis.result import Diagnosis
-    from lite6jax.domains.pose.predict import DiagnosedArm
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
@@ -29,60 +31,164 @@ _MOST = 2000
 """Rows of which the distance from the others is measured."""
 _BLOCK = 2000
 """Rows of which products are formed at once: the derivatives of hundreds of numbers take half a gigabyte."""
-LEVEL, _SQUARE = 0.95, 7.8147
-"""The share of rows within so many squared standard deviations per axis, of a normal distribution in three axes."""
+_LEVEL = 0.95
+_SQUARES = {1: 3.8415, 3: 7.8147}
+"""Squared standard deviations within which that share of a normal distribution lies, by its number of axes."""
 
 
-def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
-    """How uncertain predictions of a diagnosed model are.
+def uncertainty_of_poses(
+    problem: PoseProblem, fit: Fit, model: DiagnosedArm, kept: Mask, after: Array, folds: Sequence[Mask]
+) -> Uncertainty:
+    """How uncertain predictions of poses are.
 
     The information of the fit is that of its weights, its noise model and its priors, with the derivatives
     that predictions use. What is left of the model is calibrated on held-out rows: with it, with the sensor's noise and
     with the uncertainty of the numbers, 95 % of their errors are as large as they are.
 
     Args:
-        found: the diagnosis.
-        model: its model; its own uncertainty is not used.
+        problem: that was fitted.
+        fit: with all findings.
+        model: with them; its own uncertainty is not used.
+        kept: `(sample,)`, rows that are no outliers.
+        after: `(sample,)` m, held-out errors of positions.
+        folds: `(sample,)` each, the rows that were held out together.
     """
-    problem = found.problem
-    sites, kept = (*problem.frames, *problem.masses), ~found.outliers
+    sites = (*problem.frames, *problem.masses)
     change = Derivatives(model, problem.motion, sites)
     J = change.all()
-    C = _covariance(found, model, J)
+    C = np.zeros((0, 0))
+    if len(J):
+        frames, masses = len(problem.frames), len(problem.masses)
+        moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
+        columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
+        prior = Terms(tuple(freed(effect) for effect in model.physics.effects), fit.terms.bounded).precision
+        known = problem.precision
+        precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]])
+        C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
     blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
     estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
-    left, unseen, noise = _left(found, estimated)
-    curves: list[PerAxis | None] = []
+    left, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
+    curves: list[Array | None] = []
     for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+        curves.append(None)
         if isinstance(effect, Unnamed):
             at = slice(len(sites) + part.start, len(sites) + part.stop)
             moved = np.tensordot(np.asarray(model.values)[part], J[at], 1)[:, kept]
-            curves.append((float(np.sqrt(np.mean(moved[:3] ** 2))), float(np.sqrt(np.mean(moved[3:] ** 2)))))
-        else:
-            curves.append(None)
-    typical = [
-        float(np.sqrt(np.median(estimated[rows][:, kept].mean(0)) + left[k] ** 2)) if kept.any() else np.inf
-        for k, rows in enumerate((slice(0, 3), slice(3, 6)))
-    ]
-    usual = (typical[0], typical[1]) if np.isfinite(typical).all() and min(typical) > 0 else None
-    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change), usual)
+            curves[-1] = np.sqrt([np.mean(moved[:3] ** 2), np.mean(moved[3:] ** 2)])
+    typical = np.full(2, np.inf)
+    if kept.any():
+        typical = np.array([np.median(rows.mean(0)) for rows in np.split(estimated[:, kept], 2)])
+        typical = np.sqrt(typical + left**2)
+    some = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
+    q = problem.recording.joint_position
+    rows = _rows_kept(some)
+    measured = some[np.linspace(0, len(some) - 1, min(_MOST, len(some))).astype(int)]
+    recorded = RecordedRange(
+        joints=np.stack([q[some].min(0), q[some].max(0)], 1),
+        positions=np.round(q[rows], 5),
+        spacing=_spacing(q, measured, rows, folds),
+        drivers=_ranges(change.driver_values(), some),
+    )
+    usual = typical if np.isfinite(typical).all() and typical.min() > 0 else None
+    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), recorded, usual)
 
 
-def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
-    """`(number, number)`, of the nuisance and of the effects' numbers, by derivatives `(number, 6, sample)`."""
-    if not len(J):
-        return np.zeros((0, 0))
-    problem = found.problem
-    frames, masses = len(problem.frames), len(problem.masses)
-    moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
-    columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
-    prior = Terms(tuple(freed(effect) for effect in model.physics.effects), found.fit.terms.bounded).precision
-    known = problem.precision
-    precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]])
-    return covariance_of(found.fit, problem.valid, columns, precision)[: len(J), : len(J)]
+def _left_of_poses(
+    problem: PoseProblem, fit: Fit, estimated: Array, kept: Mask, after: Array, folds: int
+) -> tuple[Array, Array, Array]:
+    """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction.
+
+    The noise is the declared one, or less where the residuals are less: whatever they are more is left of the model.
+    """
+    count = max(int(kept.sum()), 1)
+    scales = fit.scale[problem.groups[[0, -1]]]
+    declared = [known is not None for known in problem.declared_noise]
+    noise = np.where(declared, np.minimum(scales, 1.0), scales) * [problem.noise[0], problem.noise[1] or 0.0]
+    squares = after[kept] ** 2 / _SQUARES[3]
+    position = _excess(squares - _fewer(folds) * estimated[:3, kept].mean(0), noise[0], 3 * count)
+    orientation = 0.0
+    if problem.rows == 6 and problem.noise[1]:
+        lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
+        turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
+        lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
+        # an angle inside the arm that displaces the tool by what is left of positions turns it too
+        orientation = max(_excess(turned / _SQUARES[3], noise[1], 3 * count), position / max(lever, 1e-3))
+    left = np.array([position, orientation])
+    return left, np.sqrt(_relative_error(3 * count) * (noise**2 + left**2)), noise
 
 
-def covariance_of(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Array:
+def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds: Sequence[Mask]) -> Uncertainty:
+    """How uncertain predictions of torques are: as `uncertainty_of_poses`, of each joint.
+
+    Args:
+        problem: that was fitted.
+        fit: with all findings.
+        after: `(joint, sample)` Nm, held-out errors.
+        folds: `(sample,)` each, the samples that were held out together.
+    """
+    terms, values = with_free_numbers(fit.terms, fit.values)
+    columns = problem.nuisance_columns(fit.terms, fit.values)
+    if terms.size:
+        columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
+    C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, terms.precision]))
+    moved = columns * problem.sigma
+    estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
+    left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
+    curves: list[Array | None] = []
+    for effect, part in zip(fit.terms.terms, fit.terms.slices, strict=True):
+        curves.append(None)
+        if isinstance(effect, UnnamedTorque):
+            added = np.tensordot(fit.values[part], problem.columns([effect]), 1) * problem.sigma
+            size = np.sqrt(np.mean(added[effect.joint - 1, problem.valid] ** 2))
+            curves[-1] = size * (np.arange(problem.rows) == effect.joint - 1)
+    kept, at = np.flatnonzero(problem.valid), problem.data.filter.kept[problem.chosen]
+    dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
+    states = states_of(dynamics)[..., at]
+    ranges = np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1)
+    rows = _rows_kept(kept)
+    values_of = {phrase: each[at] for phrase, each in driver_values(fit.terms, dynamics).items()}
+    recorded = RecordedRange(
+        joints=ranges[0],
+        positions=np.round(states[0].T[rows], 5),
+        spacing=_spacing(as_revolute(states[0], "rad", problem.data.arm.slides).T, kept, rows, folds),
+        drivers=_ranges(values_of, kept),
+        velocities=ranges[1],
+        accelerations=ranges[2],
+    )
+    sites = link_sites(problem.rows) if len(problem.directions) else ()
+    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), recorded)
+
+
+def _left_of_torques(
+    problem: TorqueProblem, fit: Fit, estimated: Array, after: Array, folds: int
+) -> tuple[Array, Array, Array]:
+    """As `_left_of_poses`, `(joint,)` Nm each.
+
+    Held-out errors are those of filtered torques. What the filter takes from a row is added: a prediction is not
+    filtered.
+    """
+    kept, data = problem.valid, problem.data
+    dynamics = data.bodies.dynamics(problem.links_at(fit.nuisance))
+    time = np.asarray(dynamics.motion.time)
+    rough = shown_torques(fit.terms, fit.values, dynamics, time, data.filter.runs) - data.torque
+    fine = (rough - data.filter.whole(rough))[:, data.filter.kept[problem.chosen]]
+    squares = (after + fine)[:, kept] ** 2 / _SQUARES[1]
+    noise = 1.4826 * np.median(np.abs(rough), axis=1)
+    if problem.declared:
+        noise = np.minimum(noise, problem.noise * np.sqrt(data.filter.every))
+    left, unseen = np.zeros((2, problem.rows))
+    moving = problem.sigma[:, kept] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
+    for j in range(problem.rows):
+        worth = moving[j].sum() / fit.noise.models[j].time
+        left[j] = _excess((squares[j] - _fewer(folds) * estimated[j, kept])[moving[j]], float(noise[j]), worth)
+        unseen[j] = np.sqrt(_relative_error(worth) * (noise[j] ** 2 + left[j] ** 2))
+    return left, unseen, noise
+
+
+# ------------------------------------------------------------------ of both
+
+
+def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Array:
     """The covariance `(number, number)` of fitted numbers: of the weights of a fit, its noise model and its priors.
 
     Args:
@@ -103,65 +209,41 @@ def covariance_of(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Ar
     return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 
 
-def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:
-    """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction.
-
-    The noise is the declared one, or less where the residuals are less: whatever they are more is left of the model.
-    """
-    problem, fit, kept = found.problem, found.fit, ~found.outliers
-    count = max(int(kept.sum()), 1)
-    scales = fit.scale[problem.groups[[0, -1]]]
-    scale = [
-        float(s if declared is None else min(s, 1.0))
-        for s, declared in zip(scales, problem.declared_noise, strict=True)
-    ]
-    noise = scale[0] * problem.noise[0], scale[1] * (problem.noise[1] or 0.0)
-    folds = len(found.folds)
-    fewer = folds / (folds - 1)  # numbers that were estimated without a block
-    squares = found.after[kept] ** 2 / _SQUARE
-    position = excess(squares - fewer * estimated[:3, kept].mean(0), noise[0], 3 * count)
-    orientation = 0.0
-    if problem.rows == 6 and problem.noise[1]:
-        lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
-        turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
-        lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
-        # an angle inside the arm that displaces the tool by what is left of positions turns it too
-        orientation = max(excess(turned / _SQUARE, noise[1], 3 * count), position / max(lever, 1e-3))
-    left = position, orientation
-    unseen = [float(np.sqrt(relative_error(3 * count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
-    return left, (unseen[0], unseen[1]), noise
+def _fewer(folds: int) -> float:
+    """By how much more variable numbers are that are estimated without one of so many blocks."""
+    return folds / (folds - 1)
 
 
-def relative_error(numbers: float) -> float:
+def _relative_error(numbers: float) -> float:
     """The standard error of a variance, over the variance, from so many independent numbers."""
     return float(np.sqrt(2 / max(numbers, 1.0)))
 
 
-def excess(variance: Array, noise: float, numbers: float) -> float:
-    """The standard deviation that, beside the noise, is enough for 95 % of rows that each ask for a variance.
+def _excess(variance: Array, noise: float, numbers: float) -> float:
+    """The standard deviation left beside the noise, so that 95 % of rows are within what they ask for.
 
     What the rows ask for is uncertain, and an excess is not negative: its mean given both (of a truncated normal
     distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate Distributions, 1994, 13.10).
 
     Args:
-        variance: `(row,)`.
+        variance: `(row,)`, that each row asks for.
         noise: one standard deviation.
         numbers: that the rows are worth, if they were independent.
     """
     if not variance.size:
         return 0.0
-    asked = float(np.quantile(variance, LEVEL)) - noise**2
-    error = max(relative_error(numbers) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
+    asked = float(np.quantile(variance, _LEVEL)) - noise**2
+    error = max(_relative_error(numbers) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
     z = asked / error
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
 
-def rows_kept(rows: Rows) -> Rows:
+def _rows_kept(rows: Rows) -> Rows:
     """Those of the indices of rows that a model keeps, from which the distance is measured."""
     return np.unique(rows[np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).astype(int)])
 
 
-def spacing_of(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
+def _spacing(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
     """The distance from a row to the nearest kept one of other blocks that 95 % of rows do not exceed, rad.
 
     Args:
@@ -175,21 +257,9 @@ def spacing_of(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float
         held, others = rows[fold[rows]], kept[~fold[kept]]
         if held.size and others.size:
             distances.append(distance_to(q[others], q[held]))
-    return float(np.quantile(np.concatenate(distances), LEVEL)) if distances else 0.0
+    return float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0
 
 
-def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
-    problem, kept = found.problem, np.flatnonzero(~found.outliers)
-    kept = kept if kept.size else np.arange(problem.samples)
-    q = problem.recording.joint_position
-    rows = rows_kept(kept)
-    some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
-    return RecordedRange(
-        joints=np.stack([q[kept].min(0), q[kept].max(0)], 1),
-        positions=np.round(q[rows], 5),
-        spacing=spacing_of(q, some, rows, found.folds),
-        drivers={
-            phrase: (float(values[kept].min()), float(values[kept].max()))
-            for phrase, values in change.driver_values().items()
-        },
-    )
+def _ranges(drivers: Mapping[str, Any], rows: Rows) -> dict[str, tuple[float, float]]:
+    """The least and the greatest value of each driver over some rows."""
+    return {phrase: (float(values[rows].min()), float(values[rows].max())) for phrase, values in drivers.items()}

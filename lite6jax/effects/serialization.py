@@ -14,10 +14,8 @@ from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.friction import SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.schema import number, plain, record
+from lite6jax.schema import Positive, check, record, require_finite
 
-ESTIMATE = record({}, {"value": number(), "std": number(0.0)})
-"""A parameter in the JSON form of an effect."""
 _TYPES = {
     int: "a whole number",
     float: "a number",
@@ -25,8 +23,8 @@ _TYPES = {
     bool: "true or false",
     tuple: "a list of numbers",
 }
-
-
+_ESTIMATE = record({}, {"value": float, "std": Positive})
+"""A parameter in the JSON form of an effect."""
 _TRANSITION = "transition_rad_per_s"
 """The field of Coulomb friction that says nothing where it is sharp."""
 _OF_SLIDE = "of_slide"
@@ -191,14 +189,14 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
-    plain(where, f"{kind.name}: where")
+    require_finite(where, f"{kind.name}: where")
     effect = _build(kind, where)
     if document.get("site", effect.site) != effect.site:
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
     numbers = {}
     for name, value in parameters.items():
         if isinstance(value, Mapping):
-            ESTIMATE(value, f"{effect.label}: {name}")
+            check(value, _ESTIMATE, f"{effect.label}: {name}")
             value = value.get("value")
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{effect.label}: {name} is {value!r}; give a number")

@@ -1,71 +1,64 @@
 """What the document of a fleet must be to be shown again."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from lite6jax.errors import InputError
 from lite6jax.populations.population import POINTS, SCHEMA
-from lite6jax.schema import array, flag, items, mapping, number, one_of, optional, record, text
+from lite6jax.schema import ESTIMATE, PLACE, Positive, Share, check, record
 
-_P_VALUE = number(0.0, 1.0)
-_INTERVAL = array(2)
-_NAMED = {"effect": text, "site": text, "driver": text}
-_CHOSEN = {"order": number(0.0), "source_joint": number(1)}
-_ESTIMATE = record({"value": number(), "std": number(0.0)})
+_INTERVAL = tuple[float, float]
+_CURVE = Annotated[list[float], Meta(min_length=POINTS, max_length=POINTS)]
+_DEVIATIONS = Annotated[list[Positive], Meta(min_length=POINTS, max_length=POINTS)]
+_CHOSEN: dict[str, Any] = {"order": Positive, "source_joint": Annotated[float, Meta(ge=1.0)]}
+_PARAMETER = record({"mean": float, "std": Positive, "interval_95": _INTERVAL, "between_std": Positive})
+_SLOPE = record({"value": float, "std": Positive, "interval_95": _INTERVAL})
+_ARM = record({"file": str, "parameters": dict[str, ESTIMATE], "outlier_p_value": Share | None})
+_RIVAL = record(PLACE | {"log_likelihood_gap": float}, _CHOSEN)
 _EFFECT = record(
     {
-        **_NAMED,
-        "found_by": one_of("mean", "any", "drift", "one"),
-        "p_value": _P_VALUE,
-        "parameters": mapping(
-            record({"mean": number(), "std": number(0.0), "interval_95": _INTERVAL, "between_std": number(0.0)})
-        ),
-        "between_p_value": _P_VALUE,
-        "arms": items(record({"file": text, "parameters": mapping(_ESTIMATE), "outlier_p_value": optional(_P_VALUE)})),
-        "rivals": items(record({**_NAMED, "log_likelihood_gap": number()}, _CHOSEN)),
+        **PLACE,
+        "found_by": Literal["mean", "any", "drift", "one"],
+        "p_value": Share,
+        "parameters": dict[str, _PARAMETER],
+        "between_p_value": Share,
+        "arms": list[_ARM],
+        "rivals": list[_RIVAL],
     },
     {
         **_CHOSEN,
-        **dict.fromkeys(("amplitude_rms_rad", "amplitude_rms_Nm"), number(0.0)),
-        "curve": record(
-            {
-                "name": text,
-                **dict.fromkeys(("driver", "mean"), items(number(), POINTS)),
-                "std": items(number(0.0), POINTS),
-            }
-        ),
-        "nearest": record({**_NAMED, "share": number(0.0, 1.0)}, _CHOSEN),
-        "drift": record(
-            {
-                "p_value": _P_VALUE,
-                "per_day": mapping(record({"value": number(), "std": number(0.0), "interval_95": _INTERVAL})),
-            }
-        ),
+        **dict.fromkeys(("amplitude_rms_rad", "amplitude_rms_Nm"), Positive),
+        "curve": record({"name": str, "driver": _CURVE, "mean": _CURVE, "std": _DEVIATIONS}),
+        "nearest": record(PLACE | {"share": Share}, _CHOSEN),
+        "drift": record({"p_value": Share, "per_day": dict[str, _SLOPE]}),
     },
 )
+_FOUND_ALONE, _OUTLIER = record({"label": str, "p_value": Share}), record(PLACE, _CHOSEN)
 _RECORDING = record(
     {
-        "file": text,
-        "used": flag,
-        "reason": optional(text),
-        "date": optional(text),
-        "verdict": optional(text),
-        "found_alone": items(record({"label": text, "p_value": _P_VALUE})),
-        "outlier_in": items(record(_NAMED, _CHOSEN)),
+        "file": str,
+        "used": bool,
+        "reason": str | None,
+        "date": str | None,
+        "verdict": str | None,
+        "found_alone": list[_FOUND_ALONE],
+        "outlier_in": list[_OUTLIER],
     }
 )
 _DOCUMENT = record(
     {
-        "schema": one_of(SCHEMA),
-        "arm": text,
-        "over": optional(one_of("date")),
-        "mean_date": optional(text),
-        "level": _P_VALUE,
-        "searched": number(0.0),
-        "recordings": items(_RECORDING),
-        "effects": items(_EFFECT),
+        "schema": Literal[SCHEMA],
+        "arm": str,
+        "over": Literal["date"] | None,
+        "mean_date": str | None,
+        "level": Share,
+        "searched": Positive,
+        "recordings": list[_RECORDING],
+        "effects": list[_EFFECT],
     },
-    {"checksum": text},
+    {"checksum": str},
 )
 
 
@@ -81,6 +74,6 @@ def check_fleet_document(document: Any, path: str | Path) -> None:
         InputError: with the path, the place, and the remedy.
     """
     try:
-        _DOCUMENT(document, "fleet")
+        check(document, _DOCUMENT, "fleet")
     except InputError as error:
         raise InputError(f"{path}: {error}; run `lite6jax diagnose --fleet` again") from error

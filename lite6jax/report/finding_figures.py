@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from lite6jax.diagnosis import partial_residuals, torque_curves
+from lite6jax.diagnosis import partial_residuals
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -64,7 +64,9 @@ def torque_finding_figure(
     """As `finding_figure`, of a diagnosis of torques."""
     order = range(len(found.findings)) if order is None else order
     places = order if chosen is None else chosen
-    return _curves_figure([torque_curves.finding_curve(found, k) for k in places], found, title, order)
+    return _curves_figure(
+        [curve for k in places for curve in partial_residuals.finding_curves(found, k)], found, title, order
+    )
 
 
 def _curves_figure(

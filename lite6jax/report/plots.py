@@ -20,7 +20,6 @@ from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
@@ -194,7 +193,7 @@ def _diagnosis(found: Diagnosis, title: str) -> Figures:
 @draw.register
 def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> Figures:
     title = title or Path(found.problem.data.recording.source).name
-    return _drawn(found, to_torque_document(found), torque_figures.drawings, title)
+    return _drawn(found, to_document(found), torque_figures.drawings, title)
 
 
 @draw.register

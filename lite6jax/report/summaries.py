@@ -12,7 +12,6 @@ from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
@@ -393,7 +392,7 @@ def _diagnosis(found: Diagnosis) -> Description:
 
 @describe.register
 def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
-    document = to_torque_document(found)
+    document = to_document(found)
     findings = torque_statements.findings_of(document)
     shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
     sentences = [worth.headline(document), torque_statements.verdict_statement(document)]

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
-from lite6jax.diagnosis import torque_curves
+from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank
 from lite6jax.report.cells import joint_units, torque_units
@@ -35,7 +35,7 @@ def drawings(found: TorqueDiagnosis, title: str, order: Sequence[int] | None = N
     yield "error_by_joint", error_by_joint(found, title)
     yield "over_time", over_time(found, title)
     yield "friction", friction(found, title)
-    if (shown := torque_curves.spectra(found)) is not None:
+    if (shown := evidence_map.spectra(found)) is not None:
         yield "spectra", spectra(found, shown, title)
     if found.findings:
         yield "findings", torque_finding_figure(found, title, order=order)
@@ -75,7 +75,7 @@ def error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
 
 def over_time(found: TorqueDiagnosis, title: str) -> Figure:
     """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
-    shown, exerted = torque_curves.torques_over_time(found), _exerted(found)
+    shown, exerted = evidence_map.torques_over_time(found), _exerted(found)
     lines = (
         ("measured", shown.measured, {"color": "black", "linewidth": 3.5, "alpha": 0.35}),
         ("rigid body", shown.rigid, {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"}),
@@ -96,7 +96,7 @@ def over_time(found: TorqueDiagnosis, title: str) -> Figure:
 
 def friction(found: TorqueDiagnosis, title: str) -> Figure:
     """The torque that the model without friction leaves at each joint over its velocity, and the friction found."""
-    joints, exerted = torque_curves.joint_frictions(found), _exerted(found)
+    joints, exerted = evidence_map.joint_frictions(found), _exerted(found)
     scales, angles = joint_units(found.problem.data.arm.sliding, len(joints))
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(joints), wide=True)
@@ -114,7 +114,7 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
     return figure
 
 
-def spectra(found: TorqueDiagnosis, shown: torque_curves.Spectra, title: str) -> Figure:
+def spectra(found: TorqueDiagnosis, shown: evidence_map.Spectra, title: str) -> Figure:
     """Spectra of the recorded velocities and torques of each joint, and where the low passes cut them."""
     data = found.problem.data
     parts = (
@@ -147,7 +147,7 @@ def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
     return [("force" if unit == "N" else "torque", unit) for unit in units]
 
 
-def _draw_friction(panel: Axes, joint: torque_curves.JointFriction, scale: float) -> None:
+def _draw_friction(panel: Axes, joint: evidence_map.JointFriction, scale: float) -> None:
     dots(panel, scale * joint.velocity, joint.partial, GREY)
     panel.axhline(0, color="black", linewidth=1)
     if len(joint.at):

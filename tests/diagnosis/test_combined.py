@@ -14,11 +14,9 @@ from typed import flat, run
 
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
-from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined
-from lite6jax.diagnosis.document import read_model, write_document
-from lite6jax.diagnosis.shared import shared_by
-from lite6jax.diagnosis.torque_document import read_torque_model
-from lite6jax.diagnosis.torque_reference import TorqueComparison
+from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined, shared_by
+from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
+from lite6jax.diagnosis.torque_diagnosis import TorqueComparison
 from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.effects.kinematic.joints import JointCompliance
@@ -236,7 +234,7 @@ def test_both_are_diagnosed_with_their_effects_and_references(recording, found, 
     def torques(_, reference, *given, **options):
         asked["torques"] = options["effects"]
         asked["reference"] = reference
-        return found.torques, TorqueComparison("earlier.csv", None)
+        return replace(found.torques, against=TorqueComparison("earlier.csv", None))
 
     monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", poses)
     monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_torques_against", torques)

@@ -23,6 +23,7 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.diagnose import diagnose as diagnose_with
 from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.explanation import Case
 from lite6jax.diagnosis.explanation import explain as explain_with
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import pose_problem
@@ -68,7 +69,7 @@ def diagnose(recording, **given):
 
 
 def explain(recording):
-    return explain_with(recording, None, "declared", Options())
+    return explain_with(Case(recording, None, "declared", Options()))
 
 
 def rms(errors):

@@ -5,8 +5,9 @@ import threading
 import numpy as np
 import pytest
 
-from lite6jax.diagnosis.folds import block_count, fold_count, side_by_side, spread_folds
+from lite6jax.diagnosis.heldout import fold_count, side_by_side, spread_folds
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import block_count
 from lite6jax.estimation.noise import UNCORRELATED, Autocorrelation, NoiseModel
 from lite6jax.progress import Stage, entered, followed
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import to_document
-from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic.joints import JointHarmonic
@@ -42,14 +42,14 @@ def test_orders_that_are_one_wave_at_taught_positions_are_named_beside_the_lowes
     q = np.radians(np.round(np.degrees(still["joint_position"]) / 2) * 2)
     taught = {**still, "joint_position": q}
     recording = deflected(arm, taught, 2, 6e-4 * np.sin(2 * q[:, 1] + 0.5))
-    (tested,) = explain(recording, None, "declared", OPTIONS, thorough=True).selection.state.tested
+    (tested,) = explain(Case(recording, None, "declared", OPTIONS, thorough=True)).selection.state.tested
     assert (tested.term.site, tested.term.order) == ("joint2", 2.0)
     same = [one.term.order for one in tested.alternatives if isinstance(one.term, JointHarmonic) and one.gap < 1e-6]
     assert same == [178.0, 182.0, 358.0]
 
 
 def terms(recording, thorough=False):
-    found = explain(recording, None, "declared", OPTIONS, thorough=thorough).selection.state
+    found = explain(Case(recording, None, "declared", OPTIONS, thorough=thorough)).selection.state
     return found.fit.terms.terms
 
 
@@ -77,7 +77,7 @@ def test_two_slow_waves_over_a_part_of_a_turn_are_no_offset_and_no_scale(tmp_pat
 def test_a_tooth_that_is_skipped_is_a_step_in_time_of_one_joint(arm, still, joint):
     """Of a joint near the flange a jump of the tool explains as much, with more numbers."""
     recording = deflected(arm, still, joint, 1e-3 * (still["time"] > 0.4 * still["time"].max()))
-    found = explain(recording, None, "declared", OPTIONS)
+    found = explain(Case(recording, None, "declared", OPTIONS))
     assert not found.screened.count("frame_jump")
     (step,) = found.selection.state.fit.terms.terms
     assert (step.name, step.site, step.driver) == ("unnamed", f"joint{joint}", "time")
@@ -111,7 +111,7 @@ def test_what_a_mount_does_has_no_name_and_its_own_driver(tmp_path):
 @pytest.mark.long
 def test_what_a_zone_does_is_said_to_be_a_function_of_its_joint(tmp_path):
     """In these 366 rows with autocorrelated noise, a function of two other positions is as likely: both are said."""
-    (tested,) = explain(drawn(tmp_path, 2216, 360), None, "declared", OPTIONS).selection.state.tested
+    (tested,) = explain(Case(drawn(tmp_path, 2216, 360), None, "declared", OPTIONS)).selection.state.tested
     same = [tested.term, *(one.term for one in tested.alternatives if one.gap < OPTIONS.engine.close)]
     drivers = [term.driver for term in same if (term.name, term.site) == ("unnamed", "joint3")]
     assert "position of joint 3 and direction of motion of joint 3" in drivers
@@ -152,7 +152,7 @@ def test_what_one_joint_does_keeps_its_names(tmp_path, trial, labels):
     had stopped, so that wind-up was called likelier.
     """
     recording = drawn(tmp_path, 2223, trial)
-    tested = explain(recording, None, "declared", OPTIONS).selection.state.tested
+    tested = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert sorted(one.term.label for one in tested) == labels
     orders = [one.term.order for one in tested if one.term.name == "joint_harmonic"]
     assert orders == [1.0, 2.0][: len(orders)]
@@ -175,7 +175,7 @@ def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
     15, but each of its two names is less likely beside a wrong one.
     """
     recording = drawn(tmp_path, 2226, 1320)
-    found = explain(recording, None, "declared", OPTIONS).selection.state.tested
+    found = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert sorted(one.term.label for one in found) == ["joint_compliance:joint4", "link_compliance:link4"]
 
 
@@ -184,7 +184,7 @@ def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
 def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial):
     """Before, a base that gives way in all directions; the truth is likelier by 10 to 20, with its three numbers."""
     recording = drawn(tmp_path, *trial)
-    found = explain(recording, None, "declared", OPTIONS).selection.state
+    found = explain(Case(recording, None, "declared", OPTIONS)).selection.state
     assert sorted(one.term.label for one in found.tested) == ["base_compliance:base", "joint_compliance:joint2"]
     assert found.fit.terms.size == 3
 
@@ -192,7 +192,7 @@ def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial)
 def test_a_name_lists_a_step_at_its_site_that_explains_as_much(tmp_path):
     """A joint that steps in its range looks like one with play where 17 rows approach either side from its own."""
     recording = drawn(tmp_path, 2463, 348)
-    (found,) = explain(recording, None, "declared", OPTIONS).selection.state.tested
+    (found,) = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert found.term.label == "joint_backlash:joint1"
     likely = [one.term for one in found.alternatives if one.gap < 0.5 and one.term.nonparametric]
     assert ("joint1", "position of joint 1") in [(one.site, one.driver) for one in likely]
@@ -202,7 +202,7 @@ def test_a_name_lists_a_step_at_its_site_that_explains_as_much(tmp_path):
 def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
     """A spring that yields is wind-up and compliance; of the latter these 1185 rows show nothing."""
     recording = drawn(tmp_path, 2226, 874)
-    (found,) = explain(recording, None, "declared", OPTIONS).selection.state.tested
+    (found,) = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert found.term.label == "joint_windup:joint3"
     assert "unnamed:joint3" in [one.term.label for one in found.alternatives if one.gap < 1.0]
 
@@ -226,7 +226,7 @@ def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, c
     drifting = lfilter([1], [1, -coefficient], innovations, axis=0)[1000:]
     recording = arm.recording(motion)
     noisy = replace(recording, position=recording.position + 2e-5 * drifting)
-    found = explain(noisy, None, "declared", OPTIONS).selection.state
+    found = explain(Case(noisy, None, "declared", OPTIONS)).selection.state
     assert found.fit.terms.terms == ()
     assert not found.fit.noise.white
 
@@ -302,7 +302,7 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
 
 def test_a_name_stays_that_explains_much_more_than_is_left_at_its_joint(arm, still):
     q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
-    found = explain(deflected(arm, still, 5, 6e-4 * rough + 8e-3 * q), None, "declared", OPTIONS, thorough=False)
+    found = explain(Case(deflected(arm, still, 5, 6e-4 * rough + 8e-3 * q), None, "declared", OPTIONS, thorough=False))
     assert [term.label for term in found.selection.state.fit.terms.terms] == ["joint_scale:joint5"]
     assert concentration(found.problem, found.selection.state.fit, OPTIONS.engine).site == "joint5"
 

@@ -109,7 +109,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     (folder / "broken.csv").write_text("q1_rad\n")
     monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
     monkeypatch.setattr(folder_command, "check_processes", lambda processes, scheduler: None)
-    monkeypatch.setattr("lite6jax.cli.diagnose_fleet.check_processes", lambda processes, scheduler: None)
+    monkeypatch.setattr("lite6jax.cli.diagnose_folder.check_processes", lambda processes, scheduler: None)
     options = ["--out", str(results), "--quick", "--processes", "0"]
 
     def stopped(*arguments):
@@ -120,7 +120,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
         assert main(["diagnose", "--fleet", str(folder), *options]) == 130
     capsys.readouterr()
     with monkeypatch.context() as patched:  # a run that was ended while it pooled diagnoses nothing again
-        patched.setattr("lite6jax.cli.diagnose_fleet.run_on_folder", None)
+        patched.setattr("lite6jax.cli.diagnose_folder.run_on_folder", None)
         assert main(["diagnose", "--fleet", str(folder), *options]) == 0
     said = flat(capsys.readouterr().out)
     document = json.loads((results / "fleet.json").read_text())

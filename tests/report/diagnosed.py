@@ -8,7 +8,7 @@ import numpy as np
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.document import to_document
-from lite6jax.diagnosis.folds import held_out_folds
+from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import pose_problem
@@ -69,7 +69,7 @@ def diagnosed(recording, effects, outliers=()):
     )
     selection = Selection(problem, problem, state, catalogue(6)[:2])
     folds = tuple(held_out_folds(problem, options))
-    return Diagnosis(problem, selection, findings, before, after, wild, (), (), (), options, folds)
+    return Diagnosis(problem, selection, findings, before, after, (), (), options, folds, outliers=wild)
 
 
 def waves(joint):

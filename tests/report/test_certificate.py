@@ -12,8 +12,7 @@ from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 from typed import flat, run
 
-from lite6jax.diagnosis.document import write_document
-from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.diagnosis.document import to_document, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.report.certificate import Stated, certificate, write_certificate
 from lite6jax.report.torque_statements import with_statements
@@ -30,7 +29,7 @@ def document(tmp_path_factory):
 @pytest.fixture(scope="module")
 def motors():
     found = torques_diagnosed(torques_recorded(), (ViscousFriction(2), CoulombFriction(2)))
-    return {**with_statements(to_torque_document(found)), "inputs": INPUTS}
+    return {**with_statements(to_document(found)), "inputs": INPUTS}
 
 
 def texts(figure):

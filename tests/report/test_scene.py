@@ -8,8 +8,7 @@ from diagnosed import COMPLIANCE, HARMONIC, LITE6, diagnosed, documented, record
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
-from lite6jax.diagnosis.document import model_from_document
-from lite6jax.diagnosis.torque_document import to_torque_document, torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document, to_document, torque_model_from_document
 from lite6jax.domains.pose.predict import predict
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.model import ArmModel
@@ -36,9 +35,7 @@ def scene(poses):
 @pytest.fixture(scope="module")
 def motors():
     recording = torques_recorded()
-    document = with_statements(
-        to_torque_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))))
-    )
+    document = with_statements(to_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2)))))
     return document, torque_model_from_document(document), recording
 
 

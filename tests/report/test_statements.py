@@ -27,7 +27,6 @@ from rich.text import Text
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.document import to_document
-from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
@@ -219,7 +218,7 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
     inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
     turned = np.multiply.outer(np.array(WAVES), inside)
     truth = AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
-    swing, std = peak_to_peak(wavy, 0)
+    swing, std = wavy.peak_to_peak(0)
     assert 0 < std < 3e-5
     assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
     value, spread = rounded(1e3 * swing, 1e3 * std)

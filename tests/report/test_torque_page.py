@@ -12,8 +12,9 @@ from torque_diagnosed import COULOMB, EFFECTS, LITE6, VISCOUS, diagnosed, moved,
 
 import lite6jax
 from lite6jax.cli import main
-from lite6jax.diagnosis import torque_curves
-from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.diagnosis import evidence_map
+from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.partial_residuals import finding_curves
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
@@ -27,7 +28,7 @@ FRICTION = (ViscousFriction(2), CoulombFriction(2))
 
 
 def documented(found):
-    return with_statements(to_torque_document(found))
+    return with_statements(to_document(found))
 
 
 def paged(found, source="run.csv"):
@@ -126,14 +127,14 @@ def test_torques_over_time(found, drawn):
     assert figure.legends[0].get_texts()[0].get_text() == "measured"
     measured, rigid, modelled = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.sqrt(np.mean((measured - rigid) ** 2)) > 10 * np.sqrt(np.mean((measured - modelled) ** 2))
-    shown = torque_curves.torques_over_time(found)
+    shown = evidence_map.torques_over_time(found)
     time = np.asarray(found.problem.data.time)
     at = np.searchsorted(time, shown.time[0])
     np.testing.assert_allclose(shown.measured, found.problem.measured[:, at : at + len(shown.time)])
 
 
 def test_friction_is_a_line_through_what_is_left(found, drawn):
-    friction = torque_curves.joint_frictions(found)[1]
+    friction = evidence_map.joint_frictions(found)[1]
     away = np.abs(friction.at) > 0.05
     planted = VISCOUS * friction.at + COULOMB * np.sign(friction.at)
     np.testing.assert_allclose(friction.friction[away], planted[away], atol=0.05)
@@ -155,7 +156,7 @@ def test_every_kind_of_finding_draws():
         *(label for label in labels[6:]),
     ]
     assert all(re.fullmatch(r"fitted torque at joint \d \(Nm\)", label) for label in labels[6:])
-    for curve in (torque_curves.finding_curve(found, k) for k in range(len(EFFECTS))):
+    for (curve,) in (finding_curves(found, k) for k in range(len(EFFECTS))):
         assert np.isfinite(np.concatenate([curve.driver, curve.partial, curve.at, curve.curve, curve.std])).all()
         assert np.all(np.diff(curve.at) >= 0)
 
@@ -169,7 +170,7 @@ def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     extra[1] = bump * np.sign(dq[1]) if signed else bump
     curve = UnnamedTorque(2, "position of joint 2", float(q[1].min()), float(q[1].max()), 10, signed)
     found = diagnosed(recorded(friction=False, extra=extra), (curve,))
-    shown = torque_curves.finding_curve(found, 0)
+    (shown,) = finding_curves(found, 0)
     planted = 0.8 * np.exp(-(((shown.at - q[1].mean()) / 0.25) ** 2))
     assert np.sqrt(np.mean((shown.curve - planted) ** 2)) < 0.05
     near = np.interp(shown.driver, shown.at, shown.curve)
@@ -214,7 +215,7 @@ def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
     drivers = "position of joint 2 and velocity of joint 2"
     curve = UnnamedTorque(2, drivers, float(q[1].min()), float(q[1].max()), degree=2, further=further)
     found = diagnosed(recorded(), (curve,))
-    shown = torque_curves.finding_curve(found, 0)
+    (shown,) = finding_curves(found, 0)
     assert shown.hysteresis
     assert shown.at.shape == shown.curve.shape == shown.partial.shape
     assert "position of joint 2 and the velocity of joint 2" in text_of(paged(found))

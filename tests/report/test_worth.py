@@ -9,7 +9,7 @@ from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_mak
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
-from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.diagnosis.document import to_document
 from lite6jax.effects import catalogue
 from lite6jax.effects.dynamic import catalogue as dynamic
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
@@ -180,7 +180,7 @@ def test_what_is_no_error_of_the_arm_is_not_compensated(found, at):
 
 
 def test_of_torques_the_worth_is_that_at_the_joint(motors):
-    document = to_torque_document(motors)
+    document = to_document(motors)
     main = worth.ranked(document)[0]
     assert main["joints"] == [2]
     before, after = (document[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after"))
@@ -199,7 +199,7 @@ def test_a_compliance_is_a_stiffness_too_and_a_rate_a_drift_per_day():
 
 
 def test_each_remedy_is_said_once_with_the_findings_that_it_is_for(motors, found):
-    assert [ranks for ranks, _ in next_steps.actions(to_torque_document(motors))] == [[1, 2]]
+    assert [ranks for ranks, _ in next_steps.actions(to_document(motors))] == [[1, 2]]
     assert sorted(rank for ranks, _ in next_steps.actions(documented(found)) for rank in ranks) == [1, 2]
 
 
@@ -213,7 +213,7 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     assert shlex.split(apart)[2:] == [str(tmp_path / "other" / "d.json"), str(recording)]
     first = next_steps.steps(documented(found), Files(recording))[0].command
     assert shlex.split(first)[1:] == ["diagnose", str(recording), "--out", "my run_diagnosis.json"]
-    lines = [step.command for step in next_steps.steps(to_torque_document(motors), Files(recording, diagnosis))]
+    lines = [step.command for step in next_steps.steps(to_document(motors), Files(recording, diagnosis))]
     assert [shlex.split(line)[1] for line in lines] == ["predict", "convert", "view", "report"]
     own = {**documented(found), "findings": [{**documented(found)["findings"][0], "effect": "cable_drag"}]}
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
@@ -223,7 +223,7 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
 
 def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
     recording, diagnosis, mine = (tmp_path / name for name in ("run.csv", "d.json", "mine.py"))
-    document = to_torque_document(motors)
+    document = to_document(motors)
     own = {**document, "findings": [{**document["findings"][0], "effect": "air_drag"}, *document["findings"][1:]]}
     # without the file of the effect, no command reads the model
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]

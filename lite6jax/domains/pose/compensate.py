@@ -20,8 +20,7 @@ from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
-from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, recording_of, require_model
-from lite6jax.domains.pose.uncertainty import bars_of
+from lite6jax.domains.pose.predict import DiagnosedArm, bars_of, has_memory, recording_of, require_model
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.effects.motion import Motion

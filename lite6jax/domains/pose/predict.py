@@ -1,7 +1,11 @@
-"""The model of a diagnosed arm: evaluated as a JAX function, predicted over a motion."""
+"""The model of a diagnosed arm: evaluated as a JAX function, and predicted over a motion with standard deviations.
 
+Those are of the true pose from the predicted one. The sensor's noise is no part of them.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -12,15 +16,30 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.columns import columns_of
+from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
-from lite6jax.domains.pose.uncertainty import Uncertainty, bars_of
+from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_tool, site_columns
+from lite6jax.domains.uncertainty import (
+    MARGIN,
+    Uncertainty,
+    beyond_range,
+    departure,
+    distance_to,
+    freed,
+    independent_directions,
+    widened,
+)
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.effect import Effect
+from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.effect import Effect, Loading
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
+from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
@@ -28,6 +47,13 @@ from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+
+SPARSE = 3.0
+"""Times what is typical of the recorded rows: a row whose standard deviation is larger lies where they are too few."""
+_ROWS_AT_ONCE = 4096
+_QUANTITIES = np.repeat([0, 1], 3)
+"""Of the rows of a pose: its position, and its orientation."""
 
 _ARGUMENTS = {
     "direction of motion": "direction",
@@ -188,7 +214,7 @@ class DiagnosedArm:
     def keeping(self, kept: list[bool]) -> "DiagnosedArm":
         """The same arm with the effects for which `kept` is true."""
         physics, values = self.physics.part(self.values, kept)
-        uncertainty = None if self.uncertainty is None else self.uncertainty.keeping(self.physics, kept)
+        uncertainty = None if self.uncertainty is None else self.uncertainty.keeping(self.physics.effects, kept)
         return replace(self, physics=physics, values=values, uncertainty=uncertainty)
 
     def motion_of(self, recording: Recording) -> Motion:
@@ -267,7 +293,7 @@ def predicted(
 
     Rows outside what was recorded are marked. There what is left of the model is taken to grow: its variance by the
     square of the distance in joint space to the nearest recorded rows, beyond their spacing, over `LENGTH` of
-    `lite6jax.domains.pose.uncertainty`; and likewise with what an effect depends on.
+    `lite6jax.domains.uncertainty`; and likewise with what an effect depends on.
 
     Args:
         model: the arm, from a diagnosis.
@@ -340,6 +366,171 @@ def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) 
         raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
     require_radians(recording.joint_position, model.joint_limits)
     return recording
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """How the poses that a model predicts in a motion change with its numbers: rigid frames, and unit deflections.
+
+    They are taken at the rigid arm, which is off by the angles of its deflections, a thousandth. Nothing is compiled.
+
+    Attributes:
+        model: the arm.
+        motion: the whole sequence.
+        sites: the displacements of frames and the errors of masses, which come before the effects' numbers.
+    """
+
+    model: DiagnosedArm
+    motion: Motion
+    sites: tuple[Site, ...]
+
+    def blocks(self) -> Iterator[tuple[slice, Array]]:
+        """Rows after rows, and their derivatives `(number, 6, row)`.
+
+        The six are positions in the sensor's axes (m) and rotations about the predicted tool's axes (rad).
+        """
+        units = self._units()
+        q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
+        for first in range(0, q.shape[1], _ROWS_AT_ONCE):
+            rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
+            tool = rigid_tool(self.model.model, q[:, rows], sliding)
+            rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
+            shown = Measured(tool[:, :3, 3].T, rotation, np.ones(2))
+            sites = site_columns(self.model.model, q[:, rows], shown, sliding)
+            frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
+            parts = [np.zeros((0, 6, tool.shape[0])), *frames]
+            for unit in units:
+                part = Deflection(*(None if field is None else np.asarray(field)[..., rows] for field in unit))  # type: ignore[arg-type]
+                parts.append(columns_of(part, sites))
+            yield rows, np.concatenate(parts)
+
+    def all(self) -> Array:
+        """`(number, 6, sample)` of all rows."""
+        return np.concatenate([block for _, block in self.blocks()], 2)
+
+    def driver_values(self) -> dict[str, Array]:
+        """`(sample,)` of every quantity on which effects depend and that the motion has, by its phrase."""
+        drivers = {driver.phrase: driver for effect in self.model.physics.effects for driver in effect.drivers}
+        on_arm = self._deflections.loads if any(driver.loaded for driver in drivers.values()) else None
+        return {
+            phrase: np.asarray(driver.values(self._seen, on_arm))
+            for phrase, driver in drivers.items()
+            if driver.known(self._seen, on_arm)
+        }
+
+    def _units(self) -> list[Deflection]:
+        """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
+        physics, values = self.model.physics, np.asarray(self.model.values)
+        masses = [site for site in self.sites if site[0] not in FRAMES]
+        units = [self._deflections.through_masses(masses, physics, values)] if masses else []
+        for effect, part in zip(physics.effects, physics.slices, strict=True):
+            one, at = freed(effect), values[part]
+            if one is not effect and effect.chosen is not None:
+                at = np.append(at, effect.chosen)
+            if isinstance(one, Loading):
+                units.append(self._deflections.through_loads(one, at, physics, values))
+            elif isinstance(one, Unnamed) or one.linear or not at.any():
+                units.append(self._deflections.unit(one))
+            else:
+                units.append(self._deflections.slope(one, at))
+        return units
+
+    @cached_property
+    def _deflections(self) -> Deflections:
+        kinematics = np.asarray(self.model.model.geometry).reshape(-1, 6)
+        return Deflections(kinematics, self.model.inertia, self._seen, lambda alter: alter(self._seen))
+
+    @cached_property
+    def _seen(self) -> Motion:
+        """The motion, with predicted positions where an effect requires measured ones."""
+        drivers = (driver for effect in self.model.physics.effects for driver in effect.drivers)
+        if not any(driver.quantity.startswith("measured position") for driver in drivers):
+            return self.motion
+        tool = rigid_tool(self.model.model, np.asarray(self.motion.joint_position), self.model.sliding)
+        return self.motion._replace(measured_position=tool[:, :3, 3].T)  # type: ignore[arg-type]
+
+    @cached_property
+    def _altered(self) -> Motion:
+        """The motion as it really was."""
+        physics = self.model.physics
+        return physics.alter(jnp.asarray(self.model.values), self._seen) if physics.altering else self._seen
+
+
+class Bars(NamedTuple):
+    """Standard deviations of predicted poses, sample by sample.
+
+    Attributes:
+        position: `(sample, 3)` m, along the sensor's axes.
+        orientation: `(sample, 3)` rad, about the predicted tool's axes.
+        outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range, or the recorded rows are too
+            few near it: the standard deviation is `SPARSE` times what is typical of them.
+    """
+
+    position: Array
+    orientation: Array
+    outside: Flags
+
+
+def bars_of(model: DiagnosedArm, motion: Motion) -> Bars | None:
+    """The bars of a model's predictions in a motion; None where its diagnosis says nothing of uncertainty."""
+    known = model.uncertainty
+    if known is None:
+        return None
+    change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
+    beyond = {
+        phrase: beyond_range(values, *recorded.drivers[phrase])
+        for phrase, values in change.driver_values().items()
+        if phrase in recorded.drivers
+    }
+    positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
+    of = departure(recorded, distance_to(recorded.positions, q), beyond, positions, model.physics.effects)
+    variance = widened(estimated_variance(change, known.covariance), known, _QUANTITIES, of)
+    outside = of.outside | (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
+    if known.typical is not None:
+        measured = (slice(0, 3), slice(3, 6))[: 2 if model.orientation else 1]
+        for rows, usual in zip(measured, known.typical, strict=False):
+            outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
+    std = np.sqrt(variance)
+    return Bars(std[:3].T, std[3:].T, outside)
+
+
+def estimated_variance(change: Derivatives, covariance: Array) -> Array:
+    """`(6, sample)` m² and rad², of predicted poses, by the covariance `(number, number)` of a model's numbers."""
+    directions, variance = independent_directions(covariance), np.zeros((6, change.motion.samples))
+    for rows, J in change.blocks():
+        variance[:, rows] = np.sum(np.tensordot(directions, J, 1) ** 2, 0)
+    return variance
+
+
+def registered(model: DiagnosedArm, motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
+    """The uncertainty of a model whose sensor frame and tool were fitted anew to the poses of a motion.
+
+    These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
+
+    Args:
+        model: with the new frames and the uncertainty of the diagnosis.
+        motion: of the rows that the frames were fitted to.
+        noise: standard deviations per axis of the poses, position (m) and orientation (rad); None where the latter were
+            not measured, and the tool's rotation was kept.
+    """
+    known = model.uncertainty
+    if known is None:
+        return None
+    rows = 3 if noise[1] is None else 6
+    frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
+    stays = [name not in ("base", "tool") for name, _, _ in known.sites]
+    others = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
+    J = Derivatives(model, motion, (*frames, *others)).all()[:, :rows]
+    J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
+    F, R = np.split(J.reshape(len(J), -1), [len(frames)])
+    own = scaled_inverse(F @ F.T)
+    follow = own @ (F @ R.T)
+    numbers = np.flatnonzero([*stays, *([True] * (len(known.covariance) - len(stays)))])
+    rest = known.covariance[np.ix_(numbers, numbers)]
+    together = -follow @ rest
+    C = np.block([[own - together @ follow.T, together], [together.T, rest]])
+    return replace(known, sites=(*frames, *others), covariance=C, typical=None)  # the new frames are less certain
 
 
 _beyond = jax.jit(Physics.beyond, static_argnums=0)

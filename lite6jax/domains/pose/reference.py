@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
@@ -25,7 +26,6 @@ from lite6jax.domains.pose.reference_arm import (
     simplest,
     with_fitted_geometry,
 )
-from lite6jax.domains.pose.reference_rows import matched
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.source import arm_of
@@ -34,6 +34,11 @@ from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
 
+SAME_JOINTS = 1e-3
+"""rad within which two rows are of the same joint positions: an error beyond the rigid arm varies by a thousandth less
+over such a distance."""
+_NEIGHBOURS = 8
+"""Nearest rows tried as partners of a row whose row number does not decide."""
 _ROUNDING = (1e-6, 2e-6)
 """m and rad, the rounding of numbers in files."""
 _NOISE_MARGIN = 1.2
@@ -125,7 +130,7 @@ def compare(
             raise InputError(f"{side.source}: {other_joints(side.sliding, arm.sliding, arm.name)}")
         require_samples(side, 1)
     file, rows = Path(reference.source).name, recording.samples
-    recording, reference = matched(recording, reference)
+    recording, reference = _match(recording, reference)
     notes: list[dict[str, Any]] = []
     if reference.samples < rows:
         notes.append({"note": "unmatched_rows", "count": rows - reference.samples, "rows": rows})
@@ -206,6 +211,47 @@ def compare(
         factory=factory,
         geometry=geometry,
     )
+
+
+def _match(recording: Recording, reference: Recording) -> tuple[Recording, Recording]:
+    """The rows of both at the same joint positions, in the recording's order: by row number, otherwise the nearest.
+
+    Args:
+        recording: any.
+        reference: of as many joints; its rows may have another order. Each is matched at most once.
+
+    Raises:
+        InputError: fewer than half of the shorter recording's rows have a partner.
+    """
+    _, i, j = np.intersect1d(recording.row, reference.row, return_indices=True)
+    same = np.abs(recording.joint_position[i] - reference.joint_position[j]).max(1, initial=0.0) <= SAME_JOINTS
+    partner = np.full(recording.samples, -1)
+    partner[i[same]] = j[same]
+    open_rows = np.flatnonzero(partner < 0)
+    spare = np.setdiff1d(np.arange(reference.samples), partner)
+    if open_rows.size and spare.size:
+        count = min(_NEIGHBOURS, spare.size)
+        nearest = KDTree(reference.joint_position[spare]).query(
+            recording.joint_position[open_rows], k=count, p=np.inf, distance_upper_bound=SAME_JOINTS
+        )
+        distance, index = (np.reshape(part, (open_rows.size, count)) for part in nearest)
+        taken = np.zeros(reference.samples, bool)
+        for at in np.argsort(distance, axis=None, kind="stable"):
+            row, k = divmod(int(at), count)
+            if not np.isfinite(distance[row, k]):
+                break
+            candidate = spare[index[row, k]]
+            if partner[open_rows[row]] < 0 and not taken[candidate]:
+                partner[open_rows[row]], taken[candidate] = candidate, True
+    rows = np.flatnonzero(partner >= 0)
+    shorter = min(recording.samples, reference.samples)
+    if 2 * rows.size < shorter:
+        raise InputError(
+            f"{reference.source}: {rows.size} of its {reference.samples} rows are at joint positions of the "
+            f"{recording.samples} rows of {recording.source} (within {SAME_JOINTS:g} rad), but at least "
+            f"{-(-shorter // 2)} are needed; give the same motion in both recordings"
+        )
+    return recording.select(rows), reference.select(partner[rows])
 
 
 def _corrected(recording: Recording, reference: Recording, arm: Arm, common: RigidArm, base: Array) -> Recording:

@@ -18,9 +18,8 @@ from lite6jax.domains.pose.kinematics import (
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
+from lite6jax.domains.pose.predict import DiagnosedArm, predict, registered, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
-from lite6jax.domains.pose.uncertainty import registered
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise

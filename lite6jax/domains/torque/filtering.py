@@ -12,10 +12,9 @@ from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import median_filter
-from scipy.signal import butter, savgol_filter, sosfiltfilt, welch
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -213,7 +212,7 @@ def _line(time: Array) -> Array:
 def _from_neighbours(torque: Array, time: Array) -> Array:
     """Torques `(sample, joint)` of every other sample less what its neighbours give."""
     inner = slice(1, (len(time) - 1) // 2 * 2, 2)
-    return torque[inner] - PchipInterpolator(time[::2], torque[::2])(time[inner])
+    return torque[inner] - scipy.interpolate.PchipInterpolator(time[::2], torque[::2])(time[inner])
 
 
 def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Array]) -> Recording:
@@ -233,17 +232,17 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
     ambient = recording.ambient_temperature
     return replace(
         recording,
-        joint_position=joined(recording.joint_position, CubicSpline),
+        joint_position=joined(recording.joint_position, scipy.interpolate.CubicSpline),
         direction_of_motion=recording.direction_of_motion[which],
         position=None,
         quaternion=None,
         time=np.concatenate(at),
-        joint_velocity=joined(recording.joint_velocity, CubicSpline),
-        joint_acceleration=joined(recording.joint_acceleration, CubicSpline),
-        joint_torque=joined(recording.joint_torque, PchipInterpolator),
-        motor_current=joined(recording.motor_current, PchipInterpolator),
-        joint_temperature=joined(recording.joint_temperature, PchipInterpolator),
-        commanded_position=joined(recording.commanded_position, PchipInterpolator),
+        joint_velocity=joined(recording.joint_velocity, scipy.interpolate.CubicSpline),
+        joint_acceleration=joined(recording.joint_acceleration, scipy.interpolate.CubicSpline),
+        joint_torque=joined(recording.joint_torque, scipy.interpolate.PchipInterpolator),
+        motor_current=joined(recording.motor_current, scipy.interpolate.PchipInterpolator),
+        joint_temperature=joined(recording.joint_temperature, scipy.interpolate.PchipInterpolator),
+        commanded_position=joined(recording.commanded_position, scipy.interpolate.PchipInterpolator),
         ambient_temperature=None if ambient is None else ambient[which],
         payload=recording.payload[which],
         run=np.repeat(np.arange(len(parts)), [len(t) for t in at]),
@@ -278,7 +277,7 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
         if rows.stop - rows.start > 2:
             # central differences of fifty samples a second lose half a per cent of a motion of 1.5 Hz
             t = np.arange(rows.stop - rows.start) / rate
-            acceleration[:, rows] = CubicSpline(t, velocity[:, rows], axis=1)(t, 1)
+            acceleration[:, rows] = scipy.interpolate.CubicSpline(t, velocity[:, rows], axis=1)(t, 1)
             _mend_ends(acceleration[:, rows], v[:, rows], cutoff, rate)
     return Smoothed(position, velocity, acceleration, cutoff)
 
@@ -291,7 +290,7 @@ def _mend_ends(acceleration: Array, velocity: Array, cutoff: float, rate: float)
     period = int(np.ceil(rate / cutoff))
     near, window = 2 * period, max(period | 1, _CUBIC)  # farther inside, the low pass is as exact
     if velocity.shape[1] >= max(2 * near, window):
-        slope = savgol_filter(velocity, window, 3, deriv=1, delta=1 / rate)
+        slope = scipy.signal.savgol_filter(velocity, window, 3, deriv=1, delta=1 / rate)
         acceleration[:, :near], acceleration[:, -near:] = slope[:, :near], slope[:, -near:]
 
 
@@ -372,9 +371,15 @@ def without_spikes(torque: Array, spiked: NDArray[np.bool_]) -> Array:
     return out
 
 
-def interpolant(rows: Array, time: Array, runs: NDArray[np.integer]) -> list[tuple[slice, CubicSpline]]:
+def interpolant(
+    rows: Array, time: Array, runs: NDArray[np.integer]
+) -> "list[tuple[slice, scipy.interpolate.CubicSpline]]":
     """A cubic spline in time of rows `(joint, sample)`, for each run of more than one sample."""
-    return [(r, CubicSpline(time[r], rows[:, r], axis=1)) for r in _each(runs) if r.stop - r.start >= _FEWEST]
+    return [
+        (r, scipy.interpolate.CubicSpline(time[r], rows[:, r], axis=1))
+        for r in _each(runs)
+        if r.stop - r.start >= _FEWEST
+    ]
 
 
 def _each(runs: NDArray[np.integer]) -> list[slice]:
@@ -390,13 +395,13 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
         length = part.stop - part.start
         if length >= _FEWEST:
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
-            out[..., part] = sosfiltfilt(sections, rows[..., part], axis=-1, padlen=pad)
+            out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], axis=-1, padlen=pad)
     return out
 
 
 @cache
 def _sections(cutoff: float, rate: float) -> Array:
-    return np.asarray(butter(_ORDER, cutoff, fs=rate, output="sos"))
+    return np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
@@ -409,7 +414,7 @@ def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array
     """Frequencies and power spectral density of the longest run."""
     longest = max(_each(runs), key=lambda r: r.stop - r.start)
     part = row[longest]
-    return welch(part - part.mean(), rate, nperseg=min(len(part), round(_RESOLVED * rate)))
+    return scipy.signal.welch(part - part.mean(), rate, nperseg=min(len(part), round(_RESOLVED * rate)))
 
 
 def _signal_band(row: Array, runs: NDArray[np.integer], rate: float, cutoff: float) -> float:

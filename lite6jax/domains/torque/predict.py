@@ -1,4 +1,7 @@
-"""The torques of a diagnosed arm's motors in any motion."""
+"""The torques of a diagnosed arm's motors in any motion, with standard deviations.
+
+Those follow as of predicted poses, but are of what a sensor shows: its noise is part of them.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,22 +11,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.joint_units import as_revolute, joint_sizes, joint_unit
 from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.torque.composition import composed, offsets_of
+from lite6jax.domains.torque.composition import composed, offsets_of, pairs, scales_of, without_sensors
+from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
-from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
-from lite6jax.effects.dynamic.torque_effect import Dynamics
+from lite6jax.domains.uncertainty import (
+    Uncertainty,
+    beyond_range,
+    departure,
+    distance_to,
+    freed,
+    independent_directions,
+    widened,
+)
+from lite6jax.effects.drivers import Driver, joint_driver
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.errors import InputError, wrong_type
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+Runs = NDArray[np.integer]
 
 _LINE = 10
 """Samples over which the slope is taken by which delayed torques go on beyond the ends of a run."""
+_STEP = 1e-4
+"""Of a number's typical size, by which it is changed for a derivative."""
+_LEAST = {"position": (0.02, "rad"), "velocity": (0.02, "rad/s"), "acceleration": (0.2, "rad/s²")}
+"""Quantities whose ranges are kept for every joint: the range of a joint that rests, and its unit."""
 
 
 @final
@@ -50,7 +69,7 @@ class DiagnosedMotors:
     terms: Terms
     values: Array
     reference_temperature: float
-    uncertainty: TorqueUncertainty | None = None
+    uncertainty: Uncertainty | None = None
     relative_to: str | None = None
 
     def __repr__(self) -> str:
@@ -115,9 +134,8 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path)
         InputError: as `predict_torques`.
     """
     bodies, runs = _along(model, recording)
-    torque, bars = _torques(model, bodies, runs), bars_of(model, bodies, runs)
-    std, outside = (None, None) if bars is None else (bars.std.T, bars.outside)
-    return TorquePrediction(torque, std, outside, model.sliding)
+    std, outside = _bars(model, bodies, runs)
+    return TorquePrediction(_torques(model, bodies, runs), std, outside, model.sliding)
 
 
 def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
@@ -136,7 +154,7 @@ def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.inte
     return columns
 
 
-def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[RigidBodies, NDArray[np.integer]]:
+def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[RigidBodies, Runs]:
     """The dynamics of the model's links along a motion, and the run of each sample."""
     if not isinstance(model, DiagnosedMotors):
         raise wrong_type("model", model, "lite6jax.read_torque_model('d.json'), or the `model` of a TorqueDiagnosis")
@@ -155,12 +173,12 @@ def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[R
     return moved, chosen.runs
 
 
-def _torques(model: DiagnosedMotors, bodies: RigidBodies, runs: NDArray[np.integer]) -> Array:
+def _torques(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> Array:
     dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
     return shown_torques(model.terms, model.values, dynamics, time, runs).T
 
 
-def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: NDArray[np.integer]) -> Array:
+def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
     """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say.
 
     Args:
@@ -179,7 +197,7 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
     return later
 
 
-def _later(torque: Array, offset: float, time: Array, runs: NDArray[np.integer]) -> Array:
+def _later(torque: Array, offset: float, time: Array, runs: Runs) -> Array:
     """Torques `(joint, sample)` of the motion `offset` s later."""
     later = torque.copy()
     for rows, spline in interpolant(torque, time, runs):
@@ -191,3 +209,111 @@ def _later(torque: Array, offset: float, time: Array, runs: NDArray[np.integer])
         beyond = t + offset - at
         later[:, rows] = np.where(beyond != 0, part[:, [far]] + slope[:, None] * beyond, spline(at))
     return later
+
+
+def _bars(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> tuple[Array, Flags] | tuple[None, None]:
+    """Standard deviations `(sample, joint)` Nm, and whether a row is outside; None where nothing is known of it."""
+    known = model.uncertainty
+    if known is None:
+        return None, None
+    dynamics, recorded, slides = bodies.dynamics(model.links), known.recorded, model.arm.slides
+    states = states_of(dynamics)
+    beyond: dict[str, Array] = {}
+    ranges = (recorded.joints, recorded.velocities, recorded.accelerations)
+    for quantity, state, limits in zip(_LEAST, states, ranges, strict=True):
+        assert limits is not None
+        sizes = joint_sizes(*_LEAST[quantity], slides)
+        over = beyond_range(state.T, limits[:, 0], limits[:, 1], sizes).T
+        beyond |= {joint_driver(quantity, j + 1, bool(slides[j])).phrase: over[j] for j in range(len(over))}
+    positions = list(beyond)[: len(slides)]
+    for phrase, values in driver_values(model.terms, dynamics).items():
+        if phrase in recorded.drivers:
+            beyond[phrase] = beyond_range(values, *recorded.drivers[phrase])
+    rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
+    effects = [effect for effect, _ in pairs(model.terms)]
+    of = departure(recorded, distance_to(rows, q), beyond, positions, effects)
+    variance = widened(_estimated(model, known, bodies, dynamics, runs), known, np.arange(model.dof), of)
+    return np.sqrt(variance + np.asarray(known.noise)[:, None] ** 2).T, of.outside
+
+
+def _estimated(
+    model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+) -> Array:
+    """`(joint, sample)` Nm², by the covariance of the numbers; of one effect after the other, in its directions."""
+    scale = scales_of(model.terms, model.values, model.dof)
+    directions = independent_directions(known.covariance)
+    moved = np.zeros((len(directions), *dynamics.torque.shape))
+    first = len(known.sites)
+    if first:
+        moved += np.einsum("dp,jps->djs", directions[:, :first], bodies.regressor) * scale
+    terms, values = with_free_numbers(model.terms, model.values)
+    whole = without_sensors(model.terms, model.values, dynamics)
+    for effect, part in pairs(terms):
+        own = directions[:, first + part.start : first + part.stop]
+        if isinstance(effect, Scaling):
+            moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
+        elif isinstance(effect, Delaying):
+            slope = _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
+            moved += own[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
+        elif effect.linear:
+            joints, units = joints_of(effect), unit_torques(effect, dynamics, lambda rows: rows)
+            moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]
+        else:
+            moved += np.tensordot(own, _derivatives(effect, values[part], dynamics), 1) * scale
+    return np.sum(moved**2, 0)
+
+
+def _derivatives(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
+    """`(number, joint, sample)` Nm by each number of an effect that is not linear, by central differences."""
+    found = []
+    for k, number in enumerate(effect.coordinates):
+        step = np.eye(effect.size)[k] * _STEP * number.typical
+        up, down = (effect.torque(values + sign * step, dynamics) for sign in (1, -1))
+        found.append((up - down) / (2 * step[k]))
+    return np.stack(found)
+
+
+def _slope_in_time(torque: Array, dynamics: Dynamics, runs: Runs) -> Array:
+    """`(joint, sample)` Nm/s; zero in runs that are too short to say."""
+    time, slope = np.asarray(dynamics.motion.time), np.zeros_like(torque)
+    for rows, spline in interpolant(torque, time, runs):
+        slope[:, rows] = spline(time[rows], 1)
+    return slope
+
+
+def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
+    """`(sample,)` of each quantity on which an effect depends and of which no range is kept anyway, by its phrase.
+
+    The time of a delay is no such quantity: it acts at any time.
+    """
+    drivers: dict[str, Driver] = {}
+    for effect, _ in pairs(terms):
+        if not isinstance(effect, Delaying):
+            drivers |= {driver.phrase: driver for driver in effect.drivers}
+    loads = dynamics.loads
+    return {
+        phrase: np.asarray(driver.values(dynamics.motion, loads))
+        for phrase, driver in drivers.items()
+        if driver.generalised not in (*_LEAST, "direction of motion") and driver.known(dynamics.motion, loads)
+    }
+
+
+def states_of(dynamics: Dynamics) -> Array:
+    """`(3, joint, sample)`: position, velocity and acceleration of each joint."""
+    m = dynamics.motion
+    return np.stack([np.asarray(part) for part in (m.joint_position, m.joint_velocity, m.joint_acceleration)])
+
+
+def with_free_numbers(terms: Terms, values: Array) -> tuple[Terms, Array]:
+    """The terms with the numbers that were chosen for them as their last ones, unless these are whole and so exact."""
+    free, numbers = [], []
+    for effect, part in pairs(terms):
+        free.append(freed(effect))
+        order = [] if free[-1] is effect else [effect.chosen or 0.0]
+        numbers.append(np.append(np.asarray(values[part], float), order))
+    return Terms(tuple(free)), join(numbers)
+
+
+def link_sites(joints: int) -> tuple[tuple[str, int, int], ...]:
+    """The inertial numbers of the links, where these are fitted, as sites of an `Uncertainty`."""
+    return tuple(("inertia", joint, k) for joint in range(joints) for k in range(10))

@@ -19,7 +19,7 @@ from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import Reason, compensate
 from lite6jax.domains.pose.predict import predict
-from lite6jax.domains.pose.uncertainty import RecordedRange, Uncertainty
+from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording

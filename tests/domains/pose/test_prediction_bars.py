@@ -19,17 +19,9 @@ from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, to_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import compensate
-from lite6jax.domains.pose.predict import predict, predicted
+from lite6jax.domains.pose.predict import SPARSE, Derivatives, bars_of, estimated_variance, predict, predicted
 from lite6jax.domains.pose.registration import register_model
-from lite6jax.domains.pose.uncertainty import (
-    SPARSE,
-    Derivatives,
-    RecordedRange,
-    Uncertainty,
-    bars_of,
-    estimated_variance,
-    freed,
-)
+from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.links import FrameOffset
 from lite6jax.effects.kinematic.surroundings import ToolOffset

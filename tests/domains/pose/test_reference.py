@@ -20,10 +20,9 @@ from typed import flat, refused, run
 from lite6jax import simulation
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis import reference_diagnosis
+from lite6jax.diagnosis import diagnose
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.reference import compare
-from lite6jax.domains.pose.reference_rows import SAME_JOINTS
+from lite6jax.domains.pose.reference import SAME_JOINTS, compare
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
@@ -94,7 +93,8 @@ def notes(compared):
 
 def diagnose_against(recording, other, *arguments):
     """With two folds: what is held out is tested elsewhere."""
-    return reference_diagnosis.diagnose_against(recording, other, *arguments, options=Options(folds=2))
+    found = diagnose.diagnose_against(recording, other, *arguments, options=Options(folds=2))
+    return found, found.against
 
 
 def check_finding(diagnosis, text):

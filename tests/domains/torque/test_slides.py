@@ -17,9 +17,9 @@ from lite6jax.arms.description import write_arm
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.cli import main
+from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-from lite6jax.diagnosis.torque_document import torque_model_from_document
 from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem

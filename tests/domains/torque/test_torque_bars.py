@@ -11,12 +11,17 @@ from typed import flat, run
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.diagnosis.document import write_document
+from lite6jax.diagnosis.document import to_document, torque_model_from_document, write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-from lite6jax.diagnosis.torque_document import to_torque_document, torque_model_from_document
-from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques, predicted_torques
-from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
+from lite6jax.domains.torque.predict import (
+    DiagnosedMotors,
+    link_sites,
+    predict_torques,
+    predicted_torques,
+    with_free_numbers,
+)
+from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
@@ -42,7 +47,7 @@ def diagnosed():
 
 @pytest.fixture(scope="module")
 def model(diagnosed):
-    return torque_model_from_document(json.loads(json.dumps(to_torque_document(diagnosed))))
+    return torque_model_from_document(json.loads(json.dumps(to_document(diagnosed))))
 
 
 def unseen(seed, factor=1.0):
@@ -96,9 +101,10 @@ def with_uncertainty(texts, inertial, rng):
     links = np.asarray(link_parameters(arm))
     size = 60 * inertial + with_free_numbers(terms, values)[0].size
     root = 1e-5 * rng.normal(size=(size, size))
-    recorded_range = RecordedMotion(np.tile([-1e3, 1e3], (3, 6, 1)), np.zeros((1, 6)), 1e3, {})
-    nothing = np.zeros(6)
-    known = TorqueUncertainty(inertial, root @ root.T, nothing, nothing, nothing, (None,) * len(pairs), recorded_range)
+    everywhere = np.tile([-1e3, 1e3], (6, 1))
+    recorded_range = RecordedRange(everywhere, np.zeros((1, 6)), 1e3, {}, everywhere, everywhere)
+    nothing, sites = np.zeros(6), link_sites(6) if inertial else ()
+    known = Uncertainty(sites, root @ root.T, nothing, nothing, nothing, (None,) * len(pairs), recorded_range)
     return setup, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0, uncertainty=known)
 
 
@@ -149,14 +155,14 @@ def test_variances_are_those_of_the_prediction(texts, inertial):
     ],
 )
 def test_damaged_bars_are_refused(diagnosed, damage, message):
-    document = json.loads(json.dumps(to_torque_document(diagnosed)))
+    document = json.loads(json.dumps(to_document(diagnosed)))
     damage(document["model"]["uncertainty"])
     with pytest.raises(InputError, match=message):
         torque_model_from_document(document)
 
 
 def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
-    document = to_torque_document(diagnosed)
+    document = to_document(diagnosed)
     path = write_document(document, tmp_path / "d.json")
     motion = write_recording(unseen(7)[2], tmp_path / "motion.csv")
     code, said, _ = run(capsys, "predict", path, motion, "--out", tmp_path / "p.csv")

@@ -11,10 +11,10 @@ from scipy.signal import lfilter
 from benchmarks.torque_trials.outside import presliding
 from benchmarks.torque_trials.physics import rigid, torques
 from benchmarks.torque_trials.trials import draw
-from lite6jax.diagnosis.document import write_document
+from lite6jax.diagnosis.document import read_torque_model, torque_model_from_document, write_document
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import block_count
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-from lite6jax.diagnosis.torque_document import read_torque_model, torque_model_from_document
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
@@ -182,12 +182,14 @@ def test_inertia_beside_friction_without_a_name_has_to_explain_as_much_in_autoco
 
 @pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
 def test_effects_are_withdrawn_where_searches_and_refits_without_them_reject_them(again, kept, monkeypatch):
-    ratios = iter((1.2, again))
-    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis._ratio", lambda *given: next(ratios))
+    def ratio(errors, selection, kept, folds):
+        return 1.2 if block_count(folds) == 2 else again
+
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.HeldOutTorques.ratio", ratio)
     found = diagnose_torques(*recorded(FRICTION, seed=1), options=FEW)
     effects = {ViscousFriction(2), CoulombFriction(2)}
     assert {finding.effect for finding in found.findings} == (effects if kept else set())
-    assert {finding.effect for finding in found.withdrawn} == (set() if kept else effects)
+    assert {f.effect for f in (found.withdrawn.findings if found.withdrawn else ())} == (set() if kept else effects)
     document = found.to_dict()
     assert document["heldout_blocks"] == (10 if kept else 2)
     assert document["searched_again"] == ({"blocks": 2, "heldout_ratio": 1.2} if kept else None)

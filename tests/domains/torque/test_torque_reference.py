@@ -11,8 +11,8 @@ from typed import flat, run
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.description import write_arm
+from lite6jax.diagnosis import torque_diagnosis
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.torque_reference import diagnose_torques_against
 from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
@@ -25,6 +25,11 @@ EARLIER = (
     hidden("coulomb_friction", "joint3", coulomb_Nm=0.5),
 )
 WORN = (*EARLIER[:1], hidden("coulomb_friction", "joint3", coulomb_Nm=0.9))
+
+
+def diagnose_torques_against(*sides, **given):
+    found = torque_diagnosis.diagnose_torques_against(*sides, **given)
+    return found, found.against
 
 
 def simulated(effects, seed=1):
@@ -113,7 +118,7 @@ def test_functions_without_a_name_are_compared_where_both_recordings_have_them(m
         curve = next(curve for side, curve in sides if side is recording)
         return diagnosed(recording, (curve,), arm=arm)
 
-    monkeypatch.setattr("lite6jax.diagnosis.torque_reference.diagnose_torques", searched)
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.diagnose_torques", searched)
     _, seen = diagnose_torques_against(sides[0][0], sides[1][0], setup_of(1)[1])
     (difference,) = seen.effects
     assert difference.p_value < 1e-6 if differs else difference.p_value > 0.0027
@@ -130,7 +135,7 @@ def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     cold = cold.select(np.arange(cold.samples) > 200)  # another motion
     curve = UnnamedTorque(2, "temperature of joint 2", 20.0, 60.0, 3, spread=5.0)
     monkeypatch.setattr(
-        "lite6jax.diagnosis.torque_reference.diagnose_torques",
+        "lite6jax.diagnosis.torque_diagnosis.diagnose_torques",
         lambda recording, arm, **given: diagnosed(recording, (curve,) if recording is warm else (), arm=arm),
     )
     _, seen = diagnose_torques_against(warm, cold, arm)

@@ -1,0 +1,195 @@
+"""Standard deviations of predictions: of what was estimated, of what is left of the model, outside its range.
+
+The numbers of a model are uncertain together: their covariance goes through the derivatives of the prediction. What is
+left of the model is known from rows that were not fitted. Far from every recorded row it may be larger, and beyond the
+range of its driver a curve is not known at all.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
+
+from lite6jax.effects.effect import Effect
+
+Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+Site = tuple[str, int, int]
+"""A number of the nuisance: what it is of, of which joint or frame, from 0, and which number of that."""
+
+LENGTH = 0.5
+"""rad in joint space, beyond the spacing of the recorded rows, at which what is left of the model counts twice."""
+DRIVEN = 0.25
+"""Of the recorded range of a driver: so far beyond it what is left counts twice, and a curve is mostly unknown."""
+MARGIN = 0.02
+"""Of a recorded range: a row within this of its ends is not outside."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RecordedRange:
+    """Where a model was recorded.
+
+    Attributes:
+        joints: `(joint, 2)` rad, m of prismatic joints, the least and the greatest position of each.
+        positions: `(row, joint)` rad, or m, of some recorded rows.
+        spacing: rad, the distance from a row to the nearest of `positions` in other blocks of the recording that 95 %
+            of rows do not exceed: so far, errors on held-out rows tell what is left. Of torques a prismatic joint
+            counts by `arms.joint_units.LEVER`.
+        drivers: the least and the greatest value of each quantity on which an effect depends, by its phrase.
+        velocities: as `joints`, rad/s; None of poses.
+        accelerations: likewise, rad/s².
+    """
+
+    joints: Array
+    positions: Array
+    spacing: float
+    drivers: dict[str, tuple[float, float]]
+    velocities: Array | None = None
+    accelerations: Array | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What standard deviations of a model's predictions follow from.
+
+    The quantities of a prediction are position (m per axis) and orientation (rad per axis) of a pose, or the torques of
+    the joints (Nm, N of prismatic joints).
+
+    Attributes:
+        sites: the nuisance that was fitted: displacements of frames, each about the frame as it is in the model, and
+            errors of masses; of torques the inertial numbers of the links.
+        covariance: `(number, number)`, of these and then of the numbers of all effects, each as `freed`.
+        left: `(quantity,)`, what is left of the model, on rows that were not fitted.
+        unseen: `(quantity,)`, what may be left of it without showing there: one standard error of `left`.
+        noise: `(quantity,)`, of one row of the sensor.
+        curves: for each effect, what it moves of each quantity where it is a curve without a name; else None.
+        recorded: the range.
+        typical: `(quantity,)`, the standard deviation of the recorded rows, their median; None where it is not known.
+    """
+
+    sites: tuple[Site, ...]
+    covariance: Array
+    left: Sequence[float] | Array
+    unseen: Sequence[float] | Array
+    noise: Sequence[float] | Array
+    curves: tuple[Sequence[float] | Array | None, ...]
+    recorded: RecordedRange
+    typical: Sequence[float] | Array | None = None
+
+    def keeping(self, effects: Sequence[Effect], kept: Sequence[bool]) -> "Uncertainty":
+        """That of the model with some of its effects; the others' numbers stay as uncertain as they are.
+
+        Args:
+            effects: that the covariance is of.
+            kept: for each of them, whether it stays.
+        """
+        numbers = [True] * len(self.sites) + np.repeat(kept, [freed(effect).size for effect in effects]).tolist()
+        curves = tuple(curve for curve, stays in zip(self.curves, kept, strict=True) if stays)
+        return replace(self, covariance=self.covariance[np.ix_(numbers, numbers)], curves=curves)
+
+    def without_base(self) -> "Uncertainty":
+        """That of poses in the frame of the arm's own base, in which this frame's place does not matter."""
+        kept = [name != "base" for name, _, _ in self.sites]
+        numbers = kept + [True] * (len(self.covariance) - len(kept))
+        sites = tuple(site for site, stays in zip(self.sites, kept, strict=True) if stays)
+        return replace(self, sites=sites, covariance=self.covariance[np.ix_(numbers, numbers)])
+
+
+def freed(effect: Effect) -> Effect:
+    """The effect with the order that was found for it as its last number, unless that is whole and so exact."""
+    return effect.released() if effect.chosen is not None and effect.chosen % 1 else effect
+
+
+def independent_directions(covariance: Array) -> Array:
+    """`(direction, number)`, whose squares sum up to a covariance `(number, number)`.
+
+    Numbers that no row shows are as uncertain as their prior, and cancel: the directions are independent.
+    """
+    root = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    eigenvalues, V = np.linalg.eigh(covariance / np.outer(root, root))
+    return (V * np.sqrt(np.maximum(eigenvalues, 0.0)) * root[:, None]).T
+
+
+def distance_to(positions: Array, joint_position: Array) -> Array:
+    """`(sample,)` rad, from joint positions `(sample, joint)` to the nearest of `positions` `(row, joint)`."""
+    return cdist(joint_position, positions).min(1)
+
+
+def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: ArrayLike = 1e-6) -> Array:
+    """By how much values are beyond a range, over its length; over the size of its values where it has none.
+
+    Args:
+        values: in the unit of the range.
+        lower: of the range.
+        upper: of the range.
+        least: the shortest length.
+    """
+    lower, upper = np.asarray(lower), np.asarray(upper)
+    length = np.maximum(np.maximum(upper - lower, 0.1 * np.maximum(np.abs(lower), np.abs(upper))), least)
+    return np.maximum(np.maximum(lower - values, values - upper), 0.0) / length
+
+
+class Departure(NamedTuple):
+    """How far a motion departs from what was recorded.
+
+    Attributes:
+        further: `(sample,)`, by which multiple the variance of what is left grows.
+        unknown: for each effect `(sample,)`, from 0 to 1, the share of its variance that is unknown if it is a curve.
+        outside: `(sample,)`, whether a quantity is beyond its recorded range.
+    """
+
+    further: Array
+    unknown: list[Array]
+    outside: Flags
+
+
+def departure(
+    recorded: RecordedRange,
+    distance: Array,
+    beyond: Mapping[str, Array],
+    contained: Collection[str],
+    effects: Sequence[Effect],
+) -> Departure:
+    """The departure of a motion.
+
+    Args:
+        recorded: where the model was recorded.
+        distance: `(sample,)` rad in joint space to the nearest recorded rows.
+        beyond: `(sample,)` of each quantity, by the phrase of its driver, as `beyond_range`.
+        contained: phrases of what the distance contains already.
+        effects: of the model.
+    """
+    squares = {phrase: (part / DRIVEN) ** 2 for phrase, part in beyond.items()}
+    further = (np.maximum(distance - recorded.spacing, 0.0) / LENGTH) ** 2
+    for phrase, square in squares.items():
+        if phrase not in contained:
+            further = further + square
+    nothing = np.zeros(len(distance))
+    unknown = [
+        -np.expm1(-sum((squares[d.phrase] for d in effect.drivers if d.phrase in squares), nothing))
+        for effect in effects
+    ]
+    outside = np.any([nothing > 0, *(part > MARGIN for part in beyond.values())], axis=0)
+    return Departure(further, unknown, outside)
+
+
+def widened(variance: Array, known: Uncertainty, rows: NDArray[np.integer], of: Departure) -> Array:
+    """The variance `(row, sample)` of what was estimated, with that of what is left of the model.
+
+    Args:
+        variance: by the covariance of the model's numbers.
+        known: of the model.
+        rows: `(row,)`, which quantity each row is of.
+        of: the motion's departure from what was recorded.
+    """
+    left, unseen = (np.asarray(part, float)[rows, None] ** 2 for part in (known.left, known.unseen))
+    variance = variance + left + of.further * (left + unseen)
+    for moved, share in zip(known.curves, of.unknown, strict=True):
+        if moved is not None:
+            variance = variance + np.asarray(moved, float)[rows, None] ** 2 * share
+    return variance
