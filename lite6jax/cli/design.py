@@ -102,7 +102,7 @@ class Design:
         from lite6jax.identifiability.planning import plan_poses
         from lite6jax.identifiability.route import shortest_round
         from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
-        from lite6jax.report import design_tables, screen
+        from lite6jax.report import screen, study
 
         check_writable(self.out, self.force)
         check_writable(sidecar_path(self.out), self.force)
@@ -163,16 +163,16 @@ class Design:
         written = [write_recording(planned, self.out, self.force)]
         written.append(sidecar_path(self.out))
         if self.figures:
-            from lite6jax.report import canvas, study_figures
+            from lite6jax.report import canvas, figures
 
-            drawing = study_figures.accuracy_by_count(found, self.source)
+            drawing = figures.accuracy_by_count(found, self.source)
             written += canvas.save({name: drawing}, self.figures, self.force)
         if self.json:
             from lite6jax.report import documents
 
             print(documents.text(documents.document(found), written))
             return DONE
-        screen.show(design_tables.design_report(found, drawn, disabled, self.source, accuracy))
+        screen.show(study.design_report(found, drawn, disabled, self.source, accuracy))
         screen.written(written)
         return DONE
 

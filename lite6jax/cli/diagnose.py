@@ -136,8 +136,8 @@ class Diagnose:
         from lite6jax.effects.user_effects import by_domain, load_effects
         from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import stages, worth
-        from lite6jax.report.diagnosis_tables import diagnosis_report
+        from lite6jax.report import screen
+        from lite6jax.report.sections import diagnosis_report
         from lite6jax.report.statements import with_statements
 
         nominal = load_nominal(self.arm)
@@ -156,7 +156,7 @@ class Diagnose:
             return diagnose_both(self, recording, arm, other, effects)
         effects, _ = by_domain(effects)
         options, seen = QUICK if self.quick else None, None
-        with stages.shown() as entered:
+        with screen.stages() as entered:
             if other is None:
                 found = diagnose(
                     recording, arm, geometry=self.geometry, effects=effects, options=options, progress=entered
@@ -171,10 +171,10 @@ class Diagnose:
         document = with_statements(document)
 
         def drawings() -> Drawings:
-            from lite6jax.report import diagnosis_figures, page
+            from lite6jax.report import diagnosis_figures, pages
 
-            figures = diagnosis_figures.drawings(found, self.source.name, worth.order(document))
-            return Drawings(figures, len(diagnosis_figures.NAMES), partial(page.diagnosis_page, found, document))
+            figures = diagnosis_figures.drawings(found, self.source.name, document)
+            return Drawings(figures, len(diagnosis_figures.NAMES), partial(pages.diagnosis_page, found, document))
 
         present(self, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
         return BAD_FIT if found.quality.verdict == "bad" else DONE
@@ -200,10 +200,10 @@ class Diagnose:
         if self.torques or (recording.position is None and recording.has_torques):
             from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
             from lite6jax.diagnosis.torque_document import to_torque_document
-            from lite6jax.report import torque_statements
+            from lite6jax.report import statements
 
             motors = diagnose_torques(recording, nominal, effects=dynamic, options=options)
-            return motors, torque_statements.with_statements({**to_torque_document(motors), "inputs": read})
+            return motors, statements.with_statements({**to_torque_document(motors), "inputs": read})
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import to_document
         from lite6jax.report import statements
@@ -270,7 +270,7 @@ class Predict:
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings.writing import write_table
-        from lite6jax.report import compensation_tables, diagnosis_tables, screen
+        from lite6jax.report import compensation, screen
         from lite6jax.report.reference import origin_statement
 
         document, effects = parsed_document(self.diagnosis), load_effects(self.effects) if self.effects else ()
@@ -301,15 +301,15 @@ class Predict:
         if model.reference is not None:
             screen.show([origin_statement(model.reference)])
         if found is not None:
-            screen.show(diagnosis_tables.registration_report(found))
+            screen.show(compensation.registration_report(found))
         screen.show(screen.notes(recording.notes))
         empty = int(np.isnan(shown.poses[:, 0, 0]).sum())
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
         if shown.outside is None:
-            print(f"{self.diagnosis}: {compensation_tables.NO_BARS}", file=sys.stderr)
+            print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
         else:
-            print(compensation_tables.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
+            print(compensation.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
         for line in said:
             print(line)
         screen.written([path])

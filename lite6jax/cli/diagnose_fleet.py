@@ -32,7 +32,7 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
     from lite6jax.folders.listing import recording_names
     from lite6jax.folders.place import Place
     from lite6jax.folders.population import DOCUMENT, check_document
-    from lite6jax.report import population_tables, screen
+    from lite6jax.report import fleets, screen
     from lite6jax.storage import write_atomically
 
     place = Place.of(command.source)
@@ -54,7 +54,7 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
     if command.json:
         print(document_text(document))
         return DONE
-    screen.show(population_tables.population_report(document))
+    screen.show(fleets.population_report(document))
     screen.written([command.out / TABLE, path])
     return DONE
 

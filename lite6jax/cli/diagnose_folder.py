@@ -47,15 +47,15 @@ def diagnose_recordings(command: "Diagnose") -> int:
             f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
         )
     check_processes(command.processes, command.scheduler)
-    from lite6jax.report import folder_tables, screen
+    from lite6jax.report import fleets, screen
 
     run = run_on_folder(command, command.out, diagnose_names)
     if command.json:
         from lite6jax.report import documents
 
-        print(documents.text(documents.of_diagnoses(folder_tables.read_diagnoses(run.path)), [run.path]))
+        print(documents.text(documents.of_diagnoses(fleets.read_diagnoses(run.path)), [run.path]))
         return DONE
-    screen.show(folder_tables.diagnoses_report(folder_tables.read_diagnoses(run.path), run.kept))
+    screen.show(fleets.diagnoses_report(fleets.read_diagnoses(run.path), run.kept))
     screen.written([run.path])
     return DONE
 

@@ -39,16 +39,16 @@ def diagnose_motors(
     from lite6jax.diagnosis.torque_document import to_torque_document
     from lite6jax.diagnosis.torque_reference import diagnose_torques_against
     from lite6jax.effects.user_effects import by_domain
-    from lite6jax.report import stages, worth
-    from lite6jax.report.diagnosis_tables import diagnosis_report
-    from lite6jax.report.torque_statements import with_statements
+    from lite6jax.report import screen
+    from lite6jax.report.sections import diagnosis_report
+    from lite6jax.report.statements import with_statements
 
     if command.figures:
-        from lite6jax.report.torque_figures import NAMES
+        from lite6jax.report.diagnosis_figures import TORQUE_NAMES
 
-        check_figures(command, NAMES)
+        check_figures(command, TORQUE_NAMES)
     _, dynamic = by_domain(effects)
-    with stages.shown() as entered:
+    with screen.stages() as entered:
         options = QUICK if command.quick else None
         if other is None:
             found, seen = diagnose_torques(recording, arm, effects=dynamic, options=options, progress=entered), None
@@ -63,10 +63,10 @@ def diagnose_motors(
     document = with_statements(document)
 
     def drawings() -> Drawings:
-        from lite6jax.report import torque_figures, torque_page
+        from lite6jax.report import diagnosis_figures, pages
 
-        figures = torque_figures.drawings(found, command.source.name, worth.order(document))
-        return Drawings(figures, len(torque_figures.NAMES), partial(torque_page.torque_page, found, document))
+        figures = diagnosis_figures.drawings(found, command.source.name, document)
+        return Drawings(figures, len(diagnosis_figures.TORQUE_NAMES), partial(pages.diagnosis_page, found, document))
 
     present(command, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
     return DONE
@@ -82,11 +82,14 @@ def diagnose_both(
     """Searches the poses and the torques of a recording, writes and prints what was found; arguments as above."""
     from lite6jax.diagnosis.combined import diagnose_combined
     from lite6jax.diagnosis.options import QUICK
-    from lite6jax.report import combined, diagnosis_figures, page, stages, torque_figures
+    from lite6jax.report import diagnosis_figures, pages, screen
+    from lite6jax.report.diagnosis_figures import NAMES, PREFIX, TORQUE_NAMES
+    from lite6jax.report.sections import diagnosis_report
+    from lite6jax.report.statements import with_statements
 
-    names = [*diagnosis_figures.NAMES, *(combined.PREFIX + name for name in torque_figures.NAMES)]
+    names = [*NAMES, *(PREFIX + name for name in TORQUE_NAMES)]
     check_figures(command, names)
-    with stages.shown() as entered:
+    with screen.stages() as entered:
         found = diagnose_combined(
             recording,
             arm,
@@ -97,14 +100,13 @@ def diagnose_both(
             progress=entered,
         )
     read = inputs(command.source, command.arm, command.reference, command.effects)
-    document = combined.with_statements({**found.to_dict(), "inputs": read})
+    document = with_statements({**found.to_dict(), "inputs": read})
 
     def drawings() -> Drawings:
-        alone = found.torques is None
-        made = partial(page.diagnosis_page, found.poses) if alone else partial(combined.combined_page, found)
-        return Drawings(combined.drawings(found, command.source.name, document), len(names), partial(made, document))
+        figures = diagnosis_figures.drawings(found, command.source.name, document)
+        return Drawings(figures, len(names), partial(pages.diagnosis_page, found, document))
 
-    present(command, recording, document, combined.combined_report, drawings, None if other is None else other.source)
+    present(command, recording, document, diagnosis_report, drawings, None if other is None else other.source)
     return BAD_FIT if found.poses.quality.verdict == "bad" else DONE
 
 
@@ -124,7 +126,7 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
     from lite6jax.domains.torque.predict import predicted_torques, torque_columns
     from lite6jax.recordings.writing import write_table
     from lite6jax.report import screen
-    from lite6jax.report.torque_reference import model_statement
+    from lite6jax.report.reference import torque_model_statement
 
     if command.register:
         raise InputError("--register: a diagnosis of torques has no sensor frame")
@@ -140,7 +142,7 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
         print(documents.text({"schema": "lite6jax/prediction/1", "rows": recording.samples}, [path]))
         return DONE
     if model.relative_to is not None:
-        screen.show([model_statement(model.relative_to, "rows")])
+        screen.show([torque_model_statement(model.relative_to, "rows")])
     screen.show(screen.notes(recording.notes))
     _say_outside(command, shown)
     screen.written([path])
@@ -150,7 +152,7 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
 def _say_outside(command: "Predict", shown: "TorquePrediction") -> None:
     import sys
 
-    from lite6jax.report.compensation_tables import NO_BARS, outside_sentence
+    from lite6jax.report.compensation import NO_BARS, outside_sentence
 
     if shown.outside is None:
         print(f"{command.diagnosis}: {NO_BARS}", file=sys.stderr)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from lite6jax.cli.diagnose import Diagnose
     from lite6jax.recordings import Recording
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report.ranking import Files
 
 Document = Mapping[str, Any]
 
@@ -67,7 +67,7 @@ def present(
     """
     from lite6jax.diagnosis.document import document_text, write_document
     from lite6jax.report import screen
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report.ranking import Files
 
     files = Files(command.source, command.out, command.effects)
     written = [write_document(document, command.out, command.force)] if command.out else []

@@ -204,22 +204,22 @@ class Identify:
                 effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
                 found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
 
-        from lite6jax.report import screen, study_tables
+        from lite6jax.report import screen, study
 
         written = []
         if self.figures:
-            from lite6jax.report import canvas, study_figures
+            from lite6jax.report import canvas, figures
 
             drawings = (
-                study_figures.singular_values(found, self.source),
-                study_figures.correlation(found, self.source),
-                study_figures.deviations(found, self.source),
+                figures.singular_values(found, self.source),
+                figures.correlation(found, self.source),
+                figures.deviations(found, self.source),
             )
             written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
         if self.json:
             print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
         else:
-            screen.show(study_tables.identification_report(found, self.source, drawn))
+            screen.show(study.identification_report(found, self.source, drawn))
             screen.written(written)
         return DONE
 
@@ -274,7 +274,7 @@ class Sensitivity:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import canvas, screen, study_tables
+        from lite6jax.report import canvas, screen, study
 
         check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
@@ -291,11 +291,11 @@ class Sensitivity:
             over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
         written = []
         if self.figures:
-            from lite6jax.report import study_figures
+            from lite6jax.report import figures
 
             drawings = (
-                study_figures.sensitivity_by_joint(found, self.source),
-                study_figures.sensitivity_over_workspace(found, self.source),
+                figures.sensitivity_by_joint(found, self.source),
+                figures.sensitivity_over_workspace(found, self.source),
             )
             written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
         if self.json:
@@ -303,6 +303,6 @@ class Sensitivity:
 
             print(documents.text(documents.of_sensitivity(found, over_arms), written))
             return DONE
-        screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
+        screen.show(study.sensitivity_report(found, over_arms, self.source))
         screen.written(written)
         return DONE

@@ -84,7 +84,7 @@ def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
     """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
     import numpy as np
 
-    from lite6jax.report.cells import joint_units
+    from lite6jax.report.words import joint_units
 
     scales, _ = joint_units(arm.sliding, arm.dof)
     return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
@@ -113,7 +113,7 @@ def identify_recording(setup: TorqueSetup, recording: "Recording", arm: "Arm", s
     Raises:
         InputError: a motion without times and accelerations, or as `identify_torques`.
     """
-    from lite6jax.report.cells import torque_units
+    from lite6jax.report.words import torque_units
 
     motion, notes = _recorded_motion(recording)
     phrase = f"{recording.samples} samples of a recording"
@@ -129,13 +129,13 @@ def _identified(
     model: "TorqueModel", motion: "Motion", source: str, phrase: str, as_json: bool, notes: tuple[str, ...] = ()
 ) -> int:
     from lite6jax.identifiability.torque.identify import identify_torques
-    from lite6jax.report import screen, torque_study_tables
+    from lite6jax.report import screen, study
 
     found = identify_torques(model, motion, notes=notes)
     if as_json:
         print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
     else:
-        screen.show(torque_study_tables.torque_identification_report(found, source, phrase))
+        screen.show(study.torque_identification_report(found, source, phrase))
     return DONE
 
 
@@ -195,13 +195,13 @@ def design_motion(
     from lite6jax.identifiability.torque.discrimination import plan_torque_discrimination, rival_of
     from lite6jax.identifiability.torque.planning import plan_motion
     from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
-    from lite6jax.report import screen, torque_study_tables
+    from lite6jax.report import screen, study
 
     arm = read_arm(source)
     room = setup.room(arm, filters, margin)
     if discriminate is None:
         found = plan_motion(setup.model(arm), room, seed=seed, processes=processes, scheduler=scheduler)
-        report = torque_study_tables.torque_plan_report(found, disabled, source)
+        report = study.torque_plan_report(found, disabled, source)
     else:
         model = setup.model(arm, unknown=False)
         parsed = [
@@ -210,7 +210,7 @@ def design_motion(
         ]
         rivals = [rival_of(effect, values, model) for effect, values in parsed if isinstance(effect, TorqueEffect)]
         found = plan_torque_discrimination(model, room, rivals, seed=seed, processes=processes, scheduler=scheduler)
-        report = torque_study_tables.torque_discrimination_report(found, disabled, source)
+        report = study.torque_discrimination_report(found, disabled, source)
     made = found.trajectory
     settings = RecordingSettings(arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or GRAVITY)
     recording = Recording.assembled(
@@ -223,9 +223,10 @@ def design_motion(
     )
     written = [write_recording(recording, out, force), sidecar_path(out)]
     if figures is not None:
-        from lite6jax.report import canvas, study_figures
+        from lite6jax.report import canvas
+        from lite6jax.report.figures import designed_motion
 
-        drawing = study_figures.designed_motion(found, source)
+        drawing = designed_motion(found, source)
         written += canvas.save({figure_name(out): drawing}, figures, force)
     if as_json:
         from lite6jax.report import documents

@@ -1,26 +1,34 @@
-"""What `--json` prints of a command whose result has no file format of its own: plain values, SI units in the names.
+"""What is written of each kind of result: the JSON that `--json` prints, the table of a data frame, and its file.
 
-To add a kind of result, register a function with `document` here.
+To add a kind, register a function with `document` (plain values, SI units in the names), `tabulate` or `write` here.
 """
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
 from lite6jax.arms.forms import Conversion
 from lite6jax.controller.calibration import CalibrationRead
+from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.document import document_text
+from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
-from lite6jax.domains.pose.predict import Prediction
+from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
+from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
+from lite6jax.errors import InputError
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import Errors, Solution
+from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution, write_solution
 from lite6jax.folders.rows import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
@@ -28,8 +36,18 @@ from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
 from lite6jax.identifiability.torque.planning import TorquePlan
-from lite6jax.report.cells import STATISTICS
-from lite6jax.report.compensation_tables import reason_text
+from lite6jax.recordings import Recording, write_recording
+from lite6jax.recordings.writing import write_table
+from lite6jax.report.compensation import compensation_columns, reason_text
+from lite6jax.report.statements import with_statements
+from lite6jax.report.words import STATISTICS
+from lite6jax.results import PublicResult, tabulate, write
+from lite6jax.storage import check_writable, write_atomically
+
+Array = NDArray[np.floating]
+Columns = dict[str, Any]
+
+# ------------------------------------------------------------------ JSON documents
 
 
 def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
@@ -57,34 +75,17 @@ def document(result: Any) -> dict[str, Any]:
 def _solution(found: Solution) -> dict[str, Any]:
     chain = found.form.chain
     deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
-    entries = zip(
-        chain.names,
-        chain.units,
-        found.parameters,
-        deviation,
-        found.free,
-        found.determined,
-        found.prior_share,
-        strict=False,
-    )
+    columns = {
+        "name": chain.names, "unit": chain.units, "value": found.parameters, "std": deviation, "free": found.free,
+        "determined": found.determined, "prior_share": found.prior_share,
+    }  # fmt: skip
     return {
         "schema": "lite6jax/fit/1",
         "arm": found.arm.name,
         "result": found.result.name.lower(),
         "steps": found.steps,
         "quality": found.quality.to_dict(),
-        "parameters": [
-            {
-                "name": name,
-                "unit": unit,
-                "value": value,
-                "std": std,
-                "free": free,
-                "determined": sure,
-                "prior_share": share,
-            }
-            for name, unit, value, std, free, sure, share in entries
-        ],
+        "parameters": list(_rows(**columns)),
         "held": [asdict(each) for each in found.held],
         "T_sensor_base": found.model.T_sensor_base,
         "T_flange_tool": found.model.T_flange_tool,
@@ -95,6 +96,11 @@ def _solution(found: Solution) -> dict[str, Any]:
         "data_faults": [fault.to_dict() for fault in found.faults],
         "notes": found.notes,
     }
+
+
+def _rows(**columns: Any) -> Iterator[dict[str, Any]]:
+    """A dictionary for each row of columns by name; the shortest column ends them."""
+    return (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=False))
 
 
 def _errors(errors: Errors) -> dict[str, float]:
@@ -140,25 +146,18 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> dict[str, Any]:
     """The document of a study of sensitivity, with Sobol's indices where these were computed."""
-    turned = np.sqrt(np.mean(found.orientation**2, 0))
-    moved = np.sqrt(np.mean(found.position**2, 0))
+    moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
+    parameters = _rows(
+        name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
+        orientation_rms_rad=turned, share=found.share,
+    )  # fmt: skip
+    sobol = None if over_arms is None else _rows(name=over_arms.names, first=over_arms.first, total=over_arms.total)
     return {
         "schema": "lite6jax/sensitivity/1",
         "expected_position_rms_m": float(np.sqrt(np.mean(found.expected_error**2))),
-        "parameters": [
-            {"name": name, "unit": unit, "tolerance": t, "per_unit": p, "position_rms_m": m, "orientation_rms_rad": o,
-             "share": s}
-            for name, unit, t, p, m, o, s in zip(
-                found.names, found.units, found.tolerance, found.per_unit, moved, turned, found.share, strict=True
-            )
-        ],
-        "sobol": None
-        if over_arms is None
-        else [
-            {"name": name, "first": first, "total": total}
-            for name, first, total in zip(over_arms.names, over_arms.first, over_arms.total, strict=True)
-        ],
-    }  # fmt: skip
+        "parameters": list(parameters),
+        "sobol": None if sobol is None else list(sobol),
+    }
 
 
 @document.register
@@ -171,61 +170,44 @@ def _identification(found: Identification) -> dict[str, Any]:
     return found.to_dict()
 
 
-@document.register
-def _plan(found: Plan) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/design/1",
-        "arm": found.experiment.arm.name,
-        "poses": found.count,
-        "candidates": found.candidates,
-        "criterion": found.criterion,
-        "rank": found.design.rank,
-        "position_std_m": found.accuracy,
-        "random_position_std_m": found.random_median,
-        "worth_random_poses": found.worth,
-        "needed": found.needed,
-        "joint_position_rad": found.joint_position,
-    }
+@document.register(Plan)
+@document.register(DiscriminationPlan)
+def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
+    about = {"arm": found.experiment.arm.name, "poses": found.count, "candidates": found.candidates}
+    if isinstance(found, DiscriminationPlan):
+        about = {"schema": "lite6jax/discrimination/1", **about, **_separation(found)}
+    else:
+        about = {
+            "schema": "lite6jax/design/1",
+            **about,
+            "criterion": found.criterion,
+            "rank": found.design.rank,
+            "position_std_m": found.accuracy,
+            "random_position_std_m": found.random_median,
+            "worth_random_poses": found.worth,
+            "needed": found.needed,
+        }
+    return {**about, "joint_position_rad": found.joint_position}
 
 
-@document.register
-def _discrimination(found: DiscriminationPlan) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/discrimination/1",
-        "arm": found.experiment.arm.name,
-        "poses": found.count,
-        "candidates": found.candidates,
-        "rivals": found.rivals,
-        "both_ways": found.both_ways,
-        "distance": found.distance,
-        "random_distance": found.random_distance,
-        "joint_position_rad": found.joint_position,
-    }
-
-
-@document.register
-def _motion(found: TorquePlan) -> dict[str, Any]:
+@document.register(TorquePlan)
+@document.register(TorqueDiscrimination)
+def _motion(found: TorquePlan | TorqueDiscrimination) -> dict[str, Any]:
+    about = {"duration_s": found.room.duration, "harmonics": found.room.harmonics}
+    if isinstance(found, TorqueDiscrimination):
+        return {"schema": "lite6jax/motion_discrimination/1", **about, **_separation(found)}
     return {
         "schema": "lite6jax/motion/1",
-        "duration_s": found.room.duration,
-        "harmonics": found.room.harmonics,
+        **about,
         "identification": found.identification.to_dict(),
         "log_determinant": found.identification.log_determinant,
         "random_log_determinant": found.random_log_determinant,
     }
 
 
-@document.register
-def _separating(found: TorqueDiscrimination) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/motion_discrimination/1",
-        "duration_s": found.room.duration,
-        "harmonics": found.room.harmonics,
-        "rivals": found.rivals,
-        "both_ways": found.both_ways,
-        "distance": found.distance,
-        "random_distance": found.random_distance,
-    }
+def _separation(found: DiscriminationPlan | TorqueDiscrimination) -> dict[str, Any]:
+    """Between which models, and how far apart these are."""
+    return {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
 
 
 @document.register
@@ -248,11 +230,12 @@ def _compensation(found: Compensation) -> dict[str, Any]:
         "outside": None if found.outside is None else int(found.outside.sum()),
         "omitted": found.omitted,
         "not_reached": [
-            {"row": row, "reason": reason_text(reason, found.recording.sliding), "position_error_m": error}
-            for row, reason, error, hit in zip(
-                found.recording.row, found.reason, found.position_error, found.reached, strict=True
-            )
-            if not hit
+            {
+                "row": found.recording.row[k],
+                "reason": reason_text(found.reason[k], found.recording.sliding),
+                "position_error_m": found.position_error[k],
+            }
+            for k in np.flatnonzero(~found.reached)
         ],
         "notes": found.notes,
     }
@@ -286,19 +269,16 @@ def _calibration(read: CalibrationRead) -> dict[str, Any]:
 
 def of_prediction(found: Prediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
+    fitted = None
+    if registration is not None:
+        frames = {name: getattr(registration, name) for name in ("T_sensor_base", "T_flange_tool")}
+        fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
     return {
         "schema": "lite6jax/prediction/1",
         "rows": len(found.poses),
         "empty_rows": int(np.isnan(found.poses[:, 0, 0]).sum()),
         "outside": None if found.outside is None else int(found.outside.sum()),
-        "registration": None
-        if registration is None
-        else {
-            "T_sensor_base": registration.T_sensor_base,
-            "T_flange_tool": registration.T_flange_tool,
-            "position_rms_m": registration.rms,
-            "outliers": int(np.sum(~registration.kept)),
-        },
+        "registration": fitted,
     }
 
 
@@ -313,3 +293,166 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+# ------------------------------------------------------------------ tables
+
+
+@tabulate.register
+def _recording_table(recording: Recording) -> Columns:
+    return dict(recording.columns())
+
+
+@tabulate.register
+def _solution_table(solution: Solution) -> Columns:
+    return _by_row(document(solution)["parameters"])
+
+
+@tabulate.register
+def _fleet_table(fleet: FleetSolution) -> Columns:
+    chain = fleet.form.chain
+    columns: Columns = {
+        "arm": np.arange(1, len(fleet.result) + 1),
+        "result": [Result(code).name.lower() for code in fleet.result],
+        "steps": fleet.steps,
+        "position_rms_m": fleet.position_rms,
+        "orientation_rms_rad": fleet.orientation_rms,
+    }
+    for kind, table in (("", fleet.parameters), ("_std", fleet.standard_deviation)):
+        columns |= {f"{n}{kind}_{u}": v for n, u, v in zip(chain.names, chain.units, table.T, strict=True)}
+    return columns
+
+
+@tabulate.register
+def _comparison_table(found: Comparison) -> Columns:
+    form = found.arm.form
+    columns: Columns = {"arm": list(found.names), "from_nominal_max_m": found.from_nominal.max(1)}
+    return columns | {f"{n}_{u}": v for n, u, v in zip(form.names, form.units, found.difference.T, strict=True)}
+
+
+@tabulate.register
+def _identification_table(found: Identification) -> Columns:
+    return _by_row(found.to_dict()["parameters"])
+
+
+@tabulate.register(Plan)
+@tabulate.register(DiscriminationPlan)
+def _design_table(found: Plan | DiscriminationPlan) -> Columns:
+    joints, sliding = found.joint_position.T, found.experiment.arm.sliding
+    columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
+    accuracy = {"position_std_m": found.accuracy} if isinstance(found, Plan) else {"distance": found.distance}
+    return columns | accuracy
+
+
+@tabulate.register
+def _sensitivity_table(found: Sensitivity) -> Columns:
+    return _by_row(document(found)["parameters"])
+
+
+@tabulate.register
+def _global_sensitivity_table(found: GlobalSensitivity) -> Columns:
+    parts = ("first", "first_interval", "total", "total_interval")
+    return {"name": list(found.names), **{part: getattr(found, part) for part in parts}}
+
+
+@tabulate.register
+def _prediction_table(found: Prediction) -> Columns:
+    return dict(prediction_columns(found, orientation=found.orientation_std is not None))
+
+
+@tabulate.register
+def _torque_prediction_table(found: TorquePrediction) -> Columns:
+    return dict(torque_columns(found))
+
+
+@tabulate.register
+def _compensation_table(found: Compensation) -> Columns:
+    return dict(compensation_columns(found))
+
+
+@tabulate.register
+def _registration_table(found: Registration) -> Columns:
+    columns: Columns = dict(zip(("dx_m", "dy_m", "dz_m"), found.missed.T, strict=True))
+    if found.turned is not None:
+        columns |= dict(zip(("drx_rad", "dry_rad", "drz_rad"), found.turned.T, strict=True))
+    return {**columns, "distance_m": found.distance, "weight": found.weight, "outlier": ~found.kept}
+
+
+_PARAMETER = ("of", "finding", "effect", "site", "driver", "parameter", "value", "std", "p_value")
+
+
+@tabulate.register(Diagnosis)
+@tabulate.register(TorqueDiagnosis)
+@tabulate.register(CombinedDiagnosis)
+def _diagnosis_table(found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis) -> Columns:
+    """A row for each parameter of each finding; findings are numbered from 1."""
+    parts = (found.poses, found.torques) if isinstance(found, CombinedDiagnosis) else (found,)
+    rows = [
+        (of, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
+        for part in parts
+        if part is not None
+        for of in ("torques" if isinstance(part, TorqueDiagnosis) else "poses",)
+        for number, finding in enumerate(part.findings, 1)
+        for driver in (", ".join(each.phrase for each in finding.effect.drivers) or "none",)
+        for name, estimate in finding.parameters.items()
+    ]
+    return {name: [row[k] for row in rows] for k, name in enumerate(_PARAMETER)}
+
+
+def _by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
+    """Columns of rows that have the same entries."""
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+# ------------------------------------------------------------------ files
+
+
+_TABLES = (".csv", ".parquet")
+
+
+@write.register
+def _saved(result: PublicResult, path: Path, overwrite: bool) -> Path:
+    """A table, or the document of a class that has one."""
+    suffix, forms = path.suffix.lower(), [str(form) for form in _TABLES]
+    if document.dispatch(type(result)) is not document.dispatch(object):
+        forms.append(".json")
+    _check_suffix(result, path, forms)
+    if suffix == ".json":
+        return write_atomically(path, text(document(result), None) + "\n", overwrite)
+    columns = pa.table({name: pa.array(values) for name, values in tabulate(result).items()})
+    return write_atomically(path, lambda target: write_table(columns, target), overwrite)
+
+
+@write.register
+def _saved_recording(recording: Recording, path: Path, overwrite: bool) -> Path:
+    return write_recording(recording, path, overwrite)  # with the sidecar that makes it one
+
+
+@write.register
+def _saved_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
+    """As `lite6jax fit --out`: the effective table, which other commands read."""
+    return (write_solution if path.suffix.lower() == ".json" else _saved)(solution, path, overwrite)
+
+
+@write.register(Diagnosis)
+@write.register(TorqueDiagnosis)
+@write.register(CombinedDiagnosis)
+def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
+    """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
+    suffix = path.suffix.lower()
+    _check_suffix(found, path, (".json", ".html", *_TABLES))
+    if suffix in _TABLES:
+        return _saved(found, path, overwrite)
+    check_writable(path, overwrite)
+    stated = with_statements(found.to_dict())
+    if suffix == ".json":
+        return write_atomically(path, document_text(stated), overwrite)
+    from lite6jax.report.pages import page_text  # which draws, and takes what draws
+
+    return write_atomically(path, page_text(found, stated), overwrite)
+
+
+def _check_suffix(result: object, path: Path, forms: Sequence[str]) -> None:
+    if path.suffix.lower() not in forms:
+        named = ", ".join(forms[:-1]) + f" or {forms[-1]}"
+        raise InputError(f"{path}: a {type(result).__name__} is saved as {named}; let the name end so")

@@ -16,7 +16,7 @@ from lite6jax.identifiability.torque.discrimination import rival_of
 from lite6jax.identifiability.torque.fourier import Motion, motion_limits
 from lite6jax.identifiability.torque.identify import identify_torques, structure_of
 from lite6jax.identifiability.torque.planning import plan_motion
-from lite6jax.report.torque_study_tables import torque_identification_report, torque_plan_report
+from lite6jax.report.study import torque_identification_report, torque_plan_report
 
 
 def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):

@@ -11,7 +11,7 @@ from lite6jax.errors import InputError
 from lite6jax.identifiability.torque.columns import torque_model
 from lite6jax.identifiability.torque.fourier import Motion
 from lite6jax.identifiability.torque.identify import identify_torques, structure_of
-from lite6jax.report.torque_study_tables import combination
+from lite6jax.report.study import combination
 from tests.oracles.arms import random_kinematics
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 

@@ -1,4 +1,4 @@
-"""What a person reads of a compensation: which targets are reached, which are not and why, and how accurately."""
+"""What a terminal shows of predictions: of a registration, and of a compensation which targets are reached, and why."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.text import Text
 
+from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.compensation_search import REACHED
 from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import screen
-from lite6jax.report.cells import counted, fixed, joint_units, listing, number, rows_named
-from lite6jax.report.sections import indented
+from lite6jax.report.screen import indented
+from lite6jax.report.words import SCREEN, counted, fixed, joint_units, listing, number, rows_named
 
 NO_BARS = (
     "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
@@ -199,3 +201,21 @@ def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
         f"{rows_named(rows)} {verb} outside what was recorded{where}: there the compensation extrapolates; record "
         "poses there, or keep targets inside"
     )
+
+
+def registration_report(found: Registration) -> Iterator[RenderableType]:
+    """The frames that were fitted, and the remaining errors."""
+    kept = found.kept
+    turned = ""
+    if found.turned is not None:
+        turned = f" and {number(float(np.rad2deg(np.sqrt(np.mean(np.sum(found.turned[kept] ** 2, 1))))))} deg"
+    yield Text(f"The registration on {len(kept)} rows leaves errors of {number(1e3 * found.rms)} mm{turned} RMS.")
+    if not kept.all():
+        yield Text(f"{np.sum(~kept)} rows are outliers and have little weight.")
+    table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
+    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
+        row = frames.row_from_transform(T) * np.repeat([SCREEN["m"][0], SCREEN["rad"][0]], 3)
+        table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
+    yield table
+    if found.turned is None:
+        yield Text("Positions do not determine the tool's rotation: only its offset is fitted.")

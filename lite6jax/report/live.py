@@ -13,15 +13,13 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller.calibration import CalibrationRead
-from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded
 from lite6jax.controller.recorder import Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.fitting.problem import calibration_poses
 from lite6jax.fitting.sampling import check_positions
 from lite6jax.report import screen
-from lite6jax.report.cells import fixed, listing, number
-from lite6jax.report.tables import STATISTICS
+from lite6jax.report.words import STATISTICS, fixed, listing, number
 
 Array = NDArray[np.floating]
 
@@ -184,8 +182,13 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
         if recorded.short:
             yield Text(f"{recorded.asked} rows were asked for.")
         repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
-        yield Text(f"{_missing(recorded.gaps, recorded.runs)}{repeated}.")
-        if recorded.gaps.count:
+        gaps = recorded.gaps
+        missing = f"{gaps.within} reports missing" if gaps.within else "No report missing"
+        if recorded.runs > 1:
+            missing = f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
+            missing = missing if gaps.within + gaps.between else "No report missing within or between runs"
+        yield Text(f"{missing}{repeated}.")
+        if gaps.count:
             yield _gaps(recorded)
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
@@ -194,15 +197,6 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
     if recorded.rows:
         yield _sources(recorded)
     yield from screen.notes(recorded.notes)
-
-
-def _missing(gaps: Gaps, runs: int) -> str:
-    """How many reports are missing, and where."""
-    if runs < 2:
-        return f"{gaps.within} reports missing" if gaps.within else "No report missing"
-    if not gaps.within + gaps.between:
-        return "No report missing within or between runs"
-    return f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
 
 
 def _gaps(recorded: Recorded) -> Table:
