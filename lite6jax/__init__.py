@@ -137,9 +137,9 @@ _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 results.registering |= {
     "describe": "lite6jax.report.summaries",
-    "draw": "lite6jax.report.figures",
-    "tabulate": "lite6jax.report.documents",
-    "write": "lite6jax.report.documents",
+    "draw": "lite6jax.report.kinds",
+    "tabulate": "lite6jax.report.kinds",
+    "write": "lite6jax.report.kinds",
 }
 
 if "jax" in sys.modules:

@@ -19,7 +19,7 @@ from lite6jax.arms.factory import read_factory
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.fitting.compare import compare
 from lite6jax.identifiability.discrimination import plan_discrimination
-from lite6jax.report import documents, figures, summaries  # noqa: F401 (they register)
+from lite6jax.report import kinds, summaries  # noqa: F401 (they register)
 from lite6jax.results import Figures, PublicResult
 
 LITE6 = lite6jax.read_arm("lite6")

@@ -100,27 +100,22 @@ def compensation_report(
         verb = "concerns" if len(found.omitted) == 1 else "concern"
         omitted = f"omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position"
         yield from screen.notes([omitted])
-    yield from _bars(found)
+    if found.position_std is None or found.outside is None:
+        yield from screen.notes([NO_BARS])
+    else:
+        yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
+        if hit:
+            std = 1e3 * found.position_std[found.reached]
+            rms = number(np.sqrt(np.mean(std**2)))
+            yield Text(
+                f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(std.max())} mm."
+            )
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)
         yield ""
         yield Text(
             f"Expected accuracy: in cross-validation this model had position errors of {after} mm RMS, and {before} mm "
             "without its effects."
-        )
-
-
-def _bars(found: Compensation) -> Iterator[RenderableType]:
-    """How sure the poses are, and how many targets are outside."""
-    if found.position_std is None or found.outside is None:
-        yield from screen.notes([NO_BARS])
-        return
-    yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
-    if found.reached.any():
-        std = 1e3 * found.position_std[found.reached]
-        yield Text(
-            f"Standard deviation of the positions reached: {number(np.sqrt(np.mean(std**2)))} mm RMS per axis, at most "
-            f"{number(std.max())} mm."
         )
 
 
@@ -153,11 +148,12 @@ def _missed(found: Compensation, rows: NDArray) -> str:
 def _corrections(corrections: NDArray, sliding: Sequence[int]) -> Iterator[RenderableType]:
     scales, units = joint_units(sliding, corrections.shape[1])
     degrees, named = scales * corrections, ", ".join(dict.fromkeys(units))
-    table = listing(f"correction of the joints ({named})", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
-    table.columns[0].no_wrap = False  # rather than cut numbers short
-    for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
-        table.add_row(name, *(fixed(float(value)) for value in values))
-    yield table
+    rows = (
+        (name, *map(fixed, values)) for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0)))
+    )
+    joints = (f"q{joint}" for joint in range(1, degrees.shape[1] + 1))
+    # rather wrap the name than cut numbers short
+    yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
 
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:

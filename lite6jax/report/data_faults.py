@@ -143,10 +143,6 @@ def _cause_statement(cause: "Cause") -> str:
             f"(median), with a fitted geometry by {_mm(n['fitted_m'])} mm, of which much is not determined. Touch "
             "several points, or measure positions, to calibrate the arm."
         )
-    return _geometry(n)
-
-
-def _geometry(n: Mapping[str, Any]) -> str:
     start = "factory calibration" if n["start"] == "factory_calibration" else "nominal arm"
     share = (
         f"a change of geometry explains {_percent(n['explained'])} of the squared error ({_mm(n['before_rms_m'])} mm "

@@ -1,6 +1,6 @@
-"""What is written of each kind of result: the JSON that `--json` prints, the table of a data frame, and its file.
+"""What `--json` prints of a command whose result has no file format of its own: plain values, SI units in the names.
 
-To add a kind, register a function with `document` (plain values, SI units in the names), `tabulate` or `write` here.
+To add a kind of result, register a function with `document` here.
 """
 
 import json
@@ -12,23 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
 
 from lite6jax.arms.forms import Conversion
 from lite6jax.controller.calibration import CalibrationRead
-from lite6jax.diagnosis.combined import CombinedDiagnosis
-from lite6jax.diagnosis.document import document_text
-from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
-from lite6jax.domains.pose.predict import Prediction, prediction_columns
+from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
-from lite6jax.errors import InputError
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution, write_solution
+from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.rows import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
@@ -36,18 +28,8 @@ from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
 from lite6jax.identifiability.torque.planning import TorquePlan
-from lite6jax.recordings import Recording, write_recording
-from lite6jax.recordings.writing import write_table
-from lite6jax.report.compensation import compensation_columns, reason_text
-from lite6jax.report.statements import with_statements
+from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
-from lite6jax.results import PublicResult, tabulate, write
-from lite6jax.storage import check_writable, write_atomically
-
-Array = NDArray[np.floating]
-Columns = dict[str, Any]
-
-# ------------------------------------------------------------------ JSON documents
 
 
 def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
@@ -160,14 +142,8 @@ def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> d
     }
 
 
-@document.register
-def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    return of_sensitivity(found, None)
-
-
-@document.register
-def _identification(found: Identification) -> dict[str, Any]:
-    return found.to_dict()
+document.register(Sensitivity, lambda found: of_sensitivity(found, None))
+document.register(Identification, Identification.to_dict)
 
 
 @document.register(Plan)
@@ -293,166 +269,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
-
-
-# ------------------------------------------------------------------ tables
-
-
-@tabulate.register
-def _recording_table(recording: Recording) -> Columns:
-    return dict(recording.columns())
-
-
-@tabulate.register
-def _solution_table(solution: Solution) -> Columns:
-    return _by_row(document(solution)["parameters"])
-
-
-@tabulate.register
-def _fleet_table(fleet: FleetSolution) -> Columns:
-    chain = fleet.form.chain
-    columns: Columns = {
-        "arm": np.arange(1, len(fleet.result) + 1),
-        "result": [Result(code).name.lower() for code in fleet.result],
-        "steps": fleet.steps,
-        "position_rms_m": fleet.position_rms,
-        "orientation_rms_rad": fleet.orientation_rms,
-    }
-    for kind, table in (("", fleet.parameters), ("_std", fleet.standard_deviation)):
-        columns |= {f"{n}{kind}_{u}": v for n, u, v in zip(chain.names, chain.units, table.T, strict=True)}
-    return columns
-
-
-@tabulate.register
-def _comparison_table(found: Comparison) -> Columns:
-    form = found.arm.form
-    columns: Columns = {"arm": list(found.names), "from_nominal_max_m": found.from_nominal.max(1)}
-    return columns | {f"{n}_{u}": v for n, u, v in zip(form.names, form.units, found.difference.T, strict=True)}
-
-
-@tabulate.register
-def _identification_table(found: Identification) -> Columns:
-    return _by_row(found.to_dict()["parameters"])
-
-
-@tabulate.register(Plan)
-@tabulate.register(DiscriminationPlan)
-def _design_table(found: Plan | DiscriminationPlan) -> Columns:
-    joints, sliding = found.joint_position.T, found.experiment.arm.sliding
-    columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
-    accuracy = {"position_std_m": found.accuracy} if isinstance(found, Plan) else {"distance": found.distance}
-    return columns | accuracy
-
-
-@tabulate.register
-def _sensitivity_table(found: Sensitivity) -> Columns:
-    return _by_row(document(found)["parameters"])
-
-
-@tabulate.register
-def _global_sensitivity_table(found: GlobalSensitivity) -> Columns:
-    parts = ("first", "first_interval", "total", "total_interval")
-    return {"name": list(found.names), **{part: getattr(found, part) for part in parts}}
-
-
-@tabulate.register
-def _prediction_table(found: Prediction) -> Columns:
-    return dict(prediction_columns(found, orientation=found.orientation_std is not None))
-
-
-@tabulate.register
-def _torque_prediction_table(found: TorquePrediction) -> Columns:
-    return dict(torque_columns(found))
-
-
-@tabulate.register
-def _compensation_table(found: Compensation) -> Columns:
-    return dict(compensation_columns(found))
-
-
-@tabulate.register
-def _registration_table(found: Registration) -> Columns:
-    columns: Columns = dict(zip(("dx_m", "dy_m", "dz_m"), found.missed.T, strict=True))
-    if found.turned is not None:
-        columns |= dict(zip(("drx_rad", "dry_rad", "drz_rad"), found.turned.T, strict=True))
-    return {**columns, "distance_m": found.distance, "weight": found.weight, "outlier": ~found.kept}
-
-
-_PARAMETER = ("of", "finding", "effect", "site", "driver", "parameter", "value", "std", "p_value")
-
-
-@tabulate.register(Diagnosis)
-@tabulate.register(TorqueDiagnosis)
-@tabulate.register(CombinedDiagnosis)
-def _diagnosis_table(found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis) -> Columns:
-    """A row for each parameter of each finding; findings are numbered from 1."""
-    parts = (found.poses, found.torques) if isinstance(found, CombinedDiagnosis) else (found,)
-    rows = [
-        (of, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
-        for part in parts
-        if part is not None
-        for of in ("torques" if isinstance(part, TorqueDiagnosis) else "poses",)
-        for number, finding in enumerate(part.findings, 1)
-        for driver in (", ".join(each.phrase for each in finding.effect.drivers) or "none",)
-        for name, estimate in finding.parameters.items()
-    ]
-    return {name: [row[k] for row in rows] for k, name in enumerate(_PARAMETER)}
-
-
-def _by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
-    """Columns of rows that have the same entries."""
-    return {name: [row[name] for row in rows] for name in rows[0]}
-
-
-# ------------------------------------------------------------------ files
-
-
-_TABLES = (".csv", ".parquet")
-
-
-@write.register
-def _saved(result: PublicResult, path: Path, overwrite: bool) -> Path:
-    """A table, or the document of a class that has one."""
-    suffix, forms = path.suffix.lower(), [str(form) for form in _TABLES]
-    if document.dispatch(type(result)) is not document.dispatch(object):
-        forms.append(".json")
-    _check_suffix(result, path, forms)
-    if suffix == ".json":
-        return write_atomically(path, text(document(result), None) + "\n", overwrite)
-    columns = pa.table({name: pa.array(values) for name, values in tabulate(result).items()})
-    return write_atomically(path, lambda target: write_table(columns, target), overwrite)
-
-
-@write.register
-def _saved_recording(recording: Recording, path: Path, overwrite: bool) -> Path:
-    return write_recording(recording, path, overwrite)  # with the sidecar that makes it one
-
-
-@write.register
-def _saved_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
-    """As `lite6jax fit --out`: the effective table, which other commands read."""
-    return (write_solution if path.suffix.lower() == ".json" else _saved)(solution, path, overwrite)
-
-
-@write.register(Diagnosis)
-@write.register(TorqueDiagnosis)
-@write.register(CombinedDiagnosis)
-def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
-    """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
-    suffix = path.suffix.lower()
-    _check_suffix(found, path, (".json", ".html", *_TABLES))
-    if suffix in _TABLES:
-        return _saved(found, path, overwrite)
-    check_writable(path, overwrite)
-    stated = with_statements(found.to_dict())
-    if suffix == ".json":
-        return write_atomically(path, document_text(stated), overwrite)
-    from lite6jax.report.pages import page_text  # which draws, and takes what draws
-
-    return write_atomically(path, page_text(found, stated), overwrite)
-
-
-def _check_suffix(result: object, path: Path, forms: Sequence[str]) -> None:
-    if path.suffix.lower() not in forms:
-        named = ", ".join(forms[:-1]) + f" or {forms[-1]}"
-        raise InputError(f"{path}: a {type(result).__name__} is saved as {named}; let the name end so")

@@ -1,37 +1,17 @@
-"""`plot()` of each kind of result: its figures by name, and figures of fits, comparisons, studies and designs.
+"""Figures of fits, of comparisons of arms, of studies and of designs."""
 
-To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `draw` here.
-"""
-
-from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from lite6jax.controller.verification import GATE_M, Verification
-from lite6jax.diagnosis.combined import CombinedDiagnosis
-from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.pose.compensate import Compensation
-from lite6jax.domains.pose.predict import Prediction
-from lite6jax.domains.pose.registration import Registration
-from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.solution import Errors, FleetSolution, Solution
-from lite6jax.identifiability.discrimination import DiscriminationPlan
-from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan
-from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
-from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
-from lite6jax.identifiability.torque.planning import TorquePlan
+from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report import diagnosis_figures
 from lite6jax.report.canvas import (
     AFTER,
     BEFORE,
@@ -48,194 +28,19 @@ from lite6jax.report.canvas import (
     panels_in_rows,
     titled,
 )
-from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
-from lite6jax.report.words import SCREEN, joint_units, torque_units
-from lite6jax.results import Figures, draw
+from lite6jax.report.words import SCREEN, joint_units
 
-Array = NDArray[np.floating]
+if TYPE_CHECKING:  # what studies take, and fits do not
+    from lite6jax.identifiability.discrimination import DiscriminationPlan
+    from lite6jax.identifiability.identify import Identification
+    from lite6jax.identifiability.planning import Plan
+    from lite6jax.identifiability.sensitivity import Sensitivity
+    from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
+    from lite6jax.identifiability.torque.planning import TorquePlan
 
 _MOST_NAMED = 12
-_MOST_BARS = 12
 _MOST_CURVES = 5
 _ROUNDING = 1e-16
-
-
-class Panel(NamedTuple):
-    """A quantity over the rows of a table: its name with unit, and `(row,)` values in that unit."""
-
-    label: str
-    values: Array
-
-
-@draw.register
-def _recording(recording: Recording, title: str) -> Figures:
-    title = title or Path(recording.source).name
-    joints = _of_joints("joint", recording.joint_position, *joint_units(recording.sliding, recording.dof))
-    drawn = {"joints": over_rows(joints, recording.row, f"{title}: joint positions")}
-    if recording.position is not None:
-        axes = [Panel(f"{axis} (mm)", 1e3 * values) for axis, values in zip("xyz", recording.position.T, strict=True)]
-        drawn["positions"] = over_rows(axes, recording.row, f"{title}: measured positions")
-    return Figures(drawn)
-
-
-@draw.register
-def _solution(solution: Solution, title: str) -> Figures:
-    recording = solution.recording
-    title = title or (solution.arm.name if recording is None else Path(recording.source).name)
-    drawn = {"error_by_joint": error_by_joint(solution, title)}
-    if recording is not None:
-        drawn["error_distribution"] = error_distribution(solution, recording, title)
-    return Figures(drawn)
-
-
-@draw.register
-def _fleet(fleet: FleetSolution, title: str) -> Figures:
-    arms = np.arange(1, len(fleet.result) + 1)
-    panels = [
-        Panel("position error (mm RMS)", 1e3 * fleet.position_rms),
-        Panel("orientation error (deg RMS)", np.rad2deg(fleet.orientation_rms)),
-    ]
-    return Figures({"errors": over_rows(panels, arms, title or "Fits of a fleet", across="arm")})
-
-
-@draw.register
-def _comparison(found: Comparison, title: str) -> Figures:
-    drawn = {"parameters": parameter_differences(found), "distances": distance_between(found)}
-    for figure in drawn.values():
-        if title:
-            figure.suptitle(f"{title}: {figure.get_suptitle()}", fontsize=15)
-    return Figures(drawn)
-
-
-@draw.register
-def _identification(found: Identification, title: str) -> Figures:
-    title = title or found.experiment.arm.name
-    drawn = (singular_values, correlation, deviations)
-    return Figures({each.__name__: each(found, title) for each in drawn})
-
-
-@draw.register(Plan)
-@draw.register(DiscriminationPlan)
-def _plan(found: Plan | DiscriminationPlan, title: str) -> Figures:
-    name = "accuracy" if isinstance(found, Plan) else "distance"
-    return Figures({name: accuracy_by_count(found, title or found.experiment.arm.name)})
-
-
-@draw.register
-def _sensitivity(found: Sensitivity, title: str) -> Figures:
-    title = title or "Tolerances"
-    over = {"by_joint": sensitivity_by_joint(found, title), "workspace": sensitivity_over_workspace(found, title)}
-    return Figures(over)
-
-
-@draw.register
-@rc_context(STYLE)
-def _global_sensitivity(found: GlobalSensitivity, title: str) -> Figures:
-    order = np.argsort(-found.total, kind="stable")[:_MOST_BARS][::-1]
-    at = np.arange(len(order))
-    figure = blank(9.0, 1.2 + 0.42 * len(order))
-    panel = figure.subplots()
-    for part, half, label, color, up in (
-        (found.total, found.total_interval, "with others", AFTER, 0.2),
-        (found.first, found.first_interval, "alone", BEFORE, -0.2),
-    ):
-        panel.barh(at + up, part[order], 0.38, xerr=half[order], color=color, label=label, error_kw={"capsize": 2})
-    panel.set_yticks(at, [found.names[i] for i in order])
-    panel.set(xlabel="share of the variance of the error over arms")
-    panel.legend(frameon=False, loc="lower right")
-    figure.suptitle(f"{title or 'Tolerances'}: Sobol's indices", fontsize=15)
-    return Figures({"indices": figure})
-
-
-@draw.register
-def _prediction(found: Prediction, title: str) -> Figures:
-    title, row = title or "Prediction", np.arange(1, len(found.poses) + 1)
-    positions = zip("xyz", found.poses[:, :3, 3].T, strict=True)
-    panels = [Panel(f"{axis} (mm)", 1e3 * values) for axis, values in positions]
-    drawn = {"positions": over_rows(panels, row, f"{title}: positions", found.outside)}
-    if found.position_std is not None:
-        std = [Panel("std. deviation (mm)", 1e3 * np.linalg.norm(found.position_std, axis=1))]
-        drawn["std"] = over_rows(std, row, f"{title}: standard deviation of a position", found.outside)
-    return Figures(drawn)
-
-
-@draw.register
-def _torque_prediction(found: TorquePrediction, title: str) -> Figures:
-    row, joints = np.arange(1, len(found.torque) + 1), found.torque.shape[1]
-    panels = _of_joints("motor", found.torque, np.ones(joints), torque_units(found.sliding, joints))
-    return Figures({"torques": over_rows(panels, row, title or "Predicted torques", found.outside)})
-
-
-@draw.register
-def _compensation(found: Compensation, title: str) -> Figures:
-    title, row = title or "Compensation", found.recording.row
-    error = [Panel("distance from the target (mm)", 1e3 * found.position_error)]
-    drawn = {"error": over_rows(error, row, f"{title}: what is reached", ~found.reached, "not reached")}
-    if found.correction is not None:
-        units = joint_units(found.recording.sliding, found.correction.shape[1])
-        panels = _of_joints("joint", found.correction, *units)
-        drawn["correction"] = over_rows(panels, row, f"{title}: from the joints given", ~found.reached, "not reached")
-    return Figures(drawn)
-
-
-@draw.register
-def _registration(found: Registration, title: str) -> Figures:
-    row = np.arange(1, len(found.weight) + 1)
-    distance = [Panel("position error (mm)", 1e3 * found.distance)]
-    title = title or "Registration"
-    return Figures({"error": over_rows(distance, row, f"{title}: distance from the model", ~found.kept, "outlier")})
-
-
-@draw.register(Diagnosis)
-@draw.register(TorqueDiagnosis)
-def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
-    data = found.problem.data if isinstance(found, TorqueDiagnosis) else found.problem
-    title, document = title or Path(data.recording.source).name, found.to_dict()
-    ranked = {"ranking": ranking_figure(document, title)} if document["findings"] else {}
-    return Figures({**ranked, **dict(diagnosis_figures.drawings(found, title, document))})
-
-
-@draw.register
-def _combined(found: CombinedDiagnosis, title: str) -> Figures:
-    torques = {} if found.torques is None else draw(found.torques, title)
-    return Figures({**draw(found.poses, title), **{PREFIX + name: figure for name, figure in torques.items()}})
-
-
-def _of_joints(what: str, values: Array, scales: Array, units: Sequence[str]) -> list[Panel]:
-    """A panel of each joint, of `(row, joint)` values that `scales` carries to `units`."""
-    return [Panel(f"{what} {j + 1} ({unit})", scales[j] * values[:, j]) for j, unit in enumerate(units)]
-
-
-@rc_context(STYLE)
-def over_rows(
-    panels: Sequence[Panel],
-    row: NDArray[np.integer],
-    title: str,
-    marked: NDArray[np.bool_] | None = None,
-    mark: str = "outside what was recorded",
-    across: str = "row",
-) -> Figure:
-    """Quantities against the row, a panel each.
-
-    Args:
-        panels: at least one.
-        row: `(row,)` numbers of the rows.
-        title: of the figure.
-        marked: `(row,)`, rows in another colour; None for none.
-        mark: what is true of these.
-        across: what a row is of.
-    """
-    other = np.zeros(len(row), bool) if marked is None else marked
-    figure, axes = panels_in_rows(len(panels), wide=len(panels) == 1)
-    for axis, panel in zip(axes, panels, strict=True):
-        for rows, color in ((~other, AFTER), (other, BEFORE)):
-            dots(axis, row[rows].astype(float), panel.values[rows], color)
-        axis.set(xlabel=across, ylabel=panel.label)
-        axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    if other.any():
-        axes[0].plot([], [], "o", color=BEFORE, label=mark)
-        figure.legend(loc="outside lower center", frameon=False)
-    return titled(figure, title)
 
 
 # ------------------------------------------------------------------ fits and comparisons
@@ -377,7 +182,7 @@ def verification_figure(verification: Verification, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def singular_values(found: Identification, title: str) -> Figure:
+def singular_values(found: "Identification", title: str) -> Figure:
     """Singular values of the scaled Jacobian, falling, with the line under which nothing is determined."""
     d = found.determination
     values = np.maximum(d.singular_values, _ROUNDING * d.singular_values[0])
@@ -402,7 +207,7 @@ def singular_values(found: Identification, title: str) -> Figure:
 
 
 @rc_context(FRAMED)
-def correlation(found: Identification, title: str) -> Figure:
+def correlation(found: "Identification", title: str) -> Figure:
     """The correlations of the estimates, without those of parameters that are held."""
     d = found.determination
     free = np.flatnonzero(d.free)
@@ -420,7 +225,7 @@ def correlation(found: Identification, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def deviations(found: Identification, title: str) -> Figure:
+def deviations(found: "Identification", title: str) -> Figure:
     """The predicted standard deviation of each parameter against its tolerance: lengths, angles, then effects."""
     d = found.determination
     effect = np.array([":" in name for name in d.names])
@@ -459,8 +264,10 @@ def deviations(found: Identification, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def accuracy_by_count(found: Plan | DiscriminationPlan, title: str) -> Figure:
+def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
     """Accuracy, or distance between two models, against the number of poses: designed and drawn at random."""
+    from lite6jax.identifiability.planning import Plan
+
     planned = isinstance(found, Plan)
     figure = blank(9.0, 5.4)
     panel = figure.subplots()
@@ -500,7 +307,7 @@ def accuracy_by_count(found: Plan | DiscriminationPlan, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
+def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
     """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
     middles, means = found.by_joint()
     joints = len(middles)
@@ -522,7 +329,7 @@ def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
 
 
 @rc_context(FRAMED)
-def sensitivity_over_workspace(found: Sensitivity, title: str) -> Figure:
+def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
     """The expected error of an arm as assembled, over the plane of its reach, and each parameter's share of it."""
     across, up, expected = found.over_workspace()
     figure = blank(12.0, 5.6)
@@ -542,8 +349,10 @@ def sensitivity_over_workspace(found: Sensitivity, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def designed_motion(found: TorquePlan | TorqueDiscrimination, title: str) -> Figure:
+def designed_motion(found: "TorquePlan | TorqueDiscrimination", title: str) -> Figure:
     """Joint positions over time; below, standard deviations or distances: designed and random."""
+    from lite6jax.identifiability.torque.planning import TorquePlan
+
     made = found.trajectory
     figure = blank(11.0, 8.4)
     upper, lower = figure.subplots(2, 1)

@@ -113,15 +113,14 @@ def _result_line(solution: Solution, recorded: bool) -> str:
 
 def _errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
     """Mean, median, 95th percentile and maximum of position (mm) and orientation (deg) errors."""
-    table = listing("", "", *(name for name, _ in STATISTICS))
-    table.columns[1].justify = "left"
+    cells = []
     for name, errors in rows:
         for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
             if values is not None:
                 scale, shown = SCREEN[unit]
-                cells = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
-                table.add_row(name if unit == "m" else "", shown, *cells)
-    return table
+                numbers = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
+                cells.append((name if unit == "m" else "", shown, *numbers))
+    return listing("", "", *(name for name, _ in STATISTICS), rows=cells, left=[1])
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
@@ -134,9 +133,7 @@ def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, 
     if isinstance(chain, HayatiForm):
         given = set(chain.names)
         base = [name for name in SIX if f"base_{name}" in given]
-        head = listing("base", *base)
-        head.add_row("", *(cell(f"base_{name}", name) for name in base))
-        yield head
+        yield listing("base", *base, rows=[("", *(cell(f"base_{name}", name) for name in base))])
         yield ""
         columns = [
             name
@@ -147,11 +144,9 @@ def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, 
     else:
         columns = list(SIX)
         names = [[f"joint{i + 1}_{name}" for name in columns] for i in range(chain.dof)]
-    table = listing("joint", *columns)
-    for i, row in enumerate(names):
-        slides = isinstance(chain, HayatiForm) and i in chain.sliding
-        table.add_row(f"J{i + 1}{' P' * slides}", *map(cell, row, columns))
-    yield table
+    slides = chain.sliding if isinstance(chain, HayatiForm) else ()
+    rows = ((f"J{i + 1}{' P' * (i in slides)}", *map(cell, row, columns)) for i, row in enumerate(names))
+    yield listing("joint", *columns, rows=rows)
 
 
 def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableType]:
@@ -266,11 +261,10 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
     )
     yield ""
     yield Text("Distance from nominal (mm)")
-    table = listing("arm", "mean", "median", "p95", "max", "file")
-    table.columns[-1].justify, table.columns[-1].no_wrap, table.columns[-1].overflow = "left", False, "fold"
+    table = listing("arm", *(name for name, _ in STATISTICS), "file", left=[5], wrapped=[5])
     for k in range(arms):
         cells = (f"{1e3 * float(statistic(comparison.from_nominal[k])):.3f}" for _, statistic in STATISTICS)
-        table.add_row(str(k + 1), *cells, Text(names[k]))
+        table.add_row(str(k + 1), *cells, Text(names[k], overflow="fold"))
     yield table
     yield ""
     shown = list(range(arms)) if arms <= _MOST_ARMS else []
@@ -296,27 +290,26 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
 
 def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
     form = comparison.arm.form
-    table = listing("", "", *(str(k + 1) for k in arms), "std", "largest")
+    rows = []
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
         scale, shown = SCREEN[unit]
-        if scale * comparison.largest[i] < SHOWS_AS_ZERO:
-            continue
-        own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
-        table.add_row(name, shown, *own, f"{scale * comparison.spread[i]:.4f}", f"{scale * comparison.largest[i]:.4f}")
-    return table
+        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
+        if largest >= SHOWS_AS_ZERO:
+            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
+            rows.append((name, shown, *own, f"{spread:.4f}", f"{largest:.4f}"))
+    return listing("", "", *(str(k + 1) for k in arms), "std", "largest", rows=rows)
 
 
 def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
     arms = len(comparison.names)
     if arms <= _MOST_PAIRS:
-        table = listing("arm", *(str(k + 1) for k in range(arms)))
-        for i in range(arms):
-            table.add_row(
-                str(i + 1), *("–" if i == j else f"{1e3 * comparison.between[i, j]:.2f}" for j in range(arms))
-            )
+        between = [
+            ["–" if i == j else f"{1e3 * d:.2f}" for j, d in enumerate(row)] for i, row in enumerate(comparison.between)
+        ]
+        numbers = [str(k + 1) for k in range(arms)]
         yield ""
         yield Text("Largest distance between two arms' flanges (mm)")
-        yield table
+        yield listing("arm", *numbers, rows=((name, *row) for name, row in zip(numbers, between, strict=True)))
         return
     pairs = np.triu_indices(arms, 1)
     distance = comparison.between[pairs]

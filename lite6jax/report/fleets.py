@@ -88,9 +88,9 @@ def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[
     """
     yield from _of_earlier_run(kept, len(rows), "diagnosed")
     done = [row for row in rows if row["result"] == DIAGNOSED]
-    table = listing("recording", "verdict", "before", "after")
+    table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])
     for column in table.columns[:2]:
-        column.justify, column.no_wrap, column.overflow = "left", False, "fold"
+        column.overflow = "fold"
     table.columns[1].min_width = len("unexplained")
     found: list[str] = []
     for row in done:

@@ -107,9 +107,7 @@ def arm_report(arm: Arm) -> Iterator[RenderableType]:
     if arm.source:
         yield Text(f"From: {arm.source}.")
     yield ""
-    table = listing("", "joint", "kind", "lower", "upper", "unit")
-    for index in (1, 2, 5):
-        table.columns[index].justify = "left"
+    table = listing("", "joint", "kind", "lower", "upper", "unit", left=[1, 2, 5])
     for i, joint in enumerate(joint_entries(arm)):
         scale, unit = (1e3, "mm") if joint["unit"] == "m" else (math.degrees(1.0), "deg")
         lower, upper = (f"{scale * limit:.1f}" for limit in joint["limits"])
@@ -126,12 +124,11 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
             yield indented(f"{arm.maker}, {arm.joints} joints, {1e3 * arm.reach_m:.0f} mm, {inertia}.")
             yield indented(arm.source)
         return
-    table = listing("arm", "maker", "joints", "reach (mm)", "inertia")
-    for index in (1, 4):
-        table.columns[index].justify = "left"
-    for arm in arms:
-        table.add_row(arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
-    yield table
+    rows = (
+        (arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
+        for arm in arms
+    )
+    yield listing("arm", "maker", "joints", "reach (mm)", "inertia", rows=rows, left=[1, 4])
     yield ""
     yield Text("reach: the sum of the links' lengths, which no flange exceeds.")
     variants = [arm.name for arm in arms if arm.name in VARIANTS]

@@ -67,8 +67,7 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         f"Forward kinematics of the controller (xarm-python-sdk, {verification.version}) minus those of the calibration"
         f" at {len(verification.position)} random joint positions"
     )
-    table = listing("", "", *(name for name, _ in STATISTICS))
-    table.columns[0].no_wrap, table.columns[1].justify = False, "left"
+    table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
         ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
@@ -204,11 +203,9 @@ def _gaps(recorded: Recorded) -> Table:
     gaps = recorded.gaps
     shown = gaps.longest(_MOST_GAPS)
     title = "Gaps" if len(shown) == gaps.count else f"The {len(shown)} longest of {gaps.count} gaps"
-    table = listing(f"{title}: before row", "run", "missing", "s", "reason")
-    table.columns[4].justify, table.columns[4].no_wrap = "left", False
-    for gap in shown:
-        table.add_row(str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
-    return table
+    rows = ((str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason)) for gap in shown)
+    headers = (f"{title}: before row", "run", "missing", "s", "reason")
+    return listing(*headers, rows=rows, left=[4], wrapped=[4])
 
 
 def _sources(recorded: Recorded) -> Table:
@@ -219,12 +216,8 @@ def _sources(recorded: Recorded) -> Table:
             grouped[-1][0].append(name)
         else:
             grouped.append(([name], source))
-    table = listing("columns", "source")
-    table.columns[1].justify = "left"
-    table.columns[1].no_wrap = False
-    for names, source in grouped:
-        table.add_row(names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source)
-    return table
+    rows = ((names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source) for names, source in grouped)
+    return listing("columns", "source", rows=rows, left=[1], wrapped=[1])
 
 
 def _kind(name: str) -> str:

@@ -28,7 +28,7 @@ from lite6jax.report.data_faults import fault_name
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.ranking import Files, of_torques, units
 from lite6jax.report.remedies import effect_title
-from lite6jax.report.sections import HEADER, SECTIONS, Picture, Report, Section
+from lite6jax.report.sections import HEADER, SECTIONS, Picture, Report
 from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity
 
 Document = Mapping[str, Any]
@@ -90,7 +90,7 @@ def diagnosis_page(
         heading=reference.SHARED,
         shared=[] if torques is None else reference.shared_statements(document),
         parts=[
-            {"title": title, "header": _filled(HEADER, report), "content": _filled(SECTIONS, report)}
+            {"title": title, "header": report.page(HEADER), "content": report.page(SECTIONS)}
             for title, report in reports
         ],
     )
@@ -112,12 +112,6 @@ def page_text(
         files = Files(Path(source))
     figures = dict(drawings(found, Path(source).name, document))
     return diagnosis_page(found, document, source, figures, files)
-
-
-def _filled(sections: Sequence[Section], report: Report) -> list[dict[str, Any]]:
-    """What is shown of the sections that have something to show."""
-    filled = [{"title": each.title, "kind": each.kind, "blocks": list(each.page(report))} for each in sections]
-    return [section for section in filled if section["blocks"]]
 
 
 def _pictures(

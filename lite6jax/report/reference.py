@@ -5,13 +5,14 @@ Each is made from the codes and numbers of the JSON document.
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from lite6jax.domains.pose.predict import ReferenceOrigin
 from lite6jax.errors import command_line
-from lite6jax.report import ranking
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, number, quantity
+
+if TYPE_CHECKING:
+    from lite6jax.domains.pose.predict import ReferenceOrigin  # which takes JAX, and sentences do not
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -23,32 +24,6 @@ _CHAINS = {
     "ros_default_table": "the vendor's ROS default table",
     "nominal_table": "the nominal table",
 }
-
-
-class Compared(NamedTuple):
-    """What a person reads of a comparison with a reference.
-
-    Attributes:
-        headline: what was compared, and how far apart it is.
-        differences: a sentence each.
-        notes: a sentence each.
-        statement: what the findings and the model are.
-    """
-
-    headline: str
-    differences: list[str]
-    notes: list[str]
-    statement: str
-
-
-def compared(document: Document) -> Compared | None:
-    """The comparison in a document with statements; None where nothing was compared."""
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    differences, notes = ([entry["statement"] for entry in comparison.get(key, ())] for key in ("differences", "notes"))
-    units = ranking.units(document) if ranking.of_torques(document) else ()
-    return Compared(headline(comparison, units), differences, notes, comparison["statement"])
 
 
 def with_statements(comparison: Document) -> dict[str, Any]:
@@ -113,7 +88,7 @@ def torque_model_statement(file: str, by: str) -> str:
     )
 
 
-def origin_statement(origin: ReferenceOrigin) -> str:
+def origin_statement(origin: "ReferenceOrigin") -> str:
     """The same of a model that was read from a file; a file of version 1 has the sentence itself."""
     return origin.statement if origin.rigid is None else model_statement(origin.file, origin.rigid)
 

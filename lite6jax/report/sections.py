@@ -72,6 +72,20 @@ class Report:
         """Ranked, with what is said of each."""
         return statements.findings_of(self.document)
 
+    def page(self, sections: "Sequence[Section]") -> list[dict[str, Any]]:
+        """What `page.html` shows of those of some sections that have something to show."""
+        filled = [{"title": each.title, "kind": each.kind, "blocks": list(each.page(self))} for each in sections]
+        return [section for section in filled if section["blocks"]]
+
+    def screen(self) -> Iterator[RenderableType]:
+        """What a terminal shows of the document."""
+        yield Text(self.source, no_wrap=True, overflow="ignore")
+        yield Text(statements.setting_statement(self.document))
+        yield ""
+        for section in (*HEADER, *SECTIONS):
+            yield from section.screen(self)
+        yield ""
+
 
 Block = tuple[str, Any]
 """A part of a section on a page: a macro of `blocks.html`, and what it shows."""
@@ -97,38 +111,35 @@ class Section:
 
 
 @final
-class Setting(Section):
-    """The recording, the arm, and how much was recorded; a page has it below the cause."""
-
-    def screen(self, of: Report) -> Iterator[RenderableType]:
-        yield Text(of.source, no_wrap=True, overflow="ignore")
-        yield Text(statements.setting_statement(of.document))
-        yield ""
-
-
-@final
 class Against(Section):
     """The comparison with a reference recording, where there is one."""
 
     title, kind = "Difference from the reference", "against"
 
     def screen(self, of: Report) -> Iterator[RenderableType]:
-        if seen := reference.compared(of.document):
-            yield Text(seen.headline)
-            yield from map(indented, (*seen.differences, *seen.notes, seen.statement))
+        if comparison := of.document.get("against"):
+            yield Text(self._headline(of.document))
+            lines = (*self._said(comparison, "differences"), *self._said(comparison, "notes"), comparison["statement"])
+            yield from map(indented, lines)
             yield ""
 
     def page(self, of: Report) -> Iterator[Block]:
-        if seen := reference.compared(of.document):
-            yield "text", seen.headline
-            yield "bullets", seen.differences
-            yield "soft_bullets", seen.notes
-            yield "text", seen.statement
+        if comparison := of.document.get("against"):
+            yield "text", self._headline(of.document)
+            yield "bullets", self._said(comparison, "differences")
+            yield "soft_bullets", self._said(comparison, "notes")
+            yield "text", comparison["statement"]
+
+    def _headline(self, document: Document) -> str:
+        return reference.headline(document["against"], ranking.units(document) if of_torques(document) else ())
+
+    def _said(self, comparison: Document, key: str) -> list[str]:
+        return [entry["statement"] for entry in comparison.get(key, ())]
 
 
 @final
 class Cause(Section):
-    """The first sentence, the verdict, and what qualifies it."""
+    """The first sentence, the verdict and what qualifies it; on a page also the arm, and how much was recorded."""
 
     def screen(self, of: Report) -> Iterator[RenderableType]:
         yield Text(ranking.headline(of.document))
@@ -208,15 +219,14 @@ class Errors(Section):
         yield ""
         if of_torques(document):  # by joint, one a line: seven joints side by side do not fit a narrow terminal
             common = ranking.common_unit(document)
-            table = listing(f"held-out error ({f'{common} RMS'.strip()})", "before", "after")
-            for name, unit, _, *sizes in statements.errors(document, ["rms"]):
-                table.add_row(name if common else f"{name} ({unit})", *map(significant, sizes))
+            rows = (
+                (name if common else f"{name} ({unit})", *map(significant, sizes))
+                for name, unit, _, *sizes in statements.errors(document, ["rms"])
+            )
+            yield listing(f"held-out error ({f'{common} RMS'.strip()})", "before", "after", rows=rows)
         else:
-            table = listing("held-out position error (mm)", *_ERRORS)
-            table.columns[0].no_wrap = False
-            for stage in ("before", "after"):
-                table.add_row(stage, *(number(value) for value in self._positions(document, stage)))
-        yield table
+            rows = ((stage, *map(number, self._positions(document, stage))) for stage in ("before", "after"))
+            yield listing("held-out position error (mm)", *_ERRORS, rows=rows, wrapped=[0])
         yield Text(statements.held_out_statement(document))
         noise = [statements.noise_statement(document)]
         yield from map(Text, statements.assumptions(document) if of_torques(document) else noise)
@@ -363,10 +373,8 @@ class ToRecord(Section):
         for title, joints, rows in self._poses(of.document):
             yield ""
             yield Text(f"{title}:")
-            table = listing("", *(f"q{joint}" for joint in joints))
-            for k, row in enumerate(rows, 1):
-                table.add_row(str(k), *row)
-            yield table
+            numbered = ((str(k), *row) for k, row in enumerate(rows, 1))
+            yield listing("", *(f"q{joint}" for joint in joints), rows=numbered)
         if of.document.get("separating_poses"):
             yield Text(statements.NOT_CHECKED)
 
@@ -431,7 +439,7 @@ class Tested(Section):
         return [f"{name} at {sites}" for name, sites in by_site(group.entries)]
 
 
-HEADER: tuple[Section, ...] = (Setting(), Against(), Cause())
+HEADER: tuple[Section, ...] = (Against(), Cause())
 SECTIONS: tuple[Section, ...] = (
     *(Ranking(), Errors(), Faults(), Findings(), Actions(), Assumptions()),
     Drawn("Explained variance by site, driver and order", "where", "orders"),
@@ -454,19 +462,13 @@ def diagnosis_report(
     both = "torques" in document or "torques_refused" in document
     if both:
         yield Text("Poses", style="bold")
-    yield from _shown(Report(document, source, files, details))
+    yield from Report(document, source, files, details).screen()
     if "torques" in document:
         yield Text("Torques", style="bold")
-        yield from _shown(Report(document["torques"], source, None, details))
+        yield from Report(document["torques"], source, None, details).screen()
         yield Text(f"{reference.SHARED}:")
         yield from map(indented, reference.shared_statements(document))
         yield ""
     elif both:
         yield Text(reference.refusal(document))
         yield ""
-
-
-def _shown(report: Report) -> Iterator[RenderableType]:
-    for section in (*HEADER, *SECTIONS):
-        yield from section.screen(report)
-    yield ""

@@ -172,20 +172,18 @@ def _expected(found: Identification) -> str:
 def _deviation_tables(experiment: Experiment, determination: Determination) -> Iterator[RenderableType]:
     """A row a joint, then the sensor's frame and the tool, and the effects."""
     d, chain = determination, experiment.form.chain
-    rows = zip(d.names, d.units, d.standard_deviation, d.free, strict=True)
+    parameters = zip(d.names, d.units, d.standard_deviation, d.free, strict=True)
     shown = {
         name: plus_minus(SCREEN.get(unit, (1.0, unit))[0] * deviation) if free else "held"
-        for name, unit, deviation, free in rows
+        for name, unit, deviation, free in parameters
     }
     if experiment.movable[: chain.size].any():
         yield from parameter_tables(chain, lambda name, _: shown.get(name, ""))
         yield ""
     parts = [part for part in ("frame", "tool") if getattr(experiment.form, part)]
     if parts:
-        table = listing("", *TWIST_NAMES)
-        for part in parts:
-            table.add_row(part, *(shown.get(f"{part}_{twist}", "") for twist in TWIST_NAMES))
-        yield table
+        rows = ((part, *(shown.get(f"{part}_{twist}", "") for twist in TWIST_NAMES)) for part in parts)
+        yield listing("", *TWIST_NAMES, rows=rows)
         yield ""
     if experiment.physics.effects:
         table = listing("effect", "deviation", "typical", "unit")

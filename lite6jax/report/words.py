@@ -91,11 +91,26 @@ def rounded(value: float, std: float) -> tuple[str, str]:
     return f"{value:.{max(0, 1 - int(np.floor(np.log10(std))))}f}", plus_minus(std)
 
 
-def listing(*headers: str) -> Table:
-    """An empty table of numbers whose first column names the row."""
+def listing(
+    *headers: str,
+    rows: Iterable[Iterable[str | Text]] = (),
+    left: Sequence[int] = (),
+    wrapped: Sequence[int] = (),
+) -> Table:
+    """A table of numbers whose first column names the row.
+
+    Args:
+        headers: of the columns.
+        rows: cells.
+        left: further columns that are aligned to the left.
+        wrapped: columns whose cells take several lines where they are long.
+    """
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, header_style="")
     for i, header in enumerate(headers):
-        table.add_column(Text(header), justify="left" if i == 0 else "right", no_wrap=True)
+        justify = "left" if i == 0 or i in left else "right"
+        table.add_column(Text(header), justify=justify, no_wrap=i not in wrapped)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
