@@ -84,12 +84,13 @@ _CAUSES = {
 def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause, with a mark before those to be removed first."""
     yield Text(str(path), no_wrap=True, overflow="ignore")
-    causes = found
-    if not isinstance(found, Sequence):
+    if isinstance(found, Sequence):
+        causes = found
+    else:
+        causes = found.causes
         yield from (_line(True, "Note", note) for note in found.notes)
         yield from fault_lines(found.faults)
         yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
-        causes = found.causes
     yield from (_line(cause.suspicious, _CAUSES[cause.code], _cause_statement(cause)) for cause in causes)
 
 

@@ -207,8 +207,8 @@ def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
         cells = []
         for k, (value, axis) in enumerate(zip(frames.row_from_transform(T), TWIST_NAMES, strict=True)):
             i, (scale, _) = names.index(f"{prefix}_{axis}"), SCREEN["m" if k < 3 else "rad"]
-            held = not solution.free[i] or deviation is None
-            cells.append(f"{fixed(scale * value, 3)}\n{'held' if held else f'±{plus_minus(scale * deviation[i])}'}")
+            held = "held" if deviation is None or not solution.free[i] else f"±{plus_minus(scale * deviation[i])}"
+            cells.append(f"{fixed(scale * value, 3)}\n{held}")
         table.add_row(*cells)
         yield table
         yield ""

@@ -15,9 +15,8 @@ from torque_diagnosed import recorded as torques_recorded
 from lite6jax.diagnosis import evidence_map, torque_curves
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report import canvas
 from lite6jax.report.canvas import medians
-from lite6jax.report.diagnosis_figures import NAMES, drawings, explained_map, finding_figure, order_spectrum
+from lite6jax.report.diagnosis_figures import drawings, explained_map, finding_figure, order_spectrum
 from lite6jax.simulation import simulate
 
 TURN = "joint deflection (mrad)"
@@ -255,11 +254,6 @@ def test_the_residual_left_is_the_noise(found, drawn):
     for lag in (1, 7):
         plain = np.sum(rows[:, lag:] * rows[:, :-lag]) / np.sum(rows**2)
         assert after[lag - 1] == pytest.approx(plain)
-
-
-def test_written_as_png_and_svg(tmp_path, drawn):
-    paths = canvas.save(drawn, tmp_path)
-    assert {path.name for path in paths} == {f"{n}{s}" for n in NAMES for s in (".png", ".svg")}
 
 
 # ------------------------------------------------------------------ torques
