@@ -143,9 +143,9 @@ _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 results.registering |= {
     "describe": "lite6jax.report.summaries",
-    "draw": "lite6jax.report.plots",
-    "tabulate": "lite6jax.report.result_files",
-    "write": "lite6jax.report.result_files",
+    "draw": "lite6jax.report.kinds",
+    "tabulate": "lite6jax.report.kinds",
+    "write": "lite6jax.report.kinds",
 }
 
 if "jax" in sys.modules:

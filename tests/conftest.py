@@ -82,7 +82,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of a diagnosis without their pictures, where only text is read: painting them takes seconds."""
-    monkeypatch.setattr("lite6jax.report.rendering._embedded", lambda figure: "data:image/png;base64,")
+    monkeypatch.setattr("lite6jax.report.pages._embedded", lambda figure: "data:image/png;base64,")
 
 
 @pytest.fixture(scope="module", autouse=True)

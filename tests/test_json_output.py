@@ -12,7 +12,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli.program import COMMANDS
 from lite6jax.report import documents, screen
-from lite6jax.report.compensation_tables import outside_warning
+from lite6jax.report.compensation import outside_warning
 
 LITE6 = load_bundled("lite6")
 SILENT = {"simulate", "emulate", "record", "demo", "view"}

@@ -19,7 +19,7 @@ from lite6jax.arms.factory import read_factory
 from lite6jax.design.poses import plan_discrimination
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.fitting.fleet import compare
-from lite6jax.report import plots, result_files, summaries  # noqa: F401 (they register)
+from lite6jax.report import kinds, summaries  # noqa: F401 (they register)
 from lite6jax.results import Figures, PublicResult
 
 LITE6 = lite6jax.read_arm("lite6")
@@ -87,10 +87,10 @@ def test_a_result_inherits_what_it_can_do_and_overrides_nothing(kind):
 
 @each
 def test_each_result_has_figures_with_titles_and_named_axes(found, kind):
-    figures = found[kind].plot("mine")
-    assert isinstance(figures, Figures)
-    assert figures
-    for figure in figures.values():
+    drawn = found[kind].plot("mine")
+    assert isinstance(drawn, Figures)
+    assert drawn
+    for figure in drawn.values():
         assert isinstance(figure, Figure)
         assert figure.get_suptitle().startswith("mine")
         shown = [axes for axes in figure.axes if axes.get_visible()]

@@ -23,9 +23,19 @@ from lite6jax.cli.inputs import inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, to_document, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
-from lite6jax.report import torque_statements, viewer
-from lite6jax.report.scene import WITH, WITHOUT, pose_scene, torque_scene
-from lite6jax.report.viewer import ARM, FOUND, _from_z, _listening, _rgb, served
+from lite6jax.report import statements, viewer
+from lite6jax.report.viewer import (
+    ARM,
+    FOUND,
+    WITH,
+    WITHOUT,
+    _from_z,
+    _listening,
+    _rgb,
+    pose_scene,
+    served,
+    torque_scene,
+)
 
 HOST = "127.0.0.1"
 
@@ -159,7 +169,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     recording = torques_recorded()
     path = write_recording(recording, tmp_path / "torques.csv")
     found = to_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))))
-    document = {**torque_statements.with_statements(found), "inputs": inputs(path)}
+    document = {**statements.with_statements(found), "inputs": inputs(path)}
     file = write_document(document, tmp_path / "torques.json")
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")

@@ -62,7 +62,7 @@ class Compensate:
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path
         from lite6jax.recordings.writing import write_table, write_with_settings
-        from lite6jax.report import compensation_tables, screen
+        from lite6jax.report import compensation, screen
         from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
@@ -83,14 +83,14 @@ class Compensate:
             )
         targets = read_pose_targets(self.targets, model, pairs("--column", self.column))
         found = compensate(model, targets, frame=self.frame, approach=approach or None)
-        table = compensation_tables.compensation_columns(found)
+        table = compensation.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
             written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
             written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
-        beyond = compensation_tables.outside_warning(found, model)
+        beyond = compensation.outside_warning(found, model)
         if beyond:
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         if self.json:
@@ -100,6 +100,6 @@ class Compensate:
             return DONE if found.reached.all() else NOT_REACHED
         if model.reference is not None:
             screen.show([origin_statement(model.reference)])
-        screen.show(compensation_tables.compensation_report(found, model, str(self.targets), self.frame))
+        screen.show(compensation.compensation_report(found, model, str(self.targets), self.frame))
         screen.written(written)
         return DONE if found.reached.all() else NOT_REACHED

@@ -59,10 +59,10 @@ class Demo:
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.recordings import RecordingSettings
-        from lite6jax.report import demo, screen, stages
-        from lite6jax.report.combined import stated_document
-        from lite6jax.report.next_steps import Files
-        from lite6jax.report.result_files import page_text
+        from lite6jax.report import demo, screen
+        from lite6jax.report.pages import page_text
+        from lite6jax.report.ranking import Files
+        from lite6jax.report.statements import with_statements
         from lite6jax.simulation import simulate
 
         write_atomically(factory, CALIBRATION.read_bytes(), self.force)
@@ -71,9 +71,9 @@ class Demo:
         simulated = simulate(arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings)
         simulated.save(run, overwrite=self.force)
         screen.show(demo.beginning(run, POSES))
-        with fold_processes(None), stages.shown() as entered:
+        with fold_processes(None), screen.stages() as entered:
             found = diagnose(run, options=QUICK, progress=entered)
-        document = {**stated_document(found), "inputs": inputs(run)}
+        document = {**with_statements(found.to_dict()), "inputs": inputs(run)}
         write_document(document, diagnosis, self.force)
         write_atomically(page, page_text(found, document, Files(run, diagnosis)), self.force)
         screen.show(demo.diagnosed(document, run, diagnosis, page))

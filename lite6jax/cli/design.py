@@ -128,9 +128,9 @@ class Design:
         found, recording, report = (self._design_motion if of_motion else self._design_poses)(read_arm(self.source))
         written = [write_recording(recording, self.out, self.force), sidecar]
         if self.figures:
-            from lite6jax.report import canvas, study_figures
+            from lite6jax.report import canvas, figures
 
-            draw = study_figures.designed_motion if of_motion else study_figures.accuracy_by_count
+            draw = figures.designed_motion if of_motion else figures.accuracy_by_count
             written += canvas.save({name: draw(found, self.source)}, self.figures, self.force)  # type: ignore[arg-type]
         if self.json:
             from lite6jax.report import documents
@@ -169,7 +169,7 @@ class Design:
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.fitting.source import read_source
         from lite6jax.recordings import Recording, RecordingSettings
-        from lite6jax.report import design_tables
+        from lite6jax.report import study
 
         experiment = self.setup.experiment(arm)
         recorded = None
@@ -199,7 +199,7 @@ class Design:
         q = found.joint_position[shortest_round(found.joint_position)]
         settings = RecordingSettings(arm=arm_reference(self.source, self.out), motion="static")
         planned = Recording.assembled(q, settings=settings, sliding=arm.sliding)
-        report = design_tables.design_report(found, drawn, disabled, self.source, accuracy)
+        report = study.design_report(found, drawn, disabled, self.source, accuracy)
         return _Designed(found, planned, report)
 
     def _design_motion(self, arm: "Arm") -> _Designed:
@@ -208,20 +208,20 @@ class Design:
         from lite6jax.effects.dynamic.catalogue import BUILT_IN
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.recordings import Recording, RecordingSettings
-        from lite6jax.report import torque_study_tables
+        from lite6jax.report import study
 
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
         search = MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
         if self.discriminate is None:
             found = plan_motion(self.torque.model(arm), room, search)
-            report = torque_study_tables.torque_plan_report(found, disabled, self.source)
+            report = study.torque_plan_report(found, disabled, self.source)
         else:
             model = self.torque.model(arm, unknown=False)
             one, other = self.discriminate
             rivals = [parse_effect(one, BUILT_IN, False, arm.sliding), parse_effect(other, BUILT_IN, True, arm.sliding)]
             found = plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
-            report = torque_study_tables.torque_discrimination_report(found, disabled, self.source)
+            report = study.torque_discrimination_report(found, disabled, self.source)
         time, motion = found.trajectory.time, found.trajectory.motion
         settings = RecordingSettings(
             arm=arm_reference(self.source, self.out),

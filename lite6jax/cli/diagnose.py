@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lite6jax.diagnosis.result import Diagnosis
     from lite6jax.diagnosis.torque_result import TorqueDiagnosis
     from lite6jax.recordings import Recording
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report.ranking import Files
 
 Domain = Literal["poses", "torques", "both"]
 
@@ -125,13 +125,14 @@ class Diagnose:
     def _diagnosed_file(self) -> int:
         """Diagnoses one file: reads it, searches, and writes and prints the result."""
         from lite6jax.diagnosis.document import document_text, write_document
-        from lite6jax.report import diagnosis_tables, screen, stages
-        from lite6jax.report.next_steps import Files
+        from lite6jax.report import screen
+        from lite6jax.report.ranking import Files
+        from lite6jax.report.sections import diagnosis_report
 
         recording, domain, search = self._search(both=True)
         if domain != "poses":
             self._check_figures(domain)
-        with stages.shown() as entered:
+        with screen.stages() as entered:
             found: Any = search(progress=entered)
         document = self._document(found, domain)
         poses = found.poses if domain == "both" else found
@@ -146,10 +147,7 @@ class Diagnose:
         if self.json:
             print(document_text(document))
         else:
-            report = diagnosis_tables.diagnosis_report
-            if domain == "both":
-                from lite6jax.report.combined import combined_report as report
-            screen.show(report(document, str(self.source), files, self.details))
+            screen.show(diagnosis_report(document, str(self.source), files, self.details))
             screen.show(screen.notes(recording.notes))
             screen.written(written)
         return BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else DONE
@@ -164,31 +162,11 @@ class Diagnose:
             sides: what was diagnosed, and against what.
             files: for commands to copy.
         """
-        from lite6jax.report import (
-            canvas,
-            combined,
-            diagnosis_figures,
-            page,
-            screen,
-            torque_figures,
-            torque_page,
-            worth,
-        )
+        from lite6jax.report import canvas, diagnosis_figures, pages, screen
 
-        name, written, drawn = self.source.name, [], {}
-        page_of: Any = partial(page.diagnosis_page, found)
-        if domain == "both":
-            figures = combined.drawings(found, name, document)
-            alone = found.torques is None
-            page_of = partial(page.diagnosis_page, found.poses) if alone else partial(combined.combined_page, found)
-        elif domain == "torques":
-            figures = torque_figures.drawings(found, name, worth.order(document))
-            page_of = partial(torque_page.torque_page, found)
-        else:
-            figures = diagnosis_figures.drawings(found, name, worth.order(document))
-        most = len(_figures_of(domain))
+        written, drawn, most = [], {}, len(_figures_of(domain))
         with screen.progress(2 * most + 1, "drawing") as advance:
-            for each, figure in figures:
+            for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
                 advance(1)
             if self.figures:
@@ -196,7 +174,7 @@ class Diagnose:
                 written += canvas.save(named, self.figures, self.force)
             advance(most)
             if self.report:
-                html = page_of(document, sides, drawn, files)
+                html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))
         return written
 
@@ -266,24 +244,19 @@ class Diagnose:
 
     def _document(self, found: "Any", domain: "Domain") -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
-        read = {"inputs": inputs(self.source, self.arm, self.reference, self.effects)}
-        if domain == "both":
-            from lite6jax.report import combined
+        from lite6jax.report.statements import with_statements
 
-            return combined.with_statements(found.to_dict() | read)
-        from lite6jax.report import statements, torque_statements
-
-        document = found.document() | read
-        if found.against is not None:
+        document = found.to_dict() if domain == "both" else found.document()
+        document |= {"inputs": inputs(self.source, self.arm, self.reference, self.effects)}
+        if domain != "both" and found.against is not None:
             document["against"] = found.against.to_dict()
-        return (torque_statements if domain == "torques" else statements).with_statements(document)
+        return with_statements(document)
 
 
 def _figures_of(domain: "Domain") -> list[str]:
     """The names of the figures of a diagnosis of poses, of torques or of both."""
-    from lite6jax.report import combined, diagnosis_figures, torque_figures
+    from lite6jax.report.diagnosis_figures import NAMES, PREFIX, TORQUE_NAMES
 
     if domain == "torques":
-        return [*torque_figures.NAMES]
-    torques = [combined.PREFIX + name for name in torque_figures.NAMES] if domain == "both" else []
-    return [*diagnosis_figures.NAMES, *torques]
+        return [*TORQUE_NAMES]
+    return [*NAMES, *(PREFIX + name for name in TORQUE_NAMES)] if domain == "both" else [*NAMES]

@@ -50,15 +50,15 @@ def diagnose_recordings(command: Command) -> int:
             f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
         )
     check_processes(command.processes, command.scheduler)
-    from lite6jax.report import folder_tables, screen
+    from lite6jax.report import fleets, screen
 
     run = run_on_folder(command, command.out, diagnose_names)
     if command.json:
         from lite6jax.report import documents
 
-        print(documents.text(documents.of_diagnoses(folder_tables.read_diagnoses(run.path)), [run.path]))
+        print(documents.text(documents.of_diagnoses(fleets.read_diagnoses(run.path)), [run.path]))
         return DONE
-    screen.show(folder_tables.diagnoses_report(folder_tables.read_diagnoses(run.path), run.kept))
+    screen.show(fleets.diagnoses_report(fleets.read_diagnoses(run.path), run.kept))
     screen.written([run.path])
     return DONE
 
@@ -79,7 +79,7 @@ def diagnose_recorded_fleet(command: Command) -> int:
     from lite6jax.distribution.batches import Parts
     from lite6jax.folders.diagnoses import POOLED, TABLE, check_pooled
     from lite6jax.folders.place import recording_names
-    from lite6jax.report import population_tables, screen
+    from lite6jax.report import fleets, screen
     from lite6jax.storage import write_atomically
 
     place = Place.of(command.source)
@@ -97,7 +97,7 @@ def diagnose_recorded_fleet(command: Command) -> int:
     if command.json:
         print(document_text(document))
         return DONE
-    screen.show(population_tables.population_report(document))
+    screen.show(fleets.population_report(document))
     screen.written([command.out / TABLE, path])
     return DONE
 

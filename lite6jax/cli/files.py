@@ -65,7 +65,7 @@ class Convert:
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
         from lite6jax.arms.files import convert_file, name_chain
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import fleet_tables, screen
+        from lite6jax.report import listings, screen
 
         source = name_chain(self.source, self.base, self.tip)
         nominal, arm, left_out = load_nominal(self.arm), None, ()
@@ -80,7 +80,7 @@ class Convert:
             print(documents.text(documents.document(done), [done.path]))
             return DONE
         screen.written([done.path])
-        screen.show(fleet_tables.conversion_report(done))
+        screen.show(listings.conversion_report(done))
         return DONE
 
     def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
@@ -133,7 +133,7 @@ class Check:
         from lite6jax.domains.pose.check import check_calibration, check_recording
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
-        from lite6jax.report import checks, screen
+        from lite6jax.report import data_faults, screen
 
         nominal = load_nominal(self.arm)
         for path in self.files:
@@ -146,5 +146,5 @@ class Check:
 
                 print(documents.line({"file": str(path), **documents.document(found)}))
             else:
-                screen.show(checks.check_report(path, found))
+                screen.show(data_faults.check_report(path, found))
         return DONE

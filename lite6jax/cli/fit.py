@@ -112,7 +112,7 @@ class Fit:
             except InputError as error:  # the fit is good all the same: it is shown and written first
                 refusal = error
 
-        from lite6jax.report import screen, tables
+        from lite6jax.report import fits, screen
 
         # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:
@@ -137,14 +137,14 @@ class Fit:
             print(documents.text(document, written))
         else:
             if isinstance(source, Recording):
-                screen.show(tables.recording_read(source, solution))
+                screen.show(fits.recording_read(source, solution))
             else:
-                screen.show(tables.calibration_read(source))
-            screen.show(tables.solution_report(solution, recording))
+                screen.show(fits.calibration_read(source))
+            screen.show(fits.solution_report(solution, recording))
             if verification:
-                from lite6jax.report import live_tables
+                from lite6jax.report import live
 
-                screen.show(live_tables.verification_report(verification, str(self.ip)))
+                screen.show(live.verification_report(verification, str(self.ip)))
             screen.written(written)
         if refusal:
             raise refusal
@@ -208,7 +208,7 @@ class Compare:
             canvas.check_names(self.figures, names, self.force)
         comparison = compare([read_factory(path, nominal) for path in self.files])
 
-        from lite6jax.report import fleet_tables, screen
+        from lite6jax.report import fits, screen
 
         written = []
         if self.figures:
@@ -221,6 +221,6 @@ class Compare:
 
             print(documents.text(documents.document(comparison), written))
             return DONE
-        screen.show(fleet_tables.comparison_report(comparison, screen.console().width))
+        screen.show(fits.comparison_report(comparison, screen.console().width))
         screen.written(written)
         return DONE

@@ -65,8 +65,8 @@ class Fleet:
 
             print(documents.text(documents.of_folder(list(read_rows(run.path))), [run.path]))
             return DONE
-        from lite6jax.report import folder_tables
+        from lite6jax.report import fleets
 
-        screen.show(folder_tables.folder_report(read_rows(run.path, parameters=False), run.kept))
+        screen.show(fleets.folder_report(read_rows(run.path, parameters=False), run.kept))
         screen.written([run.path])
         return DONE

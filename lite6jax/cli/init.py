@@ -138,9 +138,9 @@ class Init:
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
         if faults:
-            from lite6jax.report import checks
+            from lite6jax.report import data_faults
 
-            screen.show(checks.fault_lines(faults))
+            screen.show(data_faults.fault_lines(faults))
         screen.show(screen.notes(notes))
         screen.written(made)
         screen.show(inspection.next_steps(found, settings, source))

@@ -69,9 +69,9 @@ class Read:
 
             print(documents.text(documents.document(read), written))
             return DONE
-        from lite6jax.report import live_tables, screen
+        from lite6jax.report import live, screen
 
-        screen.show(live_tables.calibration_report(read))
+        screen.show(live.calibration_report(read))
         screen.written(written)
         return DONE
 
@@ -117,7 +117,7 @@ class Record:
         from lite6jax.controller.recorder import record
         from lite6jax.controller.station import read_station
         from lite6jax.recordings import read_recording
-        from lite6jax.report import live_tables, screen
+        from lite6jax.report import live, screen
 
         address = parse_address(self.ip)
         arm = read_arm(self.arm or "lite6")
@@ -132,11 +132,11 @@ class Record:
                         address, self.out, station, poses, overwrite=self.force, stop=stop, advance=advance
                     )
             else:
-                with live_tables.recording_progress() as show:
+                with live.recording_progress() as show:
                     recorded = record(
                         address, self.out, station, seconds=self.seconds, overwrite=self.force, stop=stop, show=show
                     )
-        screen.show(live_tables.recorded_report(recorded))
+        screen.show(live.recorded_report(recorded))
         screen.written(recorded.written)
         if recorded.refusal:
             raise InputError(recorded.refusal)

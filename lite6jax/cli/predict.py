@@ -74,7 +74,7 @@ class Predict:
         from lite6jax.domains.torque.predict import predicted_torques, torque_columns
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings.writing import write_table
-        from lite6jax.report import compensation_tables, diagnosis_tables, reference, screen, torque_reference
+        from lite6jax.report import compensation, reference, screen
 
         document, effects = parsed_document(self.diagnosis), load_effects(self.effects) if self.effects else ()
         opening: list[Any] = []
@@ -89,7 +89,7 @@ class Predict:
             found = predicted_torques(motors, recording)
             columns = torque_columns(found)
             if motors.relative_to is not None:
-                opening.append(torque_reference.model_statement(motors.relative_to, "rows"))
+                opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
             model = model_from_document(document, effects, str(self.diagnosis))
             check_sum(document, self.diagnosis)
@@ -103,7 +103,7 @@ class Predict:
             if model.reference is not None:
                 opening.append(reference.origin_statement(model.reference))
             if registration is not None:
-                opening += diagnosis_tables.registration_report(registration)
+                opening += compensation.registration_report(registration)
         table = pa.table(columns)
         path = write_atomically(self.out, lambda target: write_table(table, target), self.force)
         if self.json:
@@ -118,9 +118,9 @@ class Predict:
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
         if found.outside is None:
-            print(f"{self.diagnosis}: {compensation_tables.NO_BARS}", file=sys.stderr)
+            print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
         else:
-            print(compensation_tables.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
+            print(compensation.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
         for line in said:
             print(line)
         screen.written([path])

@@ -16,7 +16,7 @@ from lite6jax.errors import InputError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report.ranking import Files
 
     Worded = Callable[[Mapping[str, Any]], dict[str, Any]]
     Reported = Callable[[Mapping[str, Any], str, Files | None, bool], Iterator[RenderableType]]
@@ -61,7 +61,7 @@ class Report:
         from lite6jax.diagnosis.document import DAMAGED, check_sum, document_text, parsed_document
         from lite6jax.populations.schema import is_of_fleet
         from lite6jax.report import screen
-        from lite6jax.report.next_steps import Files
+        from lite6jax.report.ranking import Files
 
         document = parsed_document(self.diagnosis)
         if self.certificate and is_of_fleet(document):
@@ -75,7 +75,7 @@ class Report:
             files = None if recording is None else Files(recording, self.diagnosis)
             page = list(report(said, str(self.diagnosis), files, self.details))
             if self.certificate:
-                from lite6jax.report.certificate import Stated, write_certificate
+                from lite6jax.report.pages import Stated, write_certificate
 
                 stated = Stated(measured, self.instrument)
                 written.append(write_certificate(said, self.certificate, stated, self.force))
@@ -97,23 +97,18 @@ def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     from lite6jax.populations.schema import check_fleet_document, is_of_fleet
 
     if is_of_fleet(document):
-        from lite6jax.report import population_tables
+        from lite6jax.report.fleets import population_report
 
         check_fleet_document(document, diagnosis)
-        return dict, lambda said, source, files, details: population_tables.population_report(said)
-    if is_of_torques(document):
-        from lite6jax.report import diagnosis_tables, torque_statements
+        return dict, lambda said, source, files, details: population_report(said)
+    from lite6jax.report.sections import diagnosis_report
+    from lite6jax.report.statements import with_statements
 
+    if not is_of_torques(document):
         check_document(document, diagnosis)
-        return torque_statements.with_statements, diagnosis_tables.diagnosis_report
-    check_document(document, diagnosis)
-    if "torques" not in document and "torques_refused" not in document:
-        from lite6jax.report import diagnosis_tables, statements
-
-        return statements.with_statements, diagnosis_tables.diagnosis_report
-    from lite6jax.report import combined
-
-    return combined.with_statements, combined.combined_report
+    if is_of_torques(document) or "torques" in document:
+        check_torque_document(document, diagnosis)
+    return with_statements, diagnosis_report
 
 
 def _date(text: str | None) -> Date | None:

@@ -261,7 +261,7 @@ class Simulate:
         from rich.text import Text
 
         from lite6jax.report import screen
-        from lite6jax.report.cells import fixed, number
+        from lite6jax.report.words import fixed, number
 
         recording, settings = measured.recording, measured.recording.settings
         kind = "positions" if recording.quaternion is None else "poses"

@@ -174,7 +174,7 @@ def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
     """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
     import numpy as np
 
-    from lite6jax.report.cells import joint_units
+    from lite6jax.report.words import joint_units
 
     scales, _ = joint_units(arm.sliding, arm.dof)
     return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
@@ -256,7 +256,7 @@ class Identify:
     def _identify_poses(self, recording: "Recording | None", nominal: "Arm | None", names: list[str]) -> int:
         from lite6jax.design.identify import identify, identify_recording
         from lite6jax.effects.serialization import parse_effect
-        from lite6jax.report import study_tables
+        from lite6jax.report import study
 
         refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
         if recording is None:
@@ -282,14 +282,14 @@ class Identify:
 
             drawn = found.plot(self.source).values()
             written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
-        report = study_tables.identification_report(found, self.source, drawn=recording is None)
+        report = study.identification_report(found, self.source, drawn=recording is None)
         return self._present(found, report, written)
 
     def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
         from lite6jax.design.motions import random_motions, read_motion
         from lite6jax.design.torques import identify_torques
-        from lite6jax.report import torque_study_tables
-        from lite6jax.report.cells import torque_units
+        from lite6jax.report import study
+        from lite6jax.report.words import torque_units
 
         poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
         if poses or self.figures is not None:
@@ -313,7 +313,7 @@ class Identify:
                 are = "are" if len(each) > 1 else "is"
                 notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
         found = identify_torques(model, motion, notes=tuple(notes))
-        report = torque_study_tables.torque_identification_report(found, self.source, phrase)
+        report = study.torque_identification_report(found, self.source, phrase)
         return self._present(found, report)
 
     def _present(self, found: Any, report: "Iterable[RenderableType]", written: "Iterable[Path]" = ()) -> int:
@@ -375,7 +375,7 @@ class Sensitivity:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.design.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import screen, study_tables
+        from lite6jax.report import screen, study
 
         check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
@@ -403,6 +403,6 @@ class Sensitivity:
 
             print(documents.text(documents.of_sensitivity(found, over_arms), written))
         else:
-            screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
+            screen.show(study.sensitivity_report(found, over_arms, self.source))
             screen.written(written)
         return DONE

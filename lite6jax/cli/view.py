@@ -13,7 +13,7 @@ from lite6jax.cli.inputs import diagnosed_recording
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
-    from lite6jax.report.scene import Scene
+    from lite6jax.report.viewer import Scene
 
 REFRESH_S = 1 / 30
 
@@ -79,7 +79,7 @@ class View:
         from lite6jax.domains.pose.files import read_motion
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import read_recording
-        from lite6jax.report import scene
+        from lite6jax.report import viewer
 
         document: Any = parsed_document(self.diagnosis)
         effects = load_effects(self.effects) if self.effects else ()
@@ -88,10 +88,10 @@ class View:
         file = self.recording or diagnosed_recording(document, self.diagnosis)
         try:
             if arm is not None:
-                return scene.pose_scene(document, arm, read_motion(file, arm)), file
+                return viewer.pose_scene(document, arm, read_motion(file, arm)), file
             assert motors is not None
             recording = read_recording(file, arm=motors.arm)
-            return scene.torque_scene(torques_of(document) or {}, motors, recording), file
+            return viewer.torque_scene(torques_of(document) or {}, motors, recording), file
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:

@@ -12,10 +12,8 @@ from rich.text import Text
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import command_line
-from lite6jax.report import statements, worth
-from lite6jax.report.cells import listing
-from lite6jax.report.quantities import quantity
-from lite6jax.report.sections import chart
+from lite6jax.report.sections import Cause, Ranking, Report
+from lite6jax.report.words import listing, quantity
 
 
 def beginning(run: Path, poses: int) -> Iterator[RenderableType]:
@@ -40,10 +38,9 @@ def diagnosed(document: Mapping[str, Any], run: Path, diagnosis: Path, page: Pat
     """
     yield _command("diagnose", run, "--quick", out=diagnosis, report=page)
     yield ""
-    yield Text(worth.headline(document))
-    yield ""
-    yield Text(statements.verdict_statement(document))
-    yield from chart(document, statements.findings_of(document))
+    report = Report(document, str(run))
+    yield from Cause().screen(report)
+    yield from Ranking().screen(report)
     yield ""
 
 

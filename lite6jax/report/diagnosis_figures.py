@@ -1,30 +1,55 @@
-"""Figures of a diagnosis: errors before and after, explained shares, spectra of orders, remaining residuals."""
+"""Figures of a diagnosis: errors, explained shares, orders, friction, spectra, curves of findings and their ranking."""
 
-import re
-from collections.abc import Iterator, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis import evidence_map
+from lite6jax.diagnosis import evidence_map, partial_residuals
+from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
+from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, label_joint
-from lite6jax.report.cells import joint_units
-from lite6jax.report.finding_figures import finding_figure
-from lite6jax.report.panels import GREY, dots, label_first_column, legend_below, medians, panels_in_rows
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.report import ranking, statements
+from lite6jax.report.canvas import (
+    AFTER,
+    BEFORE,
+    BINS,
+    FRAMED,
+    GREY,
+    STYLE,
+    blank,
+    degree_ticks,
+    dots,
+    label_first_column,
+    label_joint,
+    legend_below,
+    medians,
+    panels_in_rows,
+    titled,
+)
+from lite6jax.report.remedies import effect_name, spaced
+from lite6jax.report.words import joint_units, torque_units
 
 Array = NDArray[np.floating]
 
 NAMES = ("error_by_joint", "where", "orders", "findings", "remaining")
-"""The figures that `drawings` may give."""
+"""The figures of poses that `drawings` may give."""
+TORQUE_NAMES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
+"""The same of torques."""
+PREFIX = "torque_"
+"""Of the names of the figures of torques, beside those of poses."""
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
-_DRIVERS = {
+_COLUMNS = {
     "direction of motion": "direction\nof motion",
     "other positions": "other\npositions",
     "measured position": "measured\nposition",
@@ -34,52 +59,78 @@ _THIN = 0.2
 """Of the samples that an even distribution would have, below which a bin's median is left out."""
 _LEAST_SCALE = 2.0
 """Percent of the variance at which the colours of a map of noise end."""
+_WIDTH = 0.38
+"""Of a bar, over the distance of two joints."""
+_LOWEST = 1e-4
+"""Nm, the shortest bar."""
+_MOST = 20
+"""Findings that are ranked in a figure."""
 
 
-def drawings(found: Diagnosis, title: str, order: Sequence[int] | None = None) -> Iterator[tuple[str, Figure]]:
-    """The figures by name, of `NAMES`; there is no figure of findings where there are none.
+def drawings(
+    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, title: str, document: Mapping[str, Any] | None = None
+) -> Iterator[tuple[str, Figure]]:
+    """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
     Args:
         found: the diagnosis.
         title: of each figure.
-        order: places of the findings, from 0, in which they are numbered; theirs where not given.
+        document: its document, by whose ranking the findings are numbered; as they were found where not given.
     """
-    yield "error_by_joint", error_by_joint(found, title)
-    yield "where", explained_map(found, title)
-    yield "orders", order_spectrum(found, title)
+    if isinstance(found, CombinedDiagnosis):
+        yield from drawings(found.poses, title, document)
+        if found.torques is not None:
+            own = None if document is None else document["torques"]
+            yield from ((PREFIX + name, figure) for name, figure in drawings(found.torques, title, own))
+        return
+    order = None if document is None else ranking.order(document)
+    if isinstance(found, TorqueDiagnosis):
+        yield "error_by_joint", torque_error_by_joint(found, title)
+        yield "over_time", over_time(found, title)
+        yield "friction", friction(found, title)
+        if (shown := evidence_map.spectra(found)) is not None:
+            yield "spectra", spectra(found, shown, title)
+    else:
+        yield "error_by_joint", error_by_joint(found, title)
+        yield "where", explained_map(found, title)
+        yield "orders", order_spectrum(found, title)
     if found.findings:
         yield "findings", finding_figure(found, title, order=order)
-    yield "remaining", remaining(found, title)
+    if isinstance(found, Diagnosis):
+        yield "remaining", remaining(found, title)
 
 
+# ------------------------------------------------------------------ of poses
+
+
+@rc_context(STYLE)
 def error_by_joint(found: Diagnosis, title: str) -> Figure:
     """Held-out position error against each joint, before and after; lines are medians, where samples are enough."""
     kept = ~found.outliers & np.isfinite(found.before) & np.isfinite(found.after)
     scales, units = joint_units(found.problem.arm.sliding, found.problem.motion.dof)
     q = scales[:, None] * np.asarray(found.problem.motion.joint_position)[:, kept]
     errors = [1e3 * found.before[kept], 1e3 * found.after[kept]]
-    with rc_context(STYLE):
-        figure, panels = panels_in_rows(len(q), shared=True)
-        line = False
-        for joint, panel in enumerate(panels):
-            for (_, colour), error in zip(_STAGES, errors, strict=True):
-                dots(panel, q[joint], error, colour, 3)
-                at, middle, _ = medians(q[joint], error, share=_THIN)
-                panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
-                line |= bool(np.isfinite(middle).any())
-            label_joint(panel, joint, units[joint])
-            label_first_column(panel, "position error (mm)")
-        top = max((float(np.percentile(error, 99.5)) for error in errors if len(error)), default=1.0)
-        panels[0].set_ylim(0, 1.1 * top or 1.0)
-        for (name, colour), error in zip(_STAGES, errors, strict=True):
-            rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
-            label, style = f"{name}: {rms:.3g} mm RMS, held out", "-o" if line else "o"
-            panels[0].plot([], [], style, color=colour, linewidth=2.5, label=label)
-        legend_below(figure, panels[0], 2)
-        figure.suptitle(f"{title}: held-out position error before and after", fontsize=15)
-    return figure
+    figure, panels = panels_in_rows(len(q), shared=True)
+    line = False
+    for joint, panel in enumerate(panels):
+        for (_, colour), error in zip(_STAGES, errors, strict=True):
+            dots(panel, q[joint], error, colour, 3)
+            at, middle, _ = medians(q[joint], error, share=_THIN)
+            panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
+            line |= bool(np.isfinite(middle).any())
+        label_joint(panel, joint, units[joint])
+        label_first_column(panel, "position error (mm)")
+    top = max((float(np.percentile(error, 99.5)) for error in errors if len(error)), default=1.0)
+    panels[0].set_ylim(0, 1.1 * top or 1.0)
+    for (name, colour), error in zip(_STAGES, errors, strict=True):
+        rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
+        label, style = f"{name}: {rms:.3g} mm RMS, held out", "-o" if line else "o"
+        panels[0].plot([], [], style, color=colour, linewidth=2.5, label=label)
+    legend_below(figure, panels[0], 2)
+    return titled(figure, f"{title}: held-out position error before and after")
 
 
+@rc_context(FRAMED)
 def explained_map(found: Diagnosis, title: str) -> Figure:
     """The share of the variance left by the nuisance that functions of each driver explain at each site.
 
@@ -89,24 +140,22 @@ def explained_map(found: Diagnosis, title: str) -> Figure:
     rows, columns = len(table.sites), len(table.drivers)
     known = table.shares[np.isfinite(table.shares)]
     most = max(100 * float(known.max(initial=0.0)), _LEAST_SCALE)
-    with rc_context(FRAMED):
-        figure = blank(3.5 + 1.35 * columns, 2.2 + 0.45 * rows)
-        panel = figure.subplots()
-        percent = np.ma.masked_invalid(100 * table.shares)
-        colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=most, aspect="auto", interpolation="nearest")
-        panel.set_facecolor("#eeeeee")
-        for (i, j), share in np.ndenumerate(table.shares):
-            text, colour = "–", GREY
-            if np.isfinite(share):
-                text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
-            panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
-        panel.set_xticks(range(columns), [_DRIVERS.get(name, name) for name in table.drivers])
-        panel.set_yticks(range(rows), [re.sub(r"(\D)(\d)", r"\1 \2", name) for name in table.sites])
-        panel.set(xlabel="driver of the function", ylabel="site")
-        panel.tick_params(length=0)
-        figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
-        figure.suptitle(f"{title}: explained variance by site and driver", fontsize=15)
-    return figure
+    figure = blank(3.5 + 1.35 * columns, 2.2 + 0.45 * rows)
+    panel = figure.subplots()
+    percent = np.ma.masked_invalid(100 * table.shares)
+    colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=most, aspect="auto", interpolation="nearest")
+    panel.set_facecolor("#eeeeee")
+    for (i, j), share in np.ndenumerate(table.shares):
+        text, colour = "–", GREY
+        if np.isfinite(share):
+            text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
+        panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
+    panel.set_xticks(range(columns), [_COLUMNS.get(name, name) for name in table.drivers])
+    panel.set_yticks(range(rows), list(map(spaced, table.sites)))
+    panel.set(xlabel="driver of the function", ylabel="site")
+    panel.tick_params(length=0)
+    figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
+    return titled(figure, f"{title}: explained variance by site and driver")
 
 
 def _percent(share: float) -> str:
@@ -114,29 +163,28 @@ def _percent(share: float) -> str:
     return f"{share:.1f}" if 0.05 <= share < 9.95 else f"{share:.0f}"
 
 
+@rc_context(STYLE)
 def order_spectrum(found: Diagnosis, title: str) -> Figure:
     """What a harmonic of each order of each joint explains, before and after."""
     spectra = evidence_map.joint_spectra(found)
-    with rc_context(STYLE):
-        figure, panels = panels_in_rows(max(len(spectra), 1), shared=True)
-        for panel, joint in zip(panels, spectra, strict=False):
-            _draw_spectrum(panel, joint)
-        if not spectra:
-            panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
-            return figure
-        panels[0].set_ylim(max(3.0 * max(joint.noise.max() for joint in spectra), 1e-3), 150)
-        panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        for name, colour in _STAGES[: 2 if found.findings else 1]:
-            panels[0].plot([], [], color=colour, linewidth=2.5, label=name)
-        level = f"exceeded by noise in one of {1 / found.options.engine.level:.0f} recordings"
-        panels[0].plot([], [], ":", color="black", linewidth=1.8, label=level)
-        if any(joint.harmonics for joint in spectra):
-            panels[0].plot([], [], "--", color="black", linewidth=1.8, label="order found")
-        if any(joint.curve for joint in spectra):
-            panels[0].plot([], [], "v", color="black", markersize=6, label="orders of an unnamed curve")
-        legend_below(figure, panels[0], 4)
-        figure.suptitle(f"{title}: orders of the joints' positions", fontsize=15)
-    return figure
+    figure, panels = panels_in_rows(max(len(spectra), 1), shared=True)
+    for panel, joint in zip(panels, spectra, strict=False):
+        _draw_spectrum(panel, joint)
+    if not spectra:
+        panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
+        return figure
+    panels[0].set_ylim(max(3.0 * max(joint.noise.max() for joint in spectra), 1e-3), 150)
+    panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    for name, colour in _STAGES[: 2 if found.findings else 1]:
+        panels[0].plot([], [], color=colour, linewidth=2.5, label=name)
+    level = f"exceeded by noise in one of {1 / found.options.engine.level:.0f} recordings"
+    panels[0].plot([], [], ":", color="black", linewidth=1.8, label=level)
+    if any(joint.harmonics for joint in spectra):
+        panels[0].plot([], [], "--", color="black", linewidth=1.8, label="order found")
+    if any(joint.curve for joint in spectra):
+        panels[0].plot([], [], "v", color="black", markersize=6, label="orders of an unnamed curve")
+    legend_below(figure, panels[0], 4)
+    return titled(figure, f"{title}: orders of the joints' positions")
 
 
 def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
@@ -169,29 +217,298 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     label_first_column(panel, "explained variance (%)")
 
 
+@rc_context(STYLE)
 def remaining(found: Diagnosis, title: str) -> Figure:
     """The residuals against the sensor's noise: their size, and the correlation of neighbouring rows."""
     residuals = evidence_map.remaining_residuals(found)
     unit = "declared" if found.problem.declared else "estimated"
-    with rc_context(STYLE):
-        figure = blank(12.0, 5.0)
-        left, right = figure.subplots(1, 2)
-        for (name, colour), part in zip(_STAGES, residuals, strict=False):
-            left.stairs(part.density, part.edges, color=colour, linewidth=2, label=f"{name}: {part.rms:.3g} RMS")
-            lags = np.arange(1, len(part.correlation) + 1)
-            right.plot(lags, part.correlation, "-o", color=colour, markersize=5, linewidth=1.5)
-        edges, bound = residuals[-1].edges, residuals[-1].bound
-        at = np.linspace(edges[0], edges[-1], 201)
-        left.plot(at, np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi), "--", color="black", linewidth=2, label="normal noise")
-        left.set(xlabel=f"residual over the {unit} noise", ylabel="density", xlim=(edges[0], edges[-1]))
-        left.set_ylim(0, 1.5 * left.get_ylim()[1])
-        left.legend(frameon=False, loc="upper right")
-        right.axhspan(-bound, bound, color="black", alpha=0.15, linewidth=0)
-        right.axhline(0, color="black", linewidth=1)
-        right.plot([], [], color="black", alpha=0.15, linewidth=9, label="white noise, 95 %")
-        right.set(xlabel="lag (rows)", ylabel="autocorrelation of the residuals")
-        low, high = right.get_ylim()
-        right.set_ylim(min(low, -0.3), min(max(high, 0.3) + 0.1, 1.1))
-        right.legend(frameon=False, loc="upper right")
-        figure.suptitle(f"{title}: remaining residuals", fontsize=15)
-    return figure
+    figure = blank(12.0, 5.0)
+    left, right = figure.subplots(1, 2)
+    for (name, colour), part in zip(_STAGES, residuals, strict=False):
+        left.stairs(part.density, part.edges, color=colour, linewidth=2, label=f"{name}: {part.rms:.3g} RMS")
+        lags = np.arange(1, len(part.correlation) + 1)
+        right.plot(lags, part.correlation, "-o", color=colour, markersize=5, linewidth=1.5)
+    edges, bound = residuals[-1].edges, residuals[-1].bound
+    at = np.linspace(edges[0], edges[-1], 201)
+    left.plot(at, np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi), "--", color="black", linewidth=2, label="normal noise")
+    left.set(xlabel=f"residual over the {unit} noise", ylabel="density", xlim=(edges[0], edges[-1]))
+    left.set_ylim(0, 1.5 * left.get_ylim()[1])
+    left.legend(frameon=False, loc="upper right")
+    right.axhspan(-bound, bound, color="black", alpha=0.15, linewidth=0)
+    right.axhline(0, color="black", linewidth=1)
+    right.plot([], [], color="black", alpha=0.15, linewidth=9, label="white noise, 95 %")
+    right.set(xlabel="lag (rows)", ylabel="autocorrelation of the residuals")
+    low, high = right.get_ylim()
+    right.set_ylim(min(low, -0.3), min(max(high, 0.3) + 0.1, 1.1))
+    right.legend(frameon=False, loc="upper right")
+    return titled(figure, f"{title}: remaining residuals")
+
+
+# ------------------------------------------------------------------ of torques
+
+
+@rc_context(STYLE)
+def torque_error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
+    """Held-out errors of each joint, before and after, beside the standard deviation of what was measured."""
+    kept = found.problem.valid
+    spread = np.maximum(np.std(found.problem.measured[:, kept], axis=1), _LOWEST)
+    at = np.arange(1, len(spread) + 1)
+    figure = blank(4.0 + 1.5 * len(at), 5.4)
+    panel = figure.subplots()
+    lowest = float(spread.min())
+    for side, (name, colour, errors) in enumerate((("before", BEFORE, found.before), ("after", AFTER, found.after))):
+        rms = np.maximum(np.sqrt(np.mean(errors[:, kept] ** 2, 1)), _LOWEST)
+        lowest = min(lowest, float(rms.min()))
+        bars = panel.bar(at + (side - 0.5) * _WIDTH, rms, _WIDTH, color=colour, label=f"{name}, held out", zorder=3)
+        panel.bar_label(bars, [f"{value:.2g}" for value in rms], padding=2, fontsize=12)
+    label = "standard deviation of the measured torque"
+    panel.hlines(spread, at - 0.45, at + 0.45, color="black", linestyle="--", linewidth=2, label=label, zorder=4)
+    panel.set_yscale("log")
+    panel.set_ylim(0.4 * lowest, 2.5 * max(panel.get_ylim()[1] / 2.5, spread.max()))
+    panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    exerted = _exerted(found)
+    both = sorted({unit for _, unit in exerted}, reverse=True)  # Nm before N
+    panel.set(xlabel="joint", ylabel=f"torque error ({' or '.join(both)} RMS)", xticks=at)
+    if len(both) > 1:
+        panel.set_xticks(at, [f"{joint} ({unit})" for joint, (_, unit) in enumerate(exerted, 1)])
+    panel.grid(visible=False, axis="x")
+    legend_below(figure, panel, 3)
+    return titled(figure, f"{title}: held-out torque error of each joint")
+
+
+@rc_context(STYLE)
+def over_time(found: TorqueDiagnosis, title: str) -> Figure:
+    """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
+    shown, exerted = evidence_map.torques_over_time(found), _exerted(found)
+    lines = (
+        ("measured", shown.measured, {"color": "black", "linewidth": 3.5, "alpha": 0.35}),
+        ("rigid body", shown.rigid, {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"}),
+        ("modelled, with the findings", shown.modelled, {"color": AFTER, "linewidth": 1.6}),
+    )
+    figure, panels = panels_in_rows(len(shown.measured), wide=True)
+    for j, panel in enumerate(panels):
+        for name, torque, style in lines:
+            panel.plot(shown.time, torque[j], label=name, **style)  # type: ignore[arg-type]
+        what, unit = exerted[j]
+        panel.set(xlabel="time (s)", ylabel=f"{what} of joint {j + 1} ({unit})")
+        panel.xaxis.set_major_locator(MaxNLocator(5))
+    legend_below(figure, panels[0], 3)
+    return titled(figure, f"{title}: measured and modelled torques")
+
+
+@rc_context(STYLE)
+def friction(found: TorqueDiagnosis, title: str) -> Figure:
+    """The torque that the model without friction leaves at each joint over its velocity, and the friction found."""
+    joints, exerted = evidence_map.joint_frictions(found), _exerted(found)
+    scales, angles = joint_units(found.problem.data.arm.sliding, len(joints))
+    figure, panels = panels_in_rows(len(joints), wide=True)
+    for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
+        _draw_friction(panel, joint, scales[j])
+        what, unit = exerted[j]
+        panel.set(xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})")
+        panel.xaxis.set_major_locator(MaxNLocator(5))
+    panels[0].plot([], [], ".", color=GREY, markersize=8, label="measured, less the model without friction")
+    panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")
+    legend_below(figure, panels[0], 2)
+    return titled(figure, f"{title}: friction")
+
+
+@rc_context(STYLE)
+def spectra(found: TorqueDiagnosis, shown: evidence_map.Spectra, title: str) -> Figure:
+    """Spectra of the recorded velocities and torques of each joint, and where the low passes cut them."""
+    data = found.problem.data
+    slides = bool(data.arm.sliding)
+    of_velocity, of_torque = ("(rad/s or m/s)²/Hz", "Nm²/Hz or N²/Hz") if slides else ("(rad/s)²/Hz", "Nm²/Hz")
+    parts = (
+        ("velocity", of_velocity, shown.velocity, data.motion_cutoff),
+        ("torque", of_torque, shown.torque, data.filter.cutoff),
+    )
+    figure, panels = panels_in_rows(len(parts), wide=True)
+    for panel, (name, unit, power, cutoff) in zip(panels, parts, strict=True):
+        for joint, row in enumerate(power, 1):
+            panel.plot(shown.frequency, np.maximum(row, 1e-300), linewidth=1.2, label=f"joint {joint}")
+        panel.axvline(cutoff, color="black", linestyle="--", linewidth=1.6, label="cutoff of the low pass")
+        largest = float(power.max(initial=1e-12))
+        panel.set(xscale="log", yscale="log", xlabel="frequency (Hz)", ylabel=f"power of the {name} ({unit})")
+        panel.set_ylim(max(float(power.min(initial=largest)), 1e-9 * largest) / 2, 3 * largest)
+        panel.set_title(f"{name}: {cutoff:.3g} Hz", fontsize=13)
+    legend_below(figure, panels[0], 4)
+    return titled(figure, f"{title}: spectra, and what the low passes leave")
+
+
+def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
+    """Of each joint what its motor exerts, and the unit."""
+    units = torque_units(found.problem.data.arm.sliding, found.problem.rows)
+    return [("force" if unit == "N" else "torque", unit) for unit in units]
+
+
+def _draw_friction(panel: Axes, joint: evidence_map.JointFriction, scale: float) -> None:
+    dots(panel, scale * joint.velocity, joint.partial, GREY)
+    panel.axhline(0, color="black", linewidth=1)
+    if len(joint.at):
+        panel.plot(scale * joint.at, joint.friction, color=AFTER, linewidth=2.5, zorder=4)
+    else:
+        text = {"ha": "center", "va": "top", "color": "#5c5c5c", "transform": panel.transAxes}
+        panel.margins(y=0.15)
+        panel.text(0.5, 0.99, "no friction over velocity found", **text)  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------ of findings
+
+
+_SAMPLES_PER_BIN = 12
+_BINS_PER_WAVE = 4
+_DRIVERS = {
+    "rad": (180 / np.pi, "deg"),
+    "rad/s": (180 / np.pi, "deg/s"),
+    "1": (1.0, ""),
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+}
+"""Factor and unit in which drivers are read."""
+_DEFLECTIONS = {
+    "m": (1e3, "mm"),
+    "rad": (1e3, "mrad"),
+    "1": (1e6, "ppm"),
+    "Nm": (1.0, "Nm"),
+    "N": (1.0, "N"),
+    "sigma": (1.0, "std. deviations"),
+}
+_EXERTED = {"Nm": "torque", "N": "force"}
+"""What a motor exerts, by its unit."""
+_MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
+
+
+@rc_context(STYLE)
+def finding_figure(
+    found: Diagnosis | TorqueDiagnosis,
+    title: str,
+    chosen: Sequence[int] | None = None,
+    order: Sequence[int] | None = None,
+) -> Figure:
+    """Each finding's curve with two standard deviations, over its partial residuals.
+
+    Args:
+        found: with findings.
+        title: of the figure.
+        chosen: places of findings, from 0; all, in their order, where not given.
+        order: places of all findings in the order in which they are numbered; theirs where not given.
+    """
+    order = range(len(found.findings)) if order is None else order
+    places = order if chosen is None else chosen
+    curves = [curve for k in places for curve in partial_residuals.finding_curves(found, k)]
+    figure, panels = panels_in_rows(len(curves), wide=True)
+    binned = False
+    for panel, curve in zip(panels, curves, strict=True):
+        binned |= _draw(panel, curve)
+        effect = found.findings[curve.finding].effect
+        if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
+            panel.set_ylabel(f"{_EXERTED[curve.unit]} × direction of motion ({curve.unit})")
+        number = order.index(curve.finding) + 1
+        panel.set_title(f"{number}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
+    panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
+    if not all(curve.hysteresis for curve in curves):
+        panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="± 2 std. deviations")
+    if binned:
+        label = "partial residuals: medians ± std. error"
+        panels[0].errorbar([], [], [], fmt="o", color="black", capsize=3, label=label)
+    else:
+        panels[0].plot([], [], ".", color=GREY, markersize=8, label="partial residuals")
+    legend_below(figure, panels[0], 3)
+    return titled(figure, title)
+
+
+def _draw(panel: Axes, curve: FindingCurve) -> bool:
+    """Draws a curve into a panel, and says whether there are medians of the partial residuals beside it."""
+    x_scale, across, angle = _across(curve)
+    y_scale, up = _up(curve)
+    x, seen, at, fitted, std = (
+        x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at, y_scale * curve.curve, y_scale * curve.std
+    )  # fmt: skip
+    dots(panel, x, seen, GREY)
+    panel.set(xlabel=across, ylabel=up)
+    if curve.hysteresis:
+        panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
+        return False
+    panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
+    discrete = curve.quantity is not None and curve.quantity.discrete
+    bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
+    many = bins > BINS
+    panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)
+    centre, middle, error = medians(x, seen, 3 if discrete else bins)
+    centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
+    panel.errorbar(
+        centre, middle, error, fmt="o", color="black", markersize=3 if many else 5, capsize=0 if many else 3, zorder=5
+    )
+    inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
+    low, high = min(inner[0], fitted.min(), 0.0), max(inner[1], fitted.max(), 0.0)
+    margin = 0.1 * (high - low or 1.0)
+    panel.set_ylim(low - margin, high + margin)
+    if discrete:
+        panel.set_xticks((-1, 0, 1))
+    elif angle:
+        panel.xaxis.set_major_locator(degree_ticks(panel))
+    else:
+        panel.xaxis.set_major_locator(MaxNLocator(4))
+    return bool(np.isfinite(middle).any())
+
+
+def _across(curve: FindingCurve) -> tuple[float, str, bool]:
+    """Factor and label of the horizontal axis, and whether it is an angle."""
+    if curve.over == "row":
+        return 1.0, "row of the recording", False
+    if curve.over == "displacement":
+        scale, unit = _DEFLECTIONS[curve.unit]
+        moved = "displacement of the measured pose" if curve.site is None else _at_motor(curve)
+        return scale, f"fitted {moved} ({unit})", False
+    assert curve.quantity is not None
+    if curve.over == "phase":
+        return 180 / np.pi, f"phase of the harmonic, {curve.quantity.phrase} (deg)", True
+    scale, unit = _DRIVERS.get(curve.quantity.unit, (1.0, curve.quantity.unit))
+    return scale, f"{curve.quantity.phrase} ({unit})" if unit else curve.quantity.phrase, unit == "deg"
+
+
+def _up(curve: FindingCurve) -> tuple[float, str]:
+    """Factor and label of the vertical axis."""
+    scale, unit = _DEFLECTIONS[curve.unit]
+    if curve.site is None:
+        return scale, f"displacement along it ({unit})"
+    field, _, component = curve.site
+    if curve.unit in _EXERTED:
+        return scale, f"{_at_motor(curve)} ({unit})"
+    movement = f"{'translation along' if component < 3 else 'rotation about'} {'xyz'[component % 3]}"
+    return scale, f"{_MOVEMENTS.get(field, movement)} ({unit})"
+
+
+def _at_motor(curve: FindingCurve) -> str:
+    assert curve.site is not None
+    return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
+
+
+@rc_context(STYLE)
+def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
+    """What each finding moves, beside the error before and after.
+
+    Args:
+        document: of poses or of torques, with findings.
+        title: of the figure.
+    """
+    measures = ranking.measures_of(document)
+    findings, shown = statements.findings_of(document)[:_MOST], ranking.bars(document)[:_MOST]
+    if len(measures) == 1:
+        sizes = [measures[0].scale * finding[measures[0].moves] for finding in findings]
+        label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
+    else:
+        sizes = [bar.share for bar in shown]
+        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
+    names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
+    figure = blank(9.0, 1.7 + 0.42 * len(findings))
+    panel = figure.subplots()
+    bars = panel.barh(range(len(findings)), sizes, color=AFTER, zorder=3)
+    panel.bar_label(bars, [bar.size for bar in shown], padding=4)
+    panel.set_yticks(range(len(findings)), names)
+    panel.invert_yaxis()
+    panel.set_xlim(0, 1.15 * max(sizes) or 1.0)
+    panel.set_xlabel(label)
+    panel.grid(visible=False, axis="y")
+    return titled(figure, f"{title}: what each finding moves")

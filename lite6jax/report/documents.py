@@ -5,7 +5,7 @@ To add a kind of result, register a function with `document` here.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import singledispatch
 from pathlib import Path
@@ -26,8 +26,8 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.fleet import Row
-from lite6jax.report.cells import STATISTICS
-from lite6jax.report.compensation_tables import reason_text
+from lite6jax.report.compensation import reason_text
+from lite6jax.report.words import STATISTICS
 
 
 def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
@@ -55,34 +55,17 @@ def document(result: Any) -> dict[str, Any]:
 def _solution(found: Solution) -> dict[str, Any]:
     chain = found.form.chain
     deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
-    entries = zip(
-        chain.names,
-        chain.units,
-        found.parameters,
-        deviation,
-        found.free,
-        found.determined,
-        found.prior_share,
-        strict=False,
-    )
+    columns = {
+        "name": chain.names, "unit": chain.units, "value": found.parameters, "std": deviation, "free": found.free,
+        "determined": found.determined, "prior_share": found.prior_share,
+    }  # fmt: skip
     return {
         "schema": "lite6jax/fit/1",
         "arm": found.arm.name,
         "result": found.result.name.lower(),
         "steps": found.steps,
         "quality": found.quality.to_dict(),
-        "parameters": [
-            {
-                "name": name,
-                "unit": unit,
-                "value": value,
-                "std": std,
-                "free": free,
-                "determined": sure,
-                "prior_share": share,
-            }
-            for name, unit, value, std, free, sure, share in entries
-        ],
+        "parameters": list(_rows(**columns)),
         "held": [asdict(each) for each in found.held],
         "T_sensor_base": found.model.T_sensor_base,
         "T_flange_tool": found.model.T_flange_tool,
@@ -93,6 +76,11 @@ def _solution(found: Solution) -> dict[str, Any]:
         "data_faults": [fault.to_dict() for fault in found.faults],
         "notes": found.notes,
     }
+
+
+def _rows(**columns: Any) -> Iterator[dict[str, Any]]:
+    """A dictionary for each row of columns by name; the shortest column ends them."""
+    return (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=False))
 
 
 def _errors(errors: Errors) -> dict[str, float]:
@@ -138,92 +126,62 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> dict[str, Any]:
     """The document of a study of sensitivity, with Sobol's indices where these were computed."""
-    turned = np.sqrt(np.mean(found.orientation**2, 0))
-    moved = np.sqrt(np.mean(found.position**2, 0))
+    moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
+    parameters = _rows(
+        name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
+        orientation_rms_rad=turned, share=found.share,
+    )  # fmt: skip
+    sobol = None if over_arms is None else _rows(name=over_arms.names, first=over_arms.first, total=over_arms.total)
     return {
         "schema": "lite6jax/sensitivity/1",
         "expected_position_rms_m": float(np.sqrt(np.mean(found.expected_error**2))),
-        "parameters": [
-            {"name": name, "unit": unit, "tolerance": t, "per_unit": p, "position_rms_m": m, "orientation_rms_rad": o,
-             "share": s}
-            for name, unit, t, p, m, o, s in zip(
-                found.names, found.units, found.tolerance, found.per_unit, moved, turned, found.share, strict=True
-            )
-        ],
-        "sobol": None
-        if over_arms is None
-        else [
-            {"name": name, "first": first, "total": total}
-            for name, first, total in zip(over_arms.names, over_arms.first, over_arms.total, strict=True)
-        ],
-    }  # fmt: skip
-
-
-@document.register
-def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    return of_sensitivity(found, None)
-
-
-@document.register
-def _identification(found: Identification) -> dict[str, Any]:
-    return found.to_dict()
-
-
-@document.register
-def _plan(found: Plan) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/design/1",
-        "arm": found.experiment.arm.name,
-        "poses": found.count,
-        "candidates": found.candidates,
-        "criterion": found.criterion,
-        "rank": found.design.rank,
-        "position_std_m": found.accuracy,
-        "random_position_std_m": found.random_median,
-        "worth_random_poses": found.worth,
-        "needed": found.needed,
-        "joint_position_rad": found.joint_position,
+        "parameters": list(parameters),
+        "sobol": None if sobol is None else list(sobol),
     }
 
 
-@document.register
-def _discrimination(found: DiscriminationPlan) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/discrimination/1",
-        "arm": found.experiment.arm.name,
-        "poses": found.count,
-        "candidates": found.candidates,
-        "rivals": found.rivals,
-        "both_ways": found.both_ways,
-        "distance": found.distance,
-        "random_distance": found.random_distance,
-        "joint_position_rad": found.joint_position,
-    }
+document.register(Sensitivity, lambda found: of_sensitivity(found, None))
+document.register(Identification, Identification.to_dict)
 
 
-@document.register
-def _motion(found: TorquePlan) -> dict[str, Any]:
+@document.register(Plan)
+@document.register(DiscriminationPlan)
+def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
+    about = {"arm": found.experiment.arm.name, "poses": found.count, "candidates": found.candidates}
+    if isinstance(found, DiscriminationPlan):
+        about = {"schema": "lite6jax/discrimination/1", **about, **_separation(found)}
+    else:
+        about = {
+            "schema": "lite6jax/design/1",
+            **about,
+            "criterion": found.criterion,
+            "rank": found.design.rank,
+            "position_std_m": found.accuracy,
+            "random_position_std_m": found.random_median,
+            "worth_random_poses": found.worth,
+            "needed": found.needed,
+        }
+    return {**about, "joint_position_rad": found.joint_position}
+
+
+@document.register(TorquePlan)
+@document.register(TorqueDiscrimination)
+def _motion(found: TorquePlan | TorqueDiscrimination) -> dict[str, Any]:
+    about = {"duration_s": found.room.duration, "harmonics": found.room.harmonics}
+    if isinstance(found, TorqueDiscrimination):
+        return {"schema": "lite6jax/motion_discrimination/1", **about, **_separation(found)}
     return {
         "schema": "lite6jax/motion/1",
-        "duration_s": found.room.duration,
-        "harmonics": found.room.harmonics,
+        **about,
         "identification": found.identification.to_dict(),
         "log_determinant": found.identification.log_determinant,
         "random_log_determinant": found.random_log_determinant,
     }
 
 
-@document.register
-def _separating(found: TorqueDiscrimination) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/motion_discrimination/1",
-        "duration_s": found.room.duration,
-        "harmonics": found.room.harmonics,
-        "rivals": found.rivals,
-        "both_ways": found.both_ways,
-        "distance": found.distance,
-        "random_distance": found.random_distance,
-    }
+def _separation(found: DiscriminationPlan | TorqueDiscrimination) -> dict[str, Any]:
+    """Between which models, and how far apart these are."""
+    return {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
 
 
 @document.register
@@ -246,11 +204,12 @@ def _compensation(found: Compensation) -> dict[str, Any]:
         "outside": None if found.outside is None else int(found.outside.sum()),
         "omitted": found.omitted,
         "not_reached": [
-            {"row": row, "reason": reason_text(reason, found.recording.sliding), "position_error_m": error}
-            for row, reason, error, hit in zip(
-                found.recording.row, found.reason, found.position_error, found.reached, strict=True
-            )
-            if not hit
+            {
+                "row": found.recording.row[k],
+                "reason": reason_text(found.reason[k], found.recording.sliding),
+                "position_error_m": found.position_error[k],
+            }
+            for k in np.flatnonzero(~found.reached)
         ],
         "notes": found.notes,
     }
@@ -284,19 +243,16 @@ def _calibration(read: CalibrationRead) -> dict[str, Any]:
 
 def of_prediction(found: Prediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
+    fitted = None
+    if registration is not None:
+        frames = {name: getattr(registration, name) for name in ("T_sensor_base", "T_flange_tool")}
+        fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
     return {
         "schema": "lite6jax/prediction/1",
         "rows": len(found.poses),
         "empty_rows": int(np.isnan(found.poses[:, 0, 0]).sum()),
         "outside": None if found.outside is None else int(found.outside.sum()),
-        "registration": None
-        if registration is None
-        else {
-            "T_sensor_base": registration.T_sensor_base,
-            "T_flange_tool": registration.T_flange_tool,
-            "position_rms_m": registration.rms,
-            "outliers": int(np.sum(~registration.kept)),
-        },
+        "registration": fitted,
     }
 
 

@@ -1,98 +1,120 @@
-"""Figures of a fit, of a comparison, and of a verification by a controller."""
+"""Figures of fits, of comparisons of arms, of studies and of designs."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from lite6jax.controller.verification import GATE_M, Verification
 from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks, label_joint
-from lite6jax.report.cells import joint_units
-from lite6jax.report.panels import dots, label_first_column, medians, panels_in_rows
+from lite6jax.report.canvas import (
+    AFTER,
+    BEFORE,
+    FRAMED,
+    MARKERS,
+    OKABE_ITO,
+    STYLE,
+    blank,
+    dots,
+    label_first_column,
+    label_joint,
+    legend_below,
+    medians,
+    panels_in_rows,
+    titled,
+)
+from lite6jax.report.words import SCREEN, joint_units
+
+if TYPE_CHECKING:  # what studies take, and fits do not
+    from lite6jax.design.identify import Identification
+    from lite6jax.design.poses import DiscriminationPlan, Plan
+    from lite6jax.design.sensitivity import Sensitivity
+    from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
 
 _MOST_NAMED = 12
+_MOST_CURVES = 5
+_ROUNDING = 1e-16
 
 
+# ------------------------------------------------------------------ fits and comparisons
+
+
+@rc_context(STYLE)
 def error_by_joint(solution: Solution, title: str) -> Figure:
     """Position error against each joint, with medians: of the nominal arm, and of the fitted one on other samples."""
     before, after = solution.nominal_errors, solution.checked
     joints = after.joint_position.shape[1]
     scales, units = joint_units(solution.arm.sliding, joints)
-    with rc_context(STYLE):
-        figure, panels = panels_in_rows(joints, shared=True)
-        for joint, panel in enumerate(panels):
-            for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
-                position, millimetres = scales[joint] * errors.joint_position[:, joint], 1e3 * errors.position
-                dots(panel, position, millimetres, colour, zorder)
-                at, middle, _ = medians(position, millimetres)
-                panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
-            label_joint(panel, joint, units[joint])
-            label_first_column(panel, "position error (mm)")
-        panels[0].set_ylim(0, _upper(before, after))
-        figure.suptitle(title, fontsize=15)
-        _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
+    figure, panels = panels_in_rows(joints, shared=True)
+    for joint, panel in enumerate(panels):
+        for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
+            position, millimetres = scales[joint] * errors.joint_position[:, joint], 1e3 * errors.position
+            dots(panel, position, millimetres, colour, zorder)
+            at, middle, _ = medians(position, millimetres)
+            panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
+        label_joint(panel, joint, units[joint])
+        label_first_column(panel, "position error (mm)")
+    panels[0].set_ylim(0, _upper(before, after))
+    figure.suptitle(title, fontsize=15)
+    _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
     return figure
 
 
+@rc_context(STYLE)
 def error_distribution(solution: Solution, recording: Recording, title: str) -> Figure:
     """The distribution of the position errors, and the errors along the recording."""
     before, after = solution.nominal_errors, solution.checked
-    with rc_context(STYLE):
-        figure = blank(12.0, 4.6)
-        left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-        top = _upper(before, after)
-        bins = np.linspace(0, top, 41)
-        for errors, colour in ((before, BEFORE), (after, AFTER)):
-            millimetres = np.minimum(1e3 * errors.position, top)  # larger errors are counted in the last bin
-            left.hist(millimetres, bins, color=colour, alpha=0.45)
-            left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
-            dots(right, recording.row, 1e3 * errors.position, colour)
-        left.set(xlabel="position error (mm)", ylabel="samples", xlim=(0, top))
-        right.set(xlabel="row of the recording", ylabel="position error (mm)")
-        right.set_ylim(bottom=0)
-        figure.suptitle(title, fontsize=15)
-        _legend(figure, before, after, "on held-out blocks")
+    figure = blank(12.0, 4.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
+    top = _upper(before, after)
+    bins = np.linspace(0, top, 41)
+    for errors, colour in ((before, BEFORE), (after, AFTER)):
+        millimetres = np.minimum(1e3 * errors.position, top)  # larger errors are counted in the last bin
+        left.hist(millimetres, bins, color=colour, alpha=0.45)
+        left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
+        dots(right, recording.row, 1e3 * errors.position, colour)
+    left.set(xlabel="position error (mm)", ylabel="samples", xlim=(0, top))
+    right.set(xlabel="row of the recording", ylabel="position error (mm)")
+    right.set_ylim(bottom=0)
+    figure.suptitle(title, fontsize=15)
+    _legend(figure, before, after, "on held-out blocks")
     return figure
 
 
+@rc_context(STYLE)
 def parameter_differences(comparison: Comparison) -> Figure:
     """The difference of each arm's parameters from nominal: lengths in the upper panel, angles in the lower."""
-    form = comparison.arm.form
+    form, count = comparison.arm.form, len(comparison.names)
     units = np.array(form.units)
-    count = len(comparison.names)
-    with rc_context(STYLE):
-        figure = blank(12.0, 8.4)
-        for panel, unit, label, scale in zip(
-            figure.subplots(2, 1),
-            ("m", "rad"),
-            ("difference (mm)", "difference (deg)"),
-            (1e3, 180 / np.pi),
-            strict=True,
-        ):
-            chosen = np.flatnonzero(units == unit)
-            values = scale * comparison.difference[:, chosen]
-            for k in range(count):
-                spread = 0.5 * ((k + 0.5) / count - 0.5)
-                name, colour, marker = None, "#0072B2", "o"
-                if count <= len(OKABE_ITO):
-                    name, colour, marker = _short(comparison.names[k], k), OKABE_ITO[k], MARKERS[k]
-                panel.plot(
-                    np.arange(len(chosen)) + spread, values[k], marker, color=colour, label=name,
-                    markersize=6, alpha=0.85 if name else 0.5, markeredgewidth=0,
-                )  # fmt: skip
-            panel.axhline(0, color="black", linewidth=1)
-            panel.set_xticks(np.arange(len(chosen)), [form.names[i] for i in chosen], rotation=45, ha="right")
-            panel.set_ylabel(label)
-            panel.set_xlim(-0.6, len(chosen) - 0.4)
-        figure.suptitle(f"{count} × {comparison.arm.name}: parameters minus nominal", fontsize=15)
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    figure = blank(12.0, 8.4)
+    for panel, (unit, (scale, shown)) in zip(figure.subplots(2, 1), SCREEN.items(), strict=True):
+        chosen = np.flatnonzero(units == unit)
+        values = scale * comparison.difference[:, chosen]
+        for k in range(count):
+            spread = 0.5 * ((k + 0.5) / count - 0.5)
+            name, colour, marker = None, "#0072B2", "o"
+            if count <= len(OKABE_ITO):
+                name, colour, marker = _short(comparison.names[k], k), OKABE_ITO[k], MARKERS[k]
+            panel.plot(
+                np.arange(len(chosen)) + spread, values[k], marker, color=colour, label=name,
+                markersize=6, alpha=0.85 if name else 0.5, markeredgewidth=0,
+            )  # fmt: skip
+        panel.axhline(0, color="black", linewidth=1)
+        panel.set_xticks(np.arange(len(chosen)), [form.names[i] for i in chosen], rotation=45, ha="right")
+        panel.set_ylabel(f"difference ({shown})")
+        panel.set_xlim(-0.6, len(chosen) - 0.4)
+    figure.suptitle(f"{count} × {comparison.arm.name}: parameters minus nominal", fontsize=15)
+    if figure.axes[0].get_legend_handles_labels()[0]:
+        legend_below(figure, figure.axes[0], 2)
     return figure
 
 
+@rc_context(FRAMED)
 def distance_between(comparison: Comparison) -> Figure:
     """The largest distance between the flanges of each two arms, and of each from nominal."""
     count = len(comparison.names)
@@ -101,38 +123,30 @@ def distance_between(comparison: Comparison) -> Figure:
     table[0, 1:] = table[1:, 0] = 1e3 * comparison.from_nominal.max(1)
     named = count <= _MOST_NAMED
     labels = ["nominal", *(_short(name, k) for k, name in enumerate(comparison.names))]
-    with rc_context(FRAMED):
-        figure = blank(9.5, 6.5)
-        panel = figure.subplots()
-        image = panel.imshow(table, cmap="cividis", vmin=0)
-        if named:
-            for i, j in np.ndindex(table.shape):
-                light = table[i, j] > 0.6 * table.max()
-                if i != j:
-                    panel.text(
-                        j, i, f"{table[i, j]:.2f}", ha="center", va="center", color="black" if light else "white"
-                    )
-            panel.set_xticks(range(count + 1), ["nominal", *map(str, range(1, count + 1))])
-            panel.set_yticks(range(count + 1), labels)
-        else:
-            panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
-        figure.colorbar(image, label="largest distance of the flanges (mm)")
-        figure.suptitle(f"{count} × {comparison.arm.name}: largest distance", fontsize=15)
-    return figure
+    figure = blank(9.5, 6.5)
+    panel = figure.subplots()
+    image = panel.imshow(table, cmap="cividis", vmin=0)
+    if named:
+        for i, j in np.ndindex(table.shape):
+            light = table[i, j] > 0.6 * table.max()
+            if i != j:
+                panel.text(j, i, f"{table[i, j]:.2f}", ha="center", va="center", color="black" if light else "white")
+        panel.set_xticks(range(count + 1), ["nominal", *map(str, range(1, count + 1))])
+        panel.set_yticks(range(count + 1), labels)
+    else:
+        panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
+    figure.colorbar(image, label="largest distance of the flanges (mm)")
+    return titled(figure, f"{count} × {comparison.arm.name}: largest distance")
 
 
 def _legend(figure: Figure, before: Errors, after: Errors, where: str) -> None:
     panel = figure.axes[0]
     for name, errors, colour in (("nominal", before, BEFORE), (f"fitted, {where}", after, AFTER)):
-        rms, most = 1e3 * errors.position_rms, 1e3 * float(errors.position.max())
-        label = f"{name}: {_figures(rms)} mm RMS, {_figures(most)} mm at most"
+        sizes = (1e3 * errors.position_rms, 1e3 * float(errors.position.max()))
+        rms, most = (f"{size:.1e}" if 0 < size < 1e-3 else f"{size:#.3g}" for size in sizes)
+        label = f"{name}: {rms} mm RMS, {most} mm at most"
         panel.plot([], [], "-o", color=colour, linewidth=2.5, label=label)
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
-
-
-def _figures(value: float) -> str:
-    return f"{value:.1e}" if 0 < value < 1e-3 else f"{value:#.3g}"
+    legend_below(figure, panel, 2)
 
 
 def _upper(*found: Errors) -> float:
@@ -144,21 +158,227 @@ def _short(name: str, k: int) -> str:
     return f"{k + 1} {name if len(name) <= 28 else name[:27] + '…'}"
 
 
+@rc_context(STYLE)
 def verification_figure(verification: Verification, title: str) -> Figure:
     """The position difference from the controller against each joint, in nm, µm or mm."""
     q, position = verification.joint_position, verification.position
     joints = q.shape[1]
     most = float(position.max())
     scale, unit = (1e9, "nm") if most < 1e-6 else (1e6, "µm") if most < 1e-3 else (1e3, "mm")
-    with rc_context(STYLE):
-        figure, panels = panels_in_rows(joints, shared=True)
-        for joint, panel in enumerate(panels):
-            dots(panel, np.rad2deg(q[:, joint]), scale * position, AFTER)
-            if 2 * most > GATE_M:
-                panel.axhline(scale * GATE_M, color="black", linewidth=1.5)
-            panel.set_xlabel(f"joint {joint + 1} (deg)")
-            panel.xaxis.set_major_locator(degree_ticks(panel))
-            label_first_column(panel, f"difference ({unit})")
-        panels[0].set_ylim(0, 1.08 * scale * most or 1.0)
-        figure.suptitle(f"{title}: controller's forward kinematics against the calibration", fontsize=15)
-    return figure
+    figure, panels = panels_in_rows(joints, shared=True)
+    for joint, panel in enumerate(panels):
+        dots(panel, np.rad2deg(q[:, joint]), scale * position, AFTER)
+        if 2 * most > GATE_M:
+            panel.axhline(scale * GATE_M, color="black", linewidth=1.5)
+        label_joint(panel, joint, "deg")
+        label_first_column(panel, f"difference ({unit})")
+    panels[0].set_ylim(0, 1.08 * scale * most or 1.0)
+    return titled(figure, f"{title}: controller's forward kinematics against the calibration")
+
+
+# ------------------------------------------------------------------ studies and designs
+
+
+@rc_context(STYLE)
+def singular_values(found: "Identification", title: str) -> Figure:
+    """Singular values of the scaled Jacobian, falling, with the line under which nothing is determined."""
+    d = found.determination
+    values = np.maximum(d.singular_values, _ROUNDING * d.singular_values[0])
+    at = np.arange(1, d.size + 1)
+    figure = blank(9.0, 5.2)
+    panel = figure.subplots()
+    panel.axhline(1, color="black", linewidth=1, linestyle="--")
+    panel.text(d.size + 0.6, 1, " noise as large\n as a tolerance", va="center", fontsize=11)
+    determined = at <= d.rank
+    panel.plot(at[determined], values[determined], "o", color=AFTER, markersize=8, label=f"determined: {d.rank}")
+    if not determined.all():
+        rounding = values[~determined]
+        panel.plot(at[~determined], rounding, "X", color=BEFORE, markersize=9, label=f"rounding: {len(rounding)}")
+    panel.set_yscale("log")
+    panel.set(
+        xlabel="direction of the parameters, best determined first",
+        ylabel="singular value\n(standard deviations per tolerance)",
+        xlim=(0.2, d.size + 0.8),
+    )
+    panel.legend(loc="best", frameon=False)
+    return titled(figure, f"{title}: {d.rank} of {d.size} determined by {d.samples} poses")
+
+
+@rc_context(FRAMED)
+def correlation(found: "Identification", title: str) -> Figure:
+    """The correlations of the estimates, without those of parameters that are held."""
+    d = found.determination
+    free = np.flatnonzero(d.free)
+    names = [d.names[i] for i in free]
+    side = max(6.5, 0.26 * len(free) + 2.5)
+    figure = blank(side + 1.2, side)
+    panel = figure.subplots()
+    image = panel.imshow(d.correlation[np.ix_(free, free)], cmap="PuOr", vmin=-1, vmax=1)
+    panel.set_xticks(range(len(free)), names, rotation=90, fontsize=10)
+    panel.set_yticks(range(len(free)), names, fontsize=10)
+    held = d.size - len(free)
+    figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
+    rest = f" ({held} held, not shown)" if held else ""
+    return titled(figure, f"{title}: correlations of the estimates{rest}")
+
+
+@rc_context(STYLE)
+def deviations(found: "Identification", title: str) -> Figure:
+    """The predicted standard deviation of each parameter against its tolerance: lengths, angles, then effects."""
+    d = found.determination
+    effect = np.array([":" in name for name in d.names])
+    units = np.array(d.units)
+    groups = [
+        (f"std. deviation ({shown})", scale, (units == unit) & ~effect) for unit, (scale, shown) in SCREEN.items()
+    ]
+    groups = [group for group in (*groups, ("std. deviation\n(of typical size)", 1.0, effect)) if group[2].any()]
+    figure = blank(12.0, 3.6 * len(groups) + 0.8)
+    panels = figure.subplots(len(groups), 1, squeeze=False).ravel()
+    for panel, (label, scale, chosen) in zip(panels, groups, strict=True):
+        typical = d.scale[chosen] if effect[chosen].all() else np.ones(chosen.sum())
+        values = scale * d.standard_deviation[chosen] / typical
+        tolerance = float(scale * (d.scale[chosen] / typical)[0])
+        free, at = d.free[chosen], np.arange(len(values))
+        shown = np.append(values[free], tolerance)
+        low = 0.3 * float(shown.min())
+        panel.bar(at[free], values[free] - low, bottom=low, width=0.7, color=AFTER)
+        panel.plot(at[~free], np.full((~free).sum(), tolerance), "X", color=BEFORE, markersize=9, clip_on=False)
+        panel.axhline(tolerance, color="black", linestyle="--", linewidth=1.5)
+        panel.set_yscale("log")
+        panel.set_ylim(low, 2.5 * float(shown.max()))
+        names = [d.names[i].replace(":", "\n", 1).split(":")[0] for i in np.flatnonzero(chosen)]
+        panel.set_xticks(at, names, rotation=45, ha="right")
+        panel.set_xlim(-0.7, len(at) - 0.3)
+        panel.set_ylabel(label)
+        panel.grid(axis="x", visible=False)
+    handles = [
+        Line2D([], [], color=AFTER, linewidth=8, label="predicted"),
+        Line2D([], [], color="black", linestyle="--", label="tolerance of assembly"),
+    ]
+    if not d.free.all():
+        handles.append(Line2D([], [], color=BEFORE, marker="X", linestyle="", markersize=9, label="held"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+    return titled(figure, f"{title}: how well {d.samples} poses determine each parameter")
+
+
+@rc_context(STYLE)
+def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
+    """Accuracy, or distance between two models, against the number of poses: designed and drawn at random."""
+    from lite6jax.design.poses import Plan
+
+    planned = isinstance(found, Plan)
+    figure = blank(9.0, 5.4)
+    panel = figure.subplots()
+    if planned:
+        shown = slice(0, min(2 * found.count, found.random_accuracy.shape[1]))
+        random = 1e3 * found.random_accuracy[:, shown]
+        low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
+        at = np.arange(1, len(middle) + 1)
+        there = np.isfinite(middle)
+        # infinite for draws that do not determine all parameters
+        high = np.where(np.isfinite(high), high, middle[there].max())
+        panel.fill_between(at[there], low[there], high[there], color=BEFORE, alpha=0.2, linewidth=0)
+        panel.plot(at[there], middle[there], "--", color=BEFORE, linewidth=2.5, label="random, median and 90 %")
+        designed = 1e3 * found.accuracy
+        panel.set_yscale("log")
+        label = "predicted positions over the workspace\n(mm, one std. deviation)"
+    else:
+        designed = found.distance
+        low, middle, high = np.quantile(found.random_distance, (0.05, 0.5, 0.95))
+        panel.errorbar(
+            [found.count], [middle], [[middle - low], [high - middle]], fmt="s", color=BEFORE, capsize=5,
+            markersize=8, label="random, median and 90 %",
+        )  # fmt: skip
+        label = "distance between the models\n(standard deviations)"
+    count = np.arange(1, found.count + 1)
+    determined = np.isfinite(designed)
+    panel.plot(count[determined], designed[determined], "-", color=AFTER, linewidth=2.5)
+    panel.plot(count[-1], designed[-1], "o", color=AFTER, markersize=9)
+    panel.plot([], [], "-o", color=AFTER, linewidth=2.5, label="designed")
+    panel.set(xlabel="poses", ylabel=label)
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.legend(frameon=False)
+    what = f"{found.count} poses"
+    if not planned:
+        what += f" to discriminate between {found.rivals[0]} and {found.rivals[1]}"
+    return titled(figure, f"{title}: {what}")
+
+
+@rc_context(STYLE)
+def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
+    """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
+    middles, means = found.by_joint()
+    joints = len(middles)
+    scales, units = joint_units(found.sliding, joints)
+    # those whose share depends on where the arm is: what moves the flange alike everywhere is a straight line
+    order = np.argsort(-np.nanmax(means, (0, 1)), kind="stable")[:_MOST_CURVES]
+    figure, panels = panels_in_rows(joints, shared=True)
+    for j, panel in enumerate(panels):
+        for k, (i, colour, marker) in enumerate(zip(order, OKABE_ITO, MARKERS, strict=False)):
+            panel.plot(
+                scales[j] * middles[j], 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
+                markevery=(k, 6), markersize=6, label=found.names[i],
+            )  # fmt: skip
+        label_joint(panel, j, units[j])
+        label_first_column(panel, "flange moves (mm)\nper tolerance")
+    panels[0].set_ylim(bottom=0)
+    legend_below(figure, panels[0], _MOST_CURVES)
+    return titled(figure, f"{title}: which parameters move the flange, and where")
+
+
+@rc_context(FRAMED)
+def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
+    """The expected error of an arm as assembled, over the plane of its reach, and each parameter's share of it."""
+    across, up, expected = found.over_workspace()
+    figure = blank(12.0, 5.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    image = left.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
+    left.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
+    figure.colorbar(image, ax=left, label="expected error, RMS (mm)")
+    order = np.argsort(-found.share, kind="stable")[:12][::-1]
+    right.barh(np.arange(len(order)), 100 * found.share[order], color=AFTER)
+    right.axvline(100 / len(found.names), color="black", linestyle="--", linewidth=1.5)
+    right.text(100 / len(found.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom")
+    right.set_yticks(np.arange(len(order)), [found.names[i] for i in order])
+    right.set(xlabel="share of the mean squared error (%)")
+    for side in ("top", "right"):
+        right.spines[side].set_visible(False)
+    return titled(figure, f"{title}: where the error of assembly is largest, and its sources")
+
+
+@rc_context(STYLE)
+def designed_motion(found: "TorquePlan | TorqueDiscrimination", title: str) -> Figure:
+    """Joint positions over time; below, standard deviations or distances: designed and random."""
+    from lite6jax.design.torques import TorquePlan
+
+    made = found.trajectory
+    figure = blank(11.0, 8.4)
+    upper, lower = figure.subplots(2, 1)
+    scales, units = joint_units(found.room.arm.sliding, found.room.arm.dof)
+    for joint, q in enumerate(np.asarray(made.motion.q)):
+        colour = OKABE_ITO[joint % len(OKABE_ITO)]
+        upper.plot(made.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
+    upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
+    upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if isinstance(found, TorquePlan):
+        base = found.identification.structure.base
+        scale = np.array([item.scale for item in base])
+        random = np.array([other.standard_deviation for other in found.random]) / scale
+        low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
+        at = np.arange(len(base))
+        there = np.isfinite(high)
+        lower.vlines(at[there], low[there], high[there], color=BEFORE, alpha=0.4, linewidth=5)
+        lower.plot(at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %")
+        designed = found.identification.standard_deviation / scale
+        lower.plot(at, np.where(np.isfinite(designed), designed, np.nan), "o", color=AFTER, label="designed")
+        lower.set_yscale("log")
+        lower.set_xticks(at, [item.name for item in base], rotation=90, fontsize=8)
+        lower.set_ylabel("std. deviation\n(of typical size)")
+        what = "motion whose torques determine the arm"
+    else:
+        lower.hist(found.random_distance, bins=20, color=BEFORE, alpha=0.6, label="random")
+        lower.axvline(found.distance, color=AFTER, linewidth=3, label="designed")
+        lower.set(xlabel="distance between the models (standard deviations)", ylabel="motions")
+        what = f"motion to discriminate between {found.rivals[0]} and {found.rivals[1]}"
+    lower.legend(frameon=False)
+    return titled(figure, f"{title}: {what}")

@@ -1,16 +1,17 @@
-"""Lists of what there is: the effects of both catalogues, and the bundled arms."""
+"""Lists of what there is, effects and arms, and what a conversion kept; nothing here takes JAX."""
 
 import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, maker_of
-from lite6jax.report.cells import listing
+from lite6jax.arms.files import Conversion
+from lite6jax.report.screen import indented
+from lite6jax.report.words import counted, listing
 
 if TYPE_CHECKING:
     from lite6jax.effects.listing import Listed  # which takes a second, and which arms do not need
@@ -44,10 +45,10 @@ def effects_report(effects: "Sequence[Listed]", width: int) -> Iterator[Renderab
 def _paragraphs(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     for effect in effects:
         yield Text(effect.name)
-        yield Padding(Text(effect.description), (0, 0, 0, 2))
-        yield Padding(Text(f"Site: {', '.join(effect.sites)}. Driver: {_drivers(effect)}."), (0, 0, 0, 2))
+        yield indented(effect.description)
+        yield indented(f"Site: {', '.join(effect.sites)}. Driver: {_drivers(effect)}.")
         if effect.parameters:
-            yield Padding(Text(f"Numbers: {', '.join(effect.parameters)} ({_units(effect)})."), (0, 0, 0, 2))
+            yield indented(f"Numbers: {', '.join(effect.parameters)} ({_units(effect)}).")
 
 
 def _table(effects: "Sequence[Listed]") -> RenderableType:
@@ -102,13 +103,11 @@ def joint_entries(arm: Arm) -> list[dict[str, Any]]:
 def arm_report(arm: Arm) -> Iterator[RenderableType]:
     """One arm as it is read: where its chain begins and ends, and its joints in order."""
     inertia = "with inertia" if arm.inertia is not None else "without inertia"
-    yield Text(f"{arm.name}: {arm.dof} joint{'s' * (arm.dof != 1)}, reach up to {1e3 * arm.reach:.0f} mm, {inertia}.")
+    yield Text(f"{arm.name}: {counted(arm.dof, 'joint')}, reach up to {1e3 * arm.reach:.0f} mm, {inertia}.")
     if arm.source:
         yield Text(f"From: {arm.source}.")
     yield ""
-    table = listing("", "joint", "kind", "lower", "upper", "unit")
-    for index in (1, 2, 5):
-        table.columns[index].justify = "left"
+    table = listing("", "joint", "kind", "lower", "upper", "unit", left=[1, 2, 5])
     for i, joint in enumerate(joint_entries(arm)):
         scale, unit = (1e3, "mm") if joint["unit"] == "m" else (math.degrees(1.0), "deg")
         lower, upper = (f"{scale * limit:.1f}" for limit in joint["limits"])
@@ -122,16 +121,14 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
         for arm in arms:
             inertia = "with inertia" if arm.inertia else "without inertia"
             yield Text(arm.name)
-            about = f"{arm.maker}, {arm.joints} joints, {1e3 * arm.reach_m:.0f} mm, {inertia}."
-            yield Padding(Text(about), (0, 0, 0, 2))
-            yield Padding(Text(arm.source), (0, 0, 0, 2))
+            yield indented(f"{arm.maker}, {arm.joints} joints, {1e3 * arm.reach_m:.0f} mm, {inertia}.")
+            yield indented(arm.source)
         return
-    table = listing("arm", "maker", "joints", "reach (mm)", "inertia")
-    for index in (1, 4):
-        table.columns[index].justify = "left"
-    for arm in arms:
-        table.add_row(arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
-    yield table
+    rows = (
+        (arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
+        for arm in arms
+    )
+    yield listing("arm", "maker", "joints", "reach (mm)", "inertia", rows=rows, left=[1, 4])
     yield ""
     yield Text("reach: the sum of the links' lengths, which no flange exceeds.")
     variants = [arm.name for arm in arms if arm.name in VARIANTS]
@@ -139,5 +136,12 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
         yield Text(f"{', '.join(variants)}: the same model by another file of the vendor.")
     yield ""
     yield Text("Sources")
-    for arm in arms:
-        yield Padding(Text(f"{arm.name}: {arm.source}"), (0, 0, 0, 2))
+    yield from (indented(f"{arm.name}: {arm.source}") for arm in arms)
+
+
+def conversion_report(done: Conversion) -> Iterator[RenderableType]:
+    """The largest change of the flange position by a conversion, and the parts that it omits."""
+    kept = f"{1e3 * done.difference:.1e}" if done.difference else "0"
+    yield Text(f"Form {done.form}, arm {done.arm.name}; read back, the flange differs by at most {kept} mm.")
+    if done.left_out:
+        yield Text(f"Left out: {'; '.join(done.left_out)}.")

@@ -1,12 +1,21 @@
-"""What a person reads of a comparison with a reference recording: sentences made from its codes and numbers."""
+"""Sentences of comparisons: with a reference recording, of poses or torques, and of the poses with the torques.
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+Each is made from the codes and numbers of the JSON document.
+"""
 
-from lite6jax.domains.pose.predict import ReferenceOrigin
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
 from lite6jax.errors import command_line
-from lite6jax.report.cells import number
+from lite6jax.report.remedies import effect_title
+from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, number, quantity
+
+if TYPE_CHECKING:
+    from lite6jax.domains.pose.predict import ReferenceOrigin  # which takes JAX, and sentences do not
+
+Document = Mapping[str, Any]
+Entry = Mapping[str, Any]
 
 _CHAINS = {
     "factory_calibration": "the factory calibration",
@@ -15,52 +24,48 @@ _CHAINS = {
     "ros_default_table": "the vendor's ROS default table",
     "nominal_table": "the nominal table",
 }
-_DRIVERS = {"payload": "payload", "direction_of_motion": "direction of motion", "temperature": "temperature"}
 
 
-def headline(comparison: Mapping[str, Any]) -> str:
-    """Whether the model reproduces the reference, and with what error; `comparison` as in the JSON file."""
+def with_statements(comparison: Document) -> dict[str, Any]:
+    """The comparison as in the JSON file, with a `statement` for each difference, each note and the whole."""
+    stated, file = {**comparison}, comparison["file"]
+    if "by" in comparison:
+        if "differences" in comparison:
+            entries = comparison["differences"]
+            stated["differences"] = [{**entry, "statement": _torque_difference(entry)} for entry in entries]
+        return {**stated, "statement": torque_model_statement(file, comparison["by"])}
+    stated["differences"] = list(_differences(comparison["differences"], file))
+    stated["notes"] = [{**entry, "statement": _note(entry, file)} for entry in comparison["notes"]]
+    return {**stated, "statement": model_statement(file, comparison["rigid"])}
+
+
+def headline(comparison: Document, units: Sequence[str] = ()) -> str:
+    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference.
+
+    Args:
+        comparison: as in the JSON file.
+        units: of each joint, where it is of torques.
+    """
+    file = comparison["file"]
+    if comparison.get("by") == "effects":
+        return f"Reference {file}: another motion, so that each recording was diagnosed on its own."
     count, rows = comparison["matched_rows"], comparison["rows"]
     of = f"{count} rows" if count == rows else f"{count} of {rows} rows"
+    if "by" in comparison:
+        apart, own = (each_with_unit(comparison[f"{key}_rms_by_joint_Nm"], units) for key in ("apart", "reference"))
+        return (
+            f"Reference {file}, {of} of the same motion. Its torques differ from this recording by {apart} RMS (each "
+            f"joint in turn), and from the declared rigid arm by {own}."
+        )
     verb = "reproduces" if comparison["reproduced"] else "does not reproduce"
     rms, most, remaining = (
         number(1e3 * comparison[key]) for key in ("position_rms_m", "position_max_m", "left_position_rms_m")
     )
     after = f" With the differences below, {remaining} mm RMS remain." if comparison["differences"] else ""
     return (
-        f"Reference {comparison['file']}, {of}: the model {verb} it, with position errors of {rms} mm RMS and {most} "
-        f"mm at most.{after}"
+        f"Reference {file}, {of}: the model {verb} it, with position errors of {rms} mm RMS and {most} mm at most."
+        f"{after}"
     )
-
-
-class Compared(NamedTuple):
-    """What a person reads of a comparison with a reference.
-
-    Attributes:
-        headline: what was compared, and how far apart it is.
-        differences: a sentence each.
-        notes: a sentence each.
-        statement: what the findings and the model are.
-    """
-
-    headline: str
-    differences: list[str]
-    notes: list[str]
-    statement: str
-
-
-def compared(document: Mapping[str, Any], headline: Callable[[Mapping[str, Any]], str] = headline) -> Compared | None:
-    """The comparison in a document of poses or of torques; None where nothing was compared.
-
-    Args:
-        document: with statements.
-        headline: makes that of a comparison.
-    """
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    differences, notes = ([entry["statement"] for entry in comparison.get(key, ())] for key in ("differences", "notes"))
-    return Compared(headline(comparison), differences, notes, comparison["statement"])
 
 
 def model_statement(file: str, rigid: bool) -> str:
@@ -73,51 +78,45 @@ def model_statement(file: str, rigid: bool) -> str:
     )
 
 
-def origin_statement(origin: ReferenceOrigin) -> str:
+def torque_model_statement(file: str, by: str) -> str:
+    """The same of a model of torques, and of the findings; `by` is what was compared."""
+    if by == "effects":
+        return f"Findings and model are those of this recording alone; what differs from {file} is said above."
+    return (
+        f"Findings and model are the difference from {file}: effects that both recordings have are not in them, and "
+        f"effects of {file} alone are in them with reversed sign."
+    )
+
+
+def origin_statement(origin: "ReferenceOrigin") -> str:
     """The same of a model that was read from a file; a file of version 1 has the sentence itself."""
     return origin.statement if origin.rigid is None else model_statement(origin.file, origin.rigid)
 
 
-def with_statements(comparison: Mapping[str, Any]) -> dict[str, Any]:
-    """The comparison as in the JSON file, with a `statement` added to each difference, each note and the whole."""
-    differences, notes = comparison["differences"], comparison["notes"]
-    said = zip(differences, difference_sentences(comparison), strict=True)
-    noted = zip(notes, note_sentences(comparison), strict=True)
-    return {
-        **comparison,
-        "differences": [{**entry, "statement": sentence} for entry, sentence in said],
-        "notes": [{**entry, "statement": sentence} for entry, sentence in noted],
-        "statement": model_statement(comparison["file"], comparison["rigid"]),
-    }
+def _differences(entries: Sequence[Entry], file: str) -> Iterator[dict[str, Any]]:
+    """The entries with a sentence each; the last of those found together says by how much they reduce the error."""
+    for (before, after), group in groupby(
+        entries, key=lambda entry: (entry.get("position_rms_before_m"), entry["position_rms_after_m"])
+    ):
+        together = list(group)
+        for entry in together:
+            said = _difference(entry, file)
+            if before is not None and entry is together[-1]:
+                subject = "Together they reduce" if len(together) > 1 else "This reduces"
+                said += f" {subject} the position error from {_milli(before)} mm to {_milli(after)} mm RMS."
+            yield {**entry, "statement": said}
 
 
-def difference_sentences(comparison: Mapping[str, Any]) -> list[str]:
-    """A sentence per difference; the last of those that were found together says by how much they reduce the error."""
-    entries: Sequence[Mapping[str, Any]] = comparison["differences"]
-    sentences = [_difference(entry, comparison["file"]) for entry in entries]
-    steps = [(entry.get("position_rms_before_m"), entry["position_rms_after_m"]) for entry in entries]
-    for k, (step, following) in enumerate(pairwise([*steps, None])):
-        assert step is not None
-        before, after = step
-        if before is not None and step != following:
-            subject = "Together they reduce" if k and steps[k - 1] == step else "This reduces"
-            sentences[k] += f" {subject} the position error from {_milli(before)} mm to {_milli(after)} mm RMS."
-    return sentences
-
-
-def note_sentences(comparison: Mapping[str, Any]) -> list[str]:
-    """A sentence per note."""
-    return [_note(entry, comparison["file"]) for entry in comparison["notes"]]
-
-
-def _difference(entry: Mapping[str, Any], file: str) -> str:
+def _difference(entry: Entry, file: str) -> str:
     match entry["difference"]:
         case "other_table":
-            return f"{file} uses {_chain(entry['reference'])}; this model uses {_chain(entry['model'])}."
-        case "other_frame":
-            return f"Its base frame is displaced from the declared one by {_displacement(entry)}."
-        case "other_tool":
-            return f"Its tool is displaced from the declared one by {_displacement(entry)}."
+            used, own = (f"{_CHAINS[entry[of]['kind']]} ({entry[of]['name']})" for of in ("reference", "model"))
+            return f"{file} uses {used}; this model uses {own}."
+        case "other_frame" | "other_tool":
+            what = "tool" if entry["difference"] == "other_tool" else "base frame"
+            length, angle = ", ".join(map(_milli, entry["translation_m"])), entry["rotation_rad"]
+            turned = "" if angle is None else f" and rotated by {_milli(angle)} mrad"
+            return f"Its {what} is displaced from the declared one by ({length}) mm{turned}."
         case "other_geometry":
             links = [
                 f"{'link ' + str(link['link']) if link['link'] else 'the base'} by {_milli(link['distance_m'])} mm and "
@@ -139,7 +138,7 @@ def _difference(entry: Mapping[str, Any], file: str) -> str:
     raise ValueError(entry["difference"])
 
 
-def _note(entry: Mapping[str, Any], file: str) -> str:
+def _note(entry: Entry, file: str) -> str:
     match entry["note"]:
         case "unmatched_rows":
             return f"{entry['count']} of {entry['rows']} rows have no row of {file} at the same joint positions."
@@ -148,8 +147,7 @@ def _note(entry: Mapping[str, Any], file: str) -> str:
         case "outlying_rows":
             return f"{entry['count']} of {entry['rows']} rows of {file} are outliers and excluded from these figures."
         case "equal_drivers":
-            *first, last = [_DRIVERS[driver] for driver in entry["drivers"]]
-            drivers = f"{', '.join(first)} and {last}" if first else last
+            drivers = joined(driver.replace("_", " ") for driver in entry["drivers"])
             return (
                 f"Equal in both recordings: {drivers}. Effects of nothing else cancel where both recordings have them."
             )
@@ -172,16 +170,101 @@ def _note(entry: Mapping[str, Any], file: str) -> str:
     raise ValueError(entry["note"])
 
 
-def _chain(entry: Mapping[str, str]) -> str:
-    return f"{_CHAINS[entry['kind']]} ({entry['name']})"
+def _torque_difference(entry: Entry) -> str:
+    """An effect that one of two recordings shows, as each shows it."""
+    title = capital(effect_title({"effect": entry["effect"], "site": entry["site"]}))
+    if "driver" in entry:
+        title = f"Unnamed effect at {entry['site']} over {entry['driver']}"
+    here, there = (_numbers(entry[side], chosen=False) for side in ("recording", "reference"))
+    if entry["differs"] is None:
+        silent = "the reference" if entry["reference"] is None else "this recording"
+        return f"{title}: {here or there}; {silent} does not show it."
+    if entry["differs"]:
+        return f"{title} differs (p = {entry['p_value']:.2g}): {here} here, {there} in the reference."
+    return f"{title} does not differ beyond the uncertainty: {here} here, {there} in the reference."
 
 
-def _displacement(entry: Mapping[str, Any]) -> str:
-    length = f"({', '.join(_milli(value) for value in entry['translation_m'])}) mm"
-    angle = entry["rotation_rad"]
-    return length if angle is None else f"{length} and rotated by {_milli(angle)} mrad"
+def _numbers(known: Entry | None, chosen: bool = True) -> str:
+    """The parameters that one side shows; those without a standard deviation were chosen and not estimated."""
+    parameters = {} if known is None else known["parameters"]
+    return ", ".join(
+        str(quantity(name, estimate, OF_TORQUES)) for name, estimate in parameters.items() if chosen or estimate["std"]
+    )
 
 
 def _milli(value: float) -> str:
     """In thousandths, three digits; rounding errors show as zero."""
     return f"{1e3 * value:.3g}" if abs(value) > 1e-9 else "0"
+
+
+# ------------------------------------------------------------------ what poses and torques share
+
+
+SHARED = "What poses and torques both depend on"
+"""The heading of these sentences."""
+_LEAST = 1e-16
+"""Probability below which a number says no more."""
+_QUANTITIES = {
+    "payload_mass": (
+        "the payload's mass",
+        "Check payload_kg and payload_com_m: a payload whose centre of mass is elsewhere shows as another mass to "
+        "each.",
+    ),
+    "gravity_direction": (
+        "the direction of gravity",
+        "Check gravity_m_per_s2, and whether the base moves under load.",
+    ),
+    "clock_offset": (
+        "the clock's offset",
+        "Poses and torques have clocks of their own: check the stamps of both sensors.",
+    ),
+}
+"""The name of each, and what to do where poses and torques disagree about it."""
+
+
+def refusal(document: Document) -> str:
+    """Why the torques of a recording were not diagnosed."""
+    return f"The torques of this recording are not diagnosed: {document['torques_refused']}."
+
+
+def shared_statements(document: Document) -> list[str]:
+    """What poses and torques say of each quantity on which both depend, and whether they agree."""
+    return [shared_statement(entry) for entry in document["shared"]] or [
+        "No finding concerns a quantity on which both poses and torques depend."
+    ]
+
+
+def shared_statement(entry: Entry) -> str:
+    """What both say of one quantity."""
+    if entry["quantity"] == "load":
+        return _load(entry)
+    name, remedy = _QUANTITIES[entry["quantity"]]
+    poses, torques = (_numbers(entry[side]) for side in ("poses", "torques"))
+    if entry["agree"] is None:
+        shown, silent = ("torques", "poses") if entry["poses"] is None else ("poses", "torques")
+        return f"Of {name}, only the {shown} say something: {poses or torques}; the {silent} do not show it."
+    said = f"poses say {poses}, torques say {torques}"
+    if entry["agree"]:
+        return f"Of {name}, {said}: they agree, and it is one finding that both sensors see."
+    return f"Of {name}, {said}: they disagree ({_chance(entry)}). {remedy}"
+
+
+def _load(entry: Entry) -> str:
+    joint, ratio = entry["joint"], entry["torques"]["parameters"]["load_ratio"]
+    compliance = entry["poses"]["parameters"]["compliance_rad_per_Nm"]
+    said = (
+        f"The compliance of joint {joint} rests on the loads of the declared arm; by the torques, joint {joint} "
+        f"carries {ratio['value']:.3f} ± {ratio['std']:.2g} times these"
+    )
+    if entry["agree"]:
+        return f"{said}, which is within the uncertainty of the masses."
+    corrected = {key: value / ratio["value"] for key, value in compliance.items()}
+    return (
+        f"{said}. They disagree ({_chance(entry)}): by the loads that the torques show, it is "
+        f"{quantity('compliance_rad_per_Nm', corrected)}. Correct payload_kg, or the masses of the arm's description."
+    )
+
+
+def _chance(entry: Entry) -> str:
+    p = entry["p_value"]
+    return f"p = {p:.2g}" if p > _LEAST else f"p < {_LEAST:g}"

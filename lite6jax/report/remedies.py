@@ -1,11 +1,14 @@
-"""What causes an error, in the words of a workshop, and what to do about it, for each effect of the catalogues.
+"""What effects are called, what causes them in the words of a workshop, and what to do about them.
 
-An effect of a user's own has a general one. Causes are parts of sentences about `{place}`, such as "joint 2".
+An effect of a user's own has a general remedy. Causes are parts of sentences about `{place}`, such as "joint 2".
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
+
+from lite6jax.effects.drivers import driver_of
+from lite6jax.report.words import ranges
 
 Entry = Mapping[str, Any]
 
@@ -32,6 +35,11 @@ _GEAR = "Service the gear; until then compensate."
 _DECLARE_LOAD = (
     "Set the payload in the controller. Give its mass in the column payload_kg and its centre as payload_com_m in the "
     "sidecar."
+)
+_PAYLOAD = Remedy("the payload is not the declared one", _DECLARE_LOAD)
+_UPRIGHT = Remedy(
+    "the base does not stand upright as declared",
+    "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
 )
 _FEED = "Add it to the model of the controller's feed-forward."
 _FRICTION = "Check the lubrication of the gear if it has grown, and add it to the controller's feed-forward."
@@ -99,7 +107,7 @@ OF_POSES: Mapping[str, Remedy] = {
         "Synchronise the clocks, or correct the stamps by this offset, and record again.",
         of_arm=False,
     ),
-    "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
+    "payload_error": _PAYLOAD,
     "payload_com": Remedy("the payload's centre of mass is not the declared one", _DECLARE_LOAD),
     "joint_thermal_offset": Remedy(
         "the zero of {place} moves with temperature", "Warm the arm up before work, and compensate with temperatures."
@@ -113,10 +121,7 @@ OF_POSES: Mapping[str, Remedy] = {
     "tool_compliance": Remedy(
         "the tool gives way to the payload's weight", "Tighten the tool and its flange; compensate what is left."
     ),
-    "gravity_direction": Remedy(
-        "the base does not stand upright as declared",
-        "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
-    ),
+    "gravity_direction": _UPRIGHT,
     "sensor_drift": Remedy(
         "the sensor drifts",
         "Let the sensor warm up, check its stand, and measure fixed points again during the recording.",
@@ -177,11 +182,8 @@ OF_TORQUES: Mapping[str, Remedy] = {
         "the centre of mass of {place} is not the declared one", "Look at what is mounted there, and declare it."
     ),
     "payload": Remedy("another body hangs on the flange than declared", _DECLARE_LOAD),
-    "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
-    "base_tilt": Remedy(
-        "the base does not stand upright as declared",
-        "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
-    ),
+    "payload_error": _PAYLOAD,
+    "base_tilt": _UPRIGHT,
     "torque_lag": Remedy(
         "the torque of {place} is shown late or early",
         "Look at the filter and the bus of its drive, or correct the stamps of its torque by this lag.",
@@ -194,7 +196,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
 """By the name of an effect on torques."""
 
 _OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
-_PLACES = {"links": "the arm", "clock": "the clock", "sensor": "the sensor", "base": "the base", "tool": "the tool"}
+_PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
 
 
 def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
@@ -244,9 +246,96 @@ def _exerted(entry: Entry) -> str:
 
 def place_of(site: str) -> str:
     """A site in words: joint2 is joint 2, base is the base."""
-    return _PLACES.get(site) or ("the payload" if site == "payload" else re.sub(r"(\D)(\d)", r"\1 \2", site))
+    return _PLACES.get(site) or spaced(site)
 
 
 def effect_name(effect: str) -> str:
     """The name of an effect in words; friction has those of its discoverers."""
     return effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
+# ------------------------------------------------------------------ titles
+
+
+_SHARP = 0.01
+"""A change of a curve within this share of where it happens, or of 1, is called a step."""
+
+
+def effect_title(entry: Entry) -> str:
+    """An effect in words, such as "joint harmonic of order 2 at joint1"."""
+    site, where = entry["site"], entry.get("where", {})
+    if entry["effect"] == "unnamed" and where:
+        driver = entry["driver"].removesuffix(f" of {spaced(site)}")
+        alone = driver != entry["driver"] and " and " not in driver
+        over = f"its {driver}" if alone else entry["driver"]
+        return f"unnamed effect at {site}{component(where)}, {shape(where)} over {over}"
+    if entry["effect"] == "unnamed" and "driver" in entry:
+        return f"an effect without a name at {site}, a function of the {with_articles(entry['driver'])}"
+    return f"{effect_name(entry['effect'])}{detail(entry)} at {site}"
+
+
+def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:
+    """Names of effects, each with all its sites, those of consecutive numbers as a range: joint1–6."""
+    numbers: dict[str, dict[str, list[int]]] = {}
+    for entry in entries:
+        kind = entry["site"].rstrip("0123456789")
+        held = numbers.setdefault(effect_name(entry["effect"]), {}).setdefault(kind, [])
+        held += [int(entry["site"].removeprefix(kind))] if entry["site"] != kind else []
+    return [
+        (name, ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(held))) for kind, held in kinds.items()))
+        for name, kinds in numbers.items()
+    ]
+
+
+def detail(entry: Entry) -> str:
+    """The order of a harmonic, or its period along a slide, or the source of a coupling, of a finding or a rival."""
+    numbers = entry.get("parameters", {})
+    order, period, source = (
+        numbers[key]["value"] if key in numbers else entry.get(key) for key in ("order", "period_m", "source_joint")
+    )
+    if period:
+        return f" of period {1e3 * period:.4g} mm"
+    return f" of order {order:.4g}" if order else f" from joint{source:.0f}" if source else ""
+
+
+def component(where: Entry) -> str:
+    """Along or about which axis an effect acts that is at no joint."""
+    at_joint = where.get("where", "joint").startswith("joint")
+    return "" if at_joint else f" ({', '.join(where.get('component', 'rz').split())})"
+
+
+def shape(where: Entry) -> str:
+    """What a curve looks like; `where` has the fields of its effect."""
+    if where.get("memory"):
+        return "a hysteresis loop"
+    if degree := where.get("degree"):
+        return "a linear function" if degree == 1 else f"a polynomial of degree {degree:.0f}"
+    if orders := where.get("orders", ()):
+        each = " per metre" if where.get("of_slide") else ""
+        if len(orders) == 1:
+            return f"a harmonic of order {orders[0]:g}{each}"
+        return f"harmonics of {len(orders)} orders from {min(orders):g} to {max(orders):g}{each}"
+    if where.get("pieces") == 1:
+        first, *further = map(driver_of, drivers_of(where))
+        if not further and not first.loaded:  # one interval, a part of the driver's range; of a load it is all of it
+            lower, upper = where["lower"], where["upper"]
+            middle = 0.5 * (lower + upper)
+            if upper - lower < _SHARP * max(abs(middle), 1.0):
+                return f"a step at {middle:.5g} {first.unit}"
+            return f"a rise or fall between {lower:.5g} and {upper:.5g} {first.unit}"
+    return "a smooth curve"
+
+
+def drivers_of(entry: Entry) -> Sequence[str]:
+    """The phrases of what an effect depends on."""
+    return [] if entry["driver"] == "none" else entry["driver"].split(" and ")
+
+
+def with_articles(driver: str) -> str:
+    """The phrases of several drivers, an article before each but the first."""
+    return driver.replace(" and ", " and the ")
+
+
+def spaced(site: str) -> str:
+    """A site with a space before its number: joint2 is joint 2."""
+    return re.sub(r"(\D)(\d)", r"\1 \2", site)

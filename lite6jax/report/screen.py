@@ -6,10 +6,15 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import final
 
 from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
+
+from lite6jax.progress import Code, Stage
 
 _BLANKS = re.compile(r" +$", re.MULTILINE)
 
@@ -39,6 +44,23 @@ def written(paths: Iterable[Path]) -> None:
     screen = console()
     for path in paths:
         screen.print(f"Wrote {path}", soft_wrap=True)
+
+
+def indented(line: str, characters: int = 2) -> RenderableType:
+    """A line so many characters from the margin."""
+    return Padding(Text(line), (0, 0, 0, characters))
+
+
+def headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:
+    """An empty line and a heading with indented lines; nothing where there are none."""
+    for k, line in enumerate(lines):
+        if not k:
+            yield ""
+            yield Text(heading)
+        yield indented(line)
+
+
+# ------------------------------------------------------------------ progress
 
 
 EVERY = 10.0
@@ -76,14 +98,26 @@ def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
         a thread-safe function that advances it.
     """
     screen = console(stderr=True)
-    if not screen.is_terminal:
-        with _lines(total, what) as advance:
-            yield advance
+    if screen.is_terminal:
+        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=screen, transient=True) as bar:
+            task = bar.add_task("", total=total)
+            yield lambda done: bar.advance(task, done)
         return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen, transient=True) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda done: bar.advance(task, done)
+    began, lock, done = time.monotonic(), threading.Lock(), 0
+
+    def advance(more: int) -> None:
+        nonlocal done
+        with lock:
+            done += more
+
+    def line() -> str:
+        so_far = time.monotonic() - began
+        ahead = f", about {minutes(so_far * (total - done) / done)} to go" if done else ""
+        return f"{what}: {done} of {total}, {minutes(so_far)} so far{ahead}"
+
+    with repeated(line):
+        yield advance
 
 
 @contextmanager
@@ -105,18 +139,76 @@ def progress_of_many(what: str) -> Iterator[Callable[[int, int], None]]:
         yield first_or_next
 
 
+# ------------------------------------------------------------------ the stages of a diagnosis
+
+
+_STAGES: dict[Code, str] = {
+    "screening": "looking for data faults",
+    "linearising": "fitting frames and clock offset",
+    "selecting": "searching for physics",
+    "naming": "testing names",
+    "shrinking": "fitting each joint's error curve",
+    "noise": "testing again with the noise model",
+    "estimating": "computing the final estimates",
+    "planning": "choosing poses that separate the alternatives",
+}
+_SHARE = 0.5
+"""Of the time for all rows, what a held-out block takes, as long as none has been measured."""
+
+
+@final
+class Clock:
+    """Where a computation is and how long it still takes, from the times of its parts so far.
+
+    The functions take the present time in seconds.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.stage: Stage | None = None
+        self._began = [now]
+
+    def entered(self, stage: Stage, now: float) -> None:
+        """A stage begins."""
+        self.stage = stage
+        while len(self._began) <= stage.part:
+            self._began.append(now)
+
+    def to_go(self, now: float) -> float | None:
+        """Seconds to go; None as long as all rows are searched, which takes a time that nothing measured tells."""
+        if self.stage is None or self.stage.part == 0:
+            return None
+        began, part, left = self._began, self.stage.part, self.stage.parts - self.stage.part
+        if left == 0:
+            return 0.0
+        block = (began[part] - began[1]) / (part - 1) if part > 1 else _SHARE * (began[1] - began[0])
+        return max(block - (now - began[part]), 0.0) + (left - 1) * block
+
+    def line(self, now: float) -> str:
+        """The stage, the time since the beginning and the time to go, in words."""
+        if self.stage is None:
+            return f"reading rows, {minutes(now - self._began[0])} so far"
+        block = f", without block {self.stage.part} of {self.stage.parts - 1}" if self.stage.part > 0 else ""
+        block = block if self.stage.part < self.stage.parts else ""
+        to_go = self.to_go(now)
+        if to_go is None:  # the held-out blocks take at least this, were all rows searched now
+            ahead = f"more than {minutes(_SHARE * (self.stage.parts - 1) * (now - self._began[0]))} to go"
+        else:
+            ahead = f"about {minutes(to_go)} to go"
+        return f"{_STAGES[self.stage.code]}{block}: {minutes(now - self._began[0])} so far, {ahead}"
+
+
 @contextmanager
-def _lines(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    began, lock, done = time.monotonic(), threading.Lock(), [0]
+def stages() -> Iterator[Callable[[Stage], None]]:
+    """Shows the stages that the yielded function is called with, until the end of the context."""
+    clock, screen = Clock(time.monotonic()), console(stderr=True)
 
-    def advance(more: int) -> None:
-        with lock:
-            done[0] += more
+    def follow(stage: Stage) -> None:
+        clock.entered(stage, time.monotonic())
 
-    def line() -> str:
-        so_far = time.monotonic() - began
-        ahead = f", about {minutes(so_far * (total - done[0]) / done[0])} to go" if done[0] else ""
-        return f"{what}: {done[0]} of {total}, {minutes(so_far)} so far{ahead}"
-
-    with repeated(line):
-        yield advance
+    if screen.is_terminal:
+        line = lambda: Text(clock.line(time.monotonic()), overflow="ellipsis", no_wrap=True)  # noqa: E731
+        with Live(get_renderable=line, console=screen, transient=True, refresh_per_second=2):
+            yield follow
+        return
+    with repeated(lambda: clock.line(time.monotonic())):
+        yield follow

@@ -10,7 +10,6 @@ from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
-from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
@@ -21,10 +20,10 @@ from lite6jax.fitting.fleet import Comparison, FleetSolution
 from lite6jax.fitting.quality import Result
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.cells import each_with_unit, joint_units, number, torque_units
-from lite6jax.report.compensation_tables import outside_sentence
+from lite6jax.report import ranking, reference, statements
+from lite6jax.report.compensation import outside_sentence
 from lite6jax.report.data_faults import fault_name
+from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units
 from lite6jax.results import Description, describe
 
 _MOST_FINDINGS = 4
@@ -41,8 +40,8 @@ def _recording(recording: Recording) -> Description:
     span = scales * np.ptp(recording.joint_position, axis=0)
     least, most = (f"{span[joint]:.0f} {units[joint]}" for joint in (np.argmin(span), np.argmax(span)))
     sentences = [
-        f"{recording.source} has {_counted(recording.samples, 'sample')} of {recording.dof} joints in "
-        f"{_counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
+        f"{recording.source} has {counted(recording.samples, 'sample')} of {recording.dof} joints in "
+        f"{counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
         f"The joints move over ranges of {least} to {most}.",
     ]
     rows = [
@@ -60,7 +59,7 @@ def _recording(recording: Recording) -> Description:
     if settings.position_noise_m is not None:
         rows.append(("declared position noise (mm)", f"{1e3 * settings.position_noise_m:.3g}"))
     if recording.notes:
-        sentences.append(f"{_counted(len(recording.notes), 'note')} {_be(len(recording.notes))} in `notes`.")
+        sentences.append(f"{counted(len(recording.notes), 'note')} {be(len(recording.notes))} in `notes`.")
     return Description(f"Recording of {settings.arm or 'an arm'}", tuple(sentences), tuple(rows), recording.notes)
 
 
@@ -72,7 +71,7 @@ def _solution(solution: Solution) -> Description:
     before, after = solution.nominal_errors, solution.checked
     sentences = [
         f"The fit of the {data} {solution.result.message}.",
-        f"It took {_counted(solution.steps, 'step')} and estimated {_counted(moved, 'parameter')} of a "
+        f"It took {counted(solution.steps, 'step')} and estimated {counted(moved, 'parameter')} of a "
         f"{solution.arm.name}.",
         f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
     ]
@@ -81,7 +80,7 @@ def _solution(solution: Solution) -> Description:
         sentences.append(bad)
     if held:
         names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
-        sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
+        sentences.append(f"{counted(held, 'parameter')} {be(held)} held, because the data do not determine: {names}.")
     unsure = np.flatnonzero(solution.free & ~solution.determined)
     if unsure.size:
         names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
@@ -92,16 +91,16 @@ def _solution(solution: Solution) -> Description:
         ("quality", solution.quality.verdict.replace("_", " ")),
         ("parameters estimated", str(moved)),
         ("parameters held", str(held)),
-        ("position error, nominal geometry (mm RMS)", _millimetres(before.position_rms)),
-        (f"position error, fitted (mm RMS, {on})", _millimetres(after.position_rms)),
+        ("position error, nominal geometry (mm RMS)", _mm(before.position_rms)),
+        (f"position error, fitted (mm RMS, {on})", _mm(after.position_rms)),
     ]
     for name, errors in (("nominal geometry", before), ("fitted", after)):
         if errors.orientation is not None:
-            rows.append((f"orientation error, {name} (deg RMS)", _degrees(_rms(errors.orientation))))
+            rows.append((f"orientation error, {name} (deg RMS)", _deg(_rms(errors.orientation))))
     if solution.noise is not None:
-        found = _millimetres(solution.noise.position)
+        found = _mm(solution.noise.position)
         told = solution.noise.declared and solution.noise.declared[0]
-        declared = "" if told is None else f"; declared {_millimetres(told)}"
+        declared = "" if told is None else f"; declared {_mm(told)}"
         sentences.append(
             f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
         )
@@ -115,23 +114,23 @@ def _fleet(fleet: FleetSolution) -> Description:
     converged = fleet.result == Result.CONVERGED
     good = int(converged.sum())
     sentences = [
-        f"{good} of {_counted(arms, 'fit')} converged, each of {_counted(fleet.parameters.shape[1], 'parameter')}."
+        f"{good} of {counted(arms, 'fit')} converged, each of {counted(fleet.parameters.shape[1], 'parameter')}."
     ]
     rows = [("arms", str(arms)), ("converged", str(good)), ("parameters per arm", str(fleet.parameters.shape[1]))]
     if good:
         position, turned = fleet.position_rms[converged], fleet.orientation_rms[converged]
         sentences.append(
-            f"Of these the position error of the fitted data is {_millimetres(float(np.median(position)))} mm RMS in "
-            f"the median and {_millimetres(float(position.max()))} mm at most."
+            f"Of these the position error of the fitted data is {_mm(float(np.median(position)))} mm RMS in "
+            f"the median and {_mm(float(position.max()))} mm at most."
         )
         rows += [
-            ("position error (mm RMS, median of the arms)", _millimetres(float(np.median(position)))),
-            ("position error (mm RMS, largest of the arms)", _millimetres(float(position.max()))),
-            ("orientation error (deg RMS, median of the arms)", _degrees(float(np.median(turned)))),
+            ("position error (mm RMS, median of the arms)", _mm(float(np.median(position)))),
+            ("position error (mm RMS, largest of the arms)", _mm(float(position.max()))),
+            ("orientation error (deg RMS, median of the arms)", _deg(float(np.median(turned)))),
         ]
     for code in sorted(set(fleet.result[~converged].tolist())):
         count = int((fleet.result == code).sum())
-        sentences.append(f"For {_counted(count, 'arm')} the fit {Result(code).message}.")
+        sentences.append(f"For {counted(count, 'arm')} the fit {Result(code).message}.")
         rows.append((Result(code).name.lower().replace("_", " "), str(count)))
     return Description("Fits of a fleet", tuple(sentences), tuple(rows))
 
@@ -140,8 +139,8 @@ def _fleet(fleet: FleetSolution) -> Description:
 def _identification(found: Identification) -> Description:
     d, accuracy = found.determination, found.accuracy
     sentences = [
-        f"{_counted(d.samples, 'pose')} of a {found.experiment.arm.name} determine{'s' * (d.samples == 1)} {d.rank} of "
-        f"{_counted(d.size, 'unknown parameter')}."
+        f"{counted(d.samples, 'pose')} of a {found.experiment.arm.name} determine{'s' * (d.samples == 1)} {d.rank} of "
+        f"{counted(d.size, 'unknown parameter')}."
     ]
     if found.missed:
         sentences.append(f"Other poses within the joint limits determine {found.possible.rank}.")
@@ -151,8 +150,8 @@ def _identification(found: Identification) -> Description:
         ("determined by these poses", str(d.rank)),
         ("determined by any poses within the limits", str(found.possible.rank)),
     ]
-    position = f"±{_millimetres(accuracy.position_rms)}" if accuracy.position_determined else "undetermined"
-    orientation = f"±{_degrees(accuracy.orientation_rms)}" if accuracy.orientation_determined else "undetermined"
+    position = f"±{_mm(accuracy.position_rms)}" if accuracy.position_determined else "undetermined"
+    orientation = f"±{_deg(accuracy.orientation_rms)}" if accuracy.orientation_determined else "undetermined"
     rows.append(("predicted position over the workspace (mm, one standard deviation)", position))
     rows.append(("predicted orientation over the workspace (deg, one standard deviation)", orientation))
     if accuracy.position_determined:
@@ -162,7 +161,7 @@ def _identification(found: Identification) -> Description:
     else:
         sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
     if weak := d.weak():
-        sentences.append(f"No more precise than the assembly tolerance {_be(len(weak))}: {', '.join(weak)}.")
+        sentences.append(f"No more precise than the assembly tolerance {be(len(weak))}: {', '.join(weak)}.")
     if found.observability is not None:
         rows.append(("condition number", f"{found.observability.condition:.3g}"))
         rows.append(("observability index O1", f"{found.observability.O1:.3g}"))
@@ -173,18 +172,18 @@ def _identification(found: Identification) -> Description:
 def _plan(plan: Plan) -> Description:
     reached = float(plan.accuracy[-1])
     sentences = [
-        f"{_counted(plan.count, 'pose')} of {_counted(plan.candidates, 'candidate')} for a "
-        f"{plan.experiment.arm.name} {_be(plan.count)} chosen by the criterion {plan.criterion}."
+        f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} for a "
+        f"{plan.experiment.arm.name} {be(plan.count)} chosen by the criterion {plan.criterion}."
     ]
     rows = [("poses", str(plan.count)), ("candidates", str(plan.candidates)), ("criterion", plan.criterion)]
     if np.isfinite(reached):
         random = float(np.median(plan.random_accuracy[:, plan.count - 1]))
-        beside = f"{_millimetres(random)} mm" if np.isfinite(random) else "no finite accuracy"
+        beside = f"{_mm(random)} mm" if np.isfinite(random) else "no finite accuracy"
         sentences.append(
             f"A fit to them predicts positions over the workspace with a standard deviation of "
-            f"{_millimetres(reached)} mm; as many random poses reach {beside} in the median."
+            f"{_mm(reached)} mm; as many random poses reach {beside} in the median."
         )
-        rows.append(("predicted position over the workspace (mm)", f"±{_millimetres(reached)}"))
+        rows.append(("predicted position over the workspace (mm)", f"±{_mm(reached)}"))
         rows.append(("the same of as many random poses (mm)", beside.removesuffix(" mm")))
     else:
         sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
@@ -192,7 +191,7 @@ def _plan(plan: Plan) -> Description:
         sentences.append(f"They are as accurate as {plan.worth} random poses.")
         rows.append(("random poses of the same accuracy", str(plan.worth)))
     if plan.needed is not None:
-        sentences.append(f"{_counted(plan.needed, 'pose')} {_be(plan.needed)} needed for the accuracy given.")
+        sentences.append(f"{counted(plan.needed, 'pose')} {be(plan.needed)} needed for the accuracy given.")
         rows.append(("poses for the accuracy given", str(plan.needed)))
     return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences), tuple(rows))
 
@@ -202,7 +201,7 @@ def _discrimination(plan: DiscriminationPlan) -> Description:
     one, other = plan.rivals
     reached, random = float(plan.distance[-1]), float(np.nanmedian(plan.random_distance))
     sentences = (
-        f"{_counted(plan.count, 'pose')} of {_counted(plan.candidates, 'candidate')} {_be(plan.count)} chosen to "
+        f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} {be(plan.count)} chosen to "
         f"discriminate between {one} and {other}.",
         f"Their readings differ by {reached:.1f} standard deviations, those at as many random poses by {random:.1f}.",
     )
@@ -219,7 +218,7 @@ def _discrimination(plan: DiscriminationPlan) -> Description:
 @describe.register
 def _comparison(found: Comparison) -> Description:
     arms, units = len(found.names), np.array(found.arm.form.units)
-    between, nominal = _millimetres(float(found.between.max())), _millimetres(float(found.from_nominal.max()))
+    between, nominal = _mm(float(found.between.max())), _mm(float(found.from_nominal.max()))
     lengths, angles = (found.spread[units == unit] for unit in ("m", "rad"))
     sentences = (
         f"The flanges of {arms} arms of type {found.arm.name} are up to {between} mm apart at equal joint positions.",
@@ -229,20 +228,20 @@ def _comparison(found: Comparison) -> Description:
         ("arms", str(arms)),
         ("largest distance of two flanges (mm)", between),
         ("largest distance from nominal (mm)", nominal),
-        ("standard deviation of lengths over the arms (mm, largest)", _millimetres(float(lengths.max()))),
-        ("standard deviation of angles over the arms (deg, largest)", _degrees(float(angles.max()))),
+        ("standard deviation of lengths over the arms (mm, largest)", _mm(float(lengths.max()))),
+        ("standard deviation of angles over the arms (deg, largest)", _deg(float(angles.max()))),
     )
     return Description(f"Comparison of {arms} arms, {found.arm.name}", sentences, rows)
 
 
 @describe.register
 def _sensitivity(found: Sensitivity) -> Description:
-    expected = _millimetres(_rms(found.expected_error))
+    expected = _mm(_rms(found.expected_error))
     order = np.argsort(-found.share, kind="stable")[:_MOST_NAMED]
     shares = [f"{found.names[i]} {100 * found.share[i]:.0f} %" for i in order]
     sentences = (
         f"An arm assembled within the tolerances is {expected} mm RMS from nominal, over "
-        f"{_counted(len(found.joint_position), 'pose')}.",
+        f"{counted(len(found.joint_position), 'pose')}.",
         f"Of the mean squared error most is caused by {', '.join(shares)}.",
     )
     rows = (
@@ -258,9 +257,9 @@ def _sensitivity(found: Sensitivity) -> Description:
 def _global_sensitivity(found: GlobalSensitivity) -> Description:
     order = np.argsort(-found.total, kind="stable")[:_MOST_NAMED]
     shares = [f"{found.names[i]} {100 * found.total[i]:.0f} %" for i in order]
-    median, high = (_millimetres(float(np.percentile(found.error, percent))) for percent in (50, 95))
+    median, high = (_mm(float(np.percentile(found.error, percent))) for percent in (50, 95))
     sentences = (
-        f"Half of {_counted(len(found.error), 'arm')} drawn within the tolerances have an error below {median} mm, "
+        f"Half of {counted(len(found.error), 'arm')} drawn within the tolerances have an error below {median} mm, "
         f"95 % one below {high} mm.",
         f"Of its variance most depends on {', '.join(shares)}, alone and together with others.",
     )
@@ -277,14 +276,14 @@ def _global_sensitivity(found: GlobalSensitivity) -> Description:
 @describe.register
 def _prediction(found: Prediction) -> Description:
     rows, empty = len(found.poses), int(np.isnan(found.poses[:, 0, 0]).sum())
-    sentences = [f"{_counted(rows, 'pose')} {_be(rows)} predicted."]
+    sentences = [f"{counted(rows, 'pose')} {be(rows)} predicted."]
     table = [("poses", str(rows))]
     if empty:
-        sentences.append(f"{_counted(empty, 'row')} {_be(empty)} empty: the clock offset reaches beyond the motion.")
+        sentences.append(f"{counted(empty, 'row')} {be(empty)} empty: the clock offset reaches beyond the motion.")
         table.append(("empty rows", str(empty)))
     if found.position_std is not None:
         std = np.sqrt(np.nansum(found.position_std**2, 1))
-        typical, most = (_millimetres(float(value)) for value in (np.median(std), std.max()))
+        typical, most = (_mm(float(value)) for value in (np.median(std), std.max()))
         sentences.append(f"The standard deviation of a position is {typical} mm in the median, {most} mm at most.")
         table += [("std of a position (mm, median)", typical), ("std of a position (mm, largest)", most)]
     return _marked("Predicted poses", sentences, table, found.outside)
@@ -295,7 +294,7 @@ def _torque_prediction(found: TorquePrediction) -> Description:
     rows, joints = found.torque.shape
     units = torque_units(found.sliding, joints)
     largest = each_with_unit(np.abs(found.torque).max(0).tolist(), units)
-    sentences = [f"The torques of {_counted(joints, 'joint')} are predicted in {_counted(rows, 'sample')}.",
+    sentences = [f"The torques of {counted(joints, 'joint')} are predicted in {counted(rows, 'sample')}.",
                  f"The largest of each joint are {largest}."]  # fmt: skip
     table = [("samples", str(rows)), ("joints", str(joints)), ("largest torque of each joint", largest)]
     if found.std is not None:
@@ -320,10 +319,10 @@ def _marked(
 @describe.register
 def _compensation(found: Compensation) -> Description:
     targets, hit = len(found.reached), int(found.reached.sum())
-    sentences = [f"{hit} of {_counted(targets, 'target')} {_be(hit)} reached."]
+    sentences = [f"{hit} of {counted(targets, 'target')} {be(hit)} reached."]
     rows = [("targets", str(targets)), ("reached", str(hit))]
     if hit:
-        most = _millimetres(float(np.nanmax(found.position_error[found.reached])))
+        most = _mm(float(np.nanmax(found.position_error[found.reached])))
         sentences.append(f"There the model is at most {most} mm from the target.")
         rows.append(("distance from the target (mm, largest of those reached)", most))
     if found.correction is not None:
@@ -340,9 +339,9 @@ def _compensation(found: Compensation) -> Description:
 @describe.register
 def _registration(found: Registration) -> Description:
     samples, outliers = len(found.weight), int(np.sum(~found.kept))
-    rms, noise = _millimetres(found.rms), _millimetres(found.noise[0])
+    rms, noise = _mm(found.rms), _mm(found.noise[0])
     sentences = [
-        f"Sensor frame and tool are fitted to {_counted(samples, 'pose')}, {_counted(outliers, 'outlier')} among them.",
+        f"Sensor frame and tool are fitted to {counted(samples, 'pose')}, {counted(outliers, 'outlier')} among them.",
         f"The others are {rms} mm RMS from the arm as modelled, {noise} mm per axis.",
     ]
     if not found.determined:
@@ -357,103 +356,61 @@ def _registration(found: Registration) -> Description:
     return Description("Registration of sensor and tool", tuple(sentences), rows)
 
 
-@describe.register
-def _diagnosis(found: Diagnosis) -> Description:
-    document = to_document(found)
-    findings, verdict = statements.findings_of(document), statements.verdict_statement(document)
+@describe.register(Diagnosis)
+@describe.register(TorqueDiagnosis)
+def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
+    document, torques = found.to_dict(), isinstance(found, TorqueDiagnosis)
+    findings = statements.findings_of(document)
     shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
-    before, after = (_millimetres(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
-    noise = _millimetres(found.estimated_noise)
-    sentences = [worth.headline(document), verdict, *statements.cautions(document)]
+    sentences = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
     sentences += [finding["statement"] for finding in shown]
     if hidden > 0:
-        sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
-    error = f"{before} mm RMS with the model of the arm alone"
-    sentences.append(
-        f"The held-out position error is {after} mm RMS with these effects and {error}."
-        if findings
-        else f"The held-out position error is {error}."
-    )
+        sentences.append(f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`.")
+    rows = [("verdict", found.verdict.replace("_", " ")), ("samples", str(document["samples"]))]
+    if torques:
+        units, common = ranking.units(document), ranking.common_unit(document)
+        for stage in ("before", "after"):
+            errors = each_with_unit(document[stage]["heldout_torque_rms_by_joint_Nm"], units)
+            name = f"held-out torque error {stage}, of each joint ({f'{common} RMS'.strip()})"
+            rows.append((name, errors.removesuffix(f" {common}")))
+    else:
+        before, after = (_mm(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
+        error = f"{before} mm RMS with the model of the arm alone"
+        error = f"{after} mm RMS with these effects and {error}" if findings else error
+        sentences.append(f"The held-out position error is {error}.")
+        rows.append(("held-out position error before (mm RMS)", before))
+        rows.append(("held-out position error after (mm RMS)", after))
+        rows.append(("noise per axis of position, estimated (mm)", _mm(document["noise"]["estimated_position_m"])))
+    for finding in findings:
+        sizes = [str(size) for size in finding["quantities"] if size.std or torques]
+        rows.append((finding["title"], ", ".join(sizes)))
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     if faults:
-        sentences.append(f"The data have {_counted(len(faults), 'fault')}: {', '.join(faults)}.")
-    rows = [
-        ("verdict", found.verdict.replace("_", " ")),
-        ("samples", str(document["samples"])),
-        ("held-out position error before (mm RMS)", before),
-        ("held-out position error after (mm RMS)", after),
-        ("noise per axis of position, estimated (mm)", noise),
-        *((finding["title"], statements.sizes(finding)) for finding in findings),
-        ("data faults", ", ".join(faults) or "none"),
-    ]
+        sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")
+    rows.append(("data faults", ", ".join(faults) or "none"))
     notes = (*statements.assumptions(document), *statements.what_to_record(document))
-    return Description(f"Diagnosis of a {found.problem.arm.name}", tuple(sentences), tuple(rows), notes)
-
-
-@describe.register
-def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
-    document = to_document(found)
-    findings = torque_statements.findings_of(document)
-    shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
-    sentences = [worth.headline(document), torque_statements.verdict_statement(document)]
-    sentences += [*torque_statements.cautions(document), *(finding["statement"] for finding in shown)]
-    if hidden > 0:
-        sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
-    faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
-    if faults:
-        sentences.append(f"The data have {_counted(len(faults), 'fault')}: {', '.join(faults)}.")
-    units, common = torque_statements.units(document), torque_statements.common_unit(document)
-    stages = [
-        (stage, each_with_unit(document[stage]["heldout_torque_rms_by_joint_Nm"], units).removesuffix(f" {common}"))
-        for stage in ("before", "after")
-    ]
-    rows = [
-        ("verdict", found.verdict.replace("_", " ")),
-        ("samples", str(document["samples"])),
-        *(
-            (f"held-out torque error {stage}, of each joint ({f'{common} RMS'.strip()})", errors)
-            for stage, errors in stages
-        ),
-        *((finding["title"], ", ".join(map(str, torque_statements.sizes(finding)))) for finding in findings),
-        ("data faults", ", ".join(faults) or "none"),
-    ]
-    notes = (
-        torque_statements.filter_statement(document),
-        torque_statements.inertial_statement(document),
-        *torque_statements.what_to_record(document),
-    )
-    return Description(
-        f"Diagnosis of the torques of a {document['model']['arm']}", tuple(sentences), tuple(rows), notes
-    )
+    title = f"Diagnosis of {'the torques of ' if torques else ''}a {document['model']['arm']}"
+    return Description(title, tuple(sentences), tuple(rows), notes)
 
 
 @describe.register
 def _combined(found: CombinedDiagnosis) -> Description:
-    document = found.to_dict()
-    poses = describe(found.poses)
+    poses, document = describe(found.poses), found.to_dict()
     title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
     if found.torques is None:
-        return Description(title, (*poses.sentences, shared.refusal(document)), poses.rows, poses.notes)
+        return Description(title, (*poses.sentences, reference.refusal(document)), poses.rows, poses.notes)
     torques = describe(found.torques)
-    both = tuple(shared.statement(entry) for entry in document["shared"])
-    rows = (*((f"poses: {name}", value) for name, value in poses.rows),
-            *((f"torques: {name}", value) for name, value in torques.rows))  # fmt: skip
+    both = tuple(map(reference.shared_statement, document["shared"]))
+    parts = (("poses", poses.rows), ("torques", torques.rows))
+    rows = tuple((f"{of}: {name}", value) for of, own in parts for name, value in own)
     return Description(title, (*poses.sentences, *torques.sentences, *both), rows, (*poses.notes, *torques.notes))
 
 
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
-def _be(count: int) -> str:
-    return "is" if count == 1 else "are"
-
-
-def _millimetres(metres: float) -> str:
+def _mm(metres: float) -> str:
     return number(1e3 * metres)
 
 
-def _degrees(radians: float) -> str:
+def _deg(radians: float) -> str:
     return number(float(np.rad2deg(radians)), 3)
 
 
@@ -462,7 +419,7 @@ def _rms(values: NDArray[np.floating]) -> float:
 
 
 def _errors(errors: Errors) -> str:
-    parts = [f"{_millimetres(errors.position_rms)} mm RMS"]
+    parts = [f"{_mm(errors.position_rms)} mm RMS"]
     if errors.orientation is not None:
-        parts.append(f"{_degrees(_rms(errors.orientation))} deg RMS")
+        parts.append(f"{_deg(_rms(errors.orientation))} deg RMS")
     return " and ".join(parts)

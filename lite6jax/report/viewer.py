@@ -1,24 +1,310 @@
-"""A scene in the browser, by viser: what is drawn, the controls beside it, and what they do."""
+"""A diagnosis in space, in a browser by viser: the arm along a motion, errors as arrows or colours, findings in place.
+
+A `Scene` is arrays and sentences alone, in the frame of the arm's base; `served` shows one.
+"""
 
 import html
+import re
 import socket
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, final
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
+import matplotlib as mpl
 import numpy as np
 import rich
 from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from lite6jax.arms.arm import Arm
+from lite6jax.design.clearance import Capsule, chain_capsules, link_frames
+from lite6jax.domains.pose.predict import DiagnosedArm, predict
+from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.errors import InputError
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import Recording
+from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import AFTER, BEFORE
-from lite6jax.report.cells import number
-from lite6jax.report.scene import PoseErrors, Scene, TorqueErrors, shades
+from lite6jax.report.data_faults import fault_name
+from lite6jax.report.reference import origin_statement
+from lite6jax.report.words import number
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+Array = NDArray[np.floating]
+Document = Mapping[str, Any]
+
+MEDIAN_ARROW = 0.05
+"""m, the length of the median arrow as it is drawn at first."""
+MOST_ARROWS = 1000
+"""Of a longer recording rows at even distances have one."""
+WINDOW_S = 0.2
+"""Over which the errors of torques are averaged: of single samples the colours would flicker."""
+LEAST_LIMIT = 3.0
+"""Times the noise, at which colours end at least."""
+WITH, WITHOUT = "with the findings", "without the findings"
+
+
+class Place(NamedTuple):
+    """A finding and where it is.
+
+    Attributes:
+        number: its rank, from 1.
+        title: such as "Joint compliance at joint2".
+        statement: a sentence.
+        size: what it moves, with its unit; empty where the document does not say.
+        parts: of the arm as drawn, `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
+    """
+
+    number: int
+    title: str
+    statement: str
+    size: str
+    parts: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Measured against predicted positions.
+
+    Attributes:
+        caption: of which prediction.
+        predicted: `T_base_tool` `(sample, 4, 4)`, NaN where nothing is predicted.
+        error: `(sample, 3)` m, by which the measured point is off the predicted one, along the base's axes.
+    """
+
+    caption: str
+    predicted: Array
+    error: Array
+
+    @cached_property
+    def length(self) -> Array:
+        """`(sample,)` m."""
+        return np.linalg.norm(self.error, axis=1)
+
+    @property
+    def median(self) -> float:
+        """m; 0 where nothing is predicted."""
+        there = self.length[np.isfinite(self.length)]
+        return float(np.median(there)) if there.size else 0.0
+
+    @property
+    def scale(self) -> float:
+        """By which errors are multiplied so that the median arrow is `MEDIAN_ARROW` long, to two digits."""
+        return float(f"{MEDIAN_ARROW / self.median:.2g}") if self.median else 1.0
+
+    @cached_property
+    def shown(self) -> NDArray[np.integer]:
+        """The samples that have an arrow."""
+        there = np.flatnonzero(np.isfinite(self.length))
+        return there[np.unique(np.linspace(0, len(there) - 1, min(MOST_ARROWS, len(there))).astype(int))]
+
+    def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
+        """Ends `(arrow, 2, 3)` m, from where the point is predicted to where it is measured, enlarged by `scale`.
+
+        Args:
+            scale: of the errors.
+            samples: those that have an arrow; `shown` where not given.
+        """
+        rows = self.shown if samples is None else samples
+        start = self.predicted[rows, :3, 3]
+        return np.stack([start, start + scale * self.error[rows]], 1)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TorqueErrors:
+    """Measured against predicted torques.
+
+    Attributes:
+        caption: of which prediction.
+        over_noise: `(sample, joint)`, errors over the standard deviation of each joint's noise, RMS over `WINDOW_S`.
+    """
+
+    caption: str
+    over_noise: Array
+
+    @property
+    def limit(self) -> float:
+        """At which colours end: what a twentieth of all samples exceeds at the worst joint."""
+        worst = self.over_noise.max(axis=1)
+        return max(LEAST_LIMIT, float(f"{np.quantile(worst, 0.95):.2g}"))
+
+    def colours(self, sample: int, limit: float) -> NDArray[np.uint8]:
+        """`(joint, 3)` red, green, blue from 0 to 255: dark blue without error, yellow from `limit` on."""
+        return shades(self.over_noise[sample] / limit)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that is shown.
+
+    Attributes:
+        arm: its chain, as identified.
+        headline: the cause and its worth.
+        remarks: what qualifies the picture, a sentence each.
+        findings: ranked.
+        capsules: of the links, in their frames; link 0 is the base.
+        frames: `T_base_link` `(sample, link, 4, 4)`, of the base and after each joint.
+        row: `(sample,)`, in the recording's file, from 1.
+        time: `(sample,)` s, or None.
+        moving: whether the arm moved on from row to row.
+        orientation: `(sample, 3, 3)` of the measured tool in the base's frame, or None.
+        poses: errors of each prediction; none of torques.
+        torques: the same of torques; none of poses.
+    """
+
+    arm: Arm
+    headline: str
+    remarks: tuple[str, ...]
+    findings: tuple[Place, ...]
+    capsules: tuple[Capsule, ...]
+    frames: Array
+    row: NDArray[np.integer]
+    time: Array | None
+    moving: bool
+    orientation: Array | None = None
+    poses: tuple[PoseErrors, ...] = ()
+    torques: tuple[TorqueErrors, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Rows."""
+        return len(self.row)
+
+    @property
+    def step(self) -> float:
+        """Seconds from row to row of a moving arm; 1 where that is not known."""
+        steps = np.diff(self.time) if self.moving and self.time is not None else np.zeros(0)
+        return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+
+    def marked(self, numbers: Sequence[int] | None = None) -> dict[str, list[int]]:
+        """Part of the arm to the numbers of the findings there.
+
+        Args:
+            numbers: of the findings that count; all where not given.
+        """
+        found: dict[str, list[int]] = {}
+        for place in self.findings:
+            if numbers is None or place.number in numbers:
+                for part in place.parts:
+                    found.setdefault(part, []).append(place.number)
+        return found
+
+
+def shades(share: Array) -> NDArray[np.uint8]:
+    """Colours `(…, 3)` of shares from 0 to 1 that differ to colour-blind eyes and in grey: cividis."""
+    return (255 * mpl.colormaps["cividis"](np.clip(share, 0, 1))[..., :3]).round().astype(np.uint8)
+
+
+def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) -> Scene:
+    """A diagnosis of poses beside a recording.
+
+    Args:
+        document: as in its file.
+        model: in it.
+        recording: the diagnosed one or another of the same set-up; without poses there are no errors.
+
+    Raises:
+        InputError: as `predict`.
+    """
+    arm = Arm(model.arm, np.asarray(model.model.geometry).reshape(-1, 6))
+    T_base_sensor = np.linalg.inv(np.asarray(model.model.T_sensor_base))
+    models, errors, orientation = [(WITH, model)], (), None
+    if effects := model.physics.effects:
+        models.append((WITHOUT, model.keeping([False] * len(effects))))
+    if recording.position is not None:
+        measured = recording.position @ T_base_sensor[:3, :3].T + T_base_sensor[:3, 3]
+        predicted = [(caption, T_base_sensor @ predict(each, recording)) for caption, each in models]
+        errors = tuple(PoseErrors(caption, poses, measured - poses[:, :3, 3]) for caption, poses in predicted)
+    if recording.quaternion is not None:
+        turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
+        orientation = T_base_sensor[:3, :3] @ turned
+    remarks = [] if model.reference is None else [str(origin_statement(model.reference))]
+    if recording.position is None:
+        remarks.append("The recording has no measured poses: only the motion is shown.")
+    capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
+    scene = _scene(document, arm, recording, capsules, remarks)
+    return replace(scene, moving=recording.motion == "trajectory", orientation=orientation, poses=errors)
+
+
+def torque_scene(document: Document, model: DiagnosedMotors, recording: Recording) -> Scene:
+    """A diagnosis of torques beside a recording of torques.
+
+    Args:
+        document: that of the torques alone.
+        model: in it.
+        recording: the diagnosed one or another of the same arm.
+
+    Raises:
+        InputError: as `predict_torques`, or it has no torques.
+    """
+    measured, noise = recording.torques(), np.array(document["noise"]["estimated_torque_Nm"])
+    models = [(WITH, model)]
+    if model.terms.terms:
+        models.append((WITHOUT, replace(model, terms=Terms(), values=np.zeros(0))))
+    assert recording.time is not None  # torques are predicted of a motion with times
+    steps = np.diff(recording.time)
+    window = max(1, round(WINDOW_S / float(np.median(steps[steps > 0]))))
+
+    def averaged(each: DiagnosedMotors) -> Array:
+        errors = (measured - predict_torques(each, recording)) / noise
+        return np.sqrt(uniform_filter1d(errors**2, window, axis=0, mode="nearest"))
+
+    errors = tuple(TorqueErrors(caption, averaged(each)) for caption, each in models)
+    return replace(_scene(document, model.arm, recording, chain_capsules(model.arm), []), torques=errors)
+
+
+def _scene(
+    document: Document, arm: Arm, recording: Recording, capsules: Sequence[Capsule], remarks: Sequence[str]
+) -> Scene:
+    """The arm along the motion, with the findings; errors are added to it."""
+    frames = np.zeros((recording.samples, arm.dof + 1, 4, 4))
+    frames[:, 0], frames[:, :, 3, 3] = np.eye(4), 1.0
+    frames[:, 1:, :3] = np.moveaxis(link_frames(arm, recording.joint_position)[:-1], (0, 3), (1, 0))
+    faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
+    said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
+    links = [capsule.link for capsule in capsules]
+    findings = [
+        Place(rank, each["title"], each["statement"], ranking.contribution(document, each), _parts(each["site"], links))
+        for rank, each in enumerate(statements.findings_of(document), 1)
+    ]
+    return Scene(
+        arm=arm,
+        headline=ranking.headline(document),
+        remarks=(*remarks, *([f"{said}: {', '.join(faults)}."] if faults else [])),
+        findings=tuple(findings),
+        capsules=tuple(capsules),
+        frames=frames,
+        row=recording.row,
+        time=recording.time,
+        moving=True,
+    )
+
+
+def _parts(site: str, links: Sequence[int]) -> tuple[str, ...]:
+    """Of a site, what is drawn of it; a link without length is the joint before it."""
+    if site == "links":
+        return tuple(f"link{link}" for link in links if link)
+    if site in ("tool", "payload"):
+        return ("tool",)
+    match = re.fullmatch(r"(joint|link)(\d+)", "link0" if site == "base" else site)
+    if match is None:  # the sensor, the clock
+        return ()
+    number = int(match[2])
+    return (site if match[1] == "joint" else f"link{number}" if number in links else f"joint{max(number, 1)}",)
+
+
+# ------------------------------------------------------------------ in the browser
+
 
 PORT = 8080
 """Where none is asked for: this one, or the next that is free."""
@@ -167,7 +453,10 @@ class Shown:
                 self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
                 self.prediction.on_update(lambda _: self._choose())
                 if scene.poses:
-                    self._add_scale(scene.poses)
+                    usual, most = scene.poses[-1].scale, 2 * max(each.scale for each in scene.poses)
+                    self.scale = gui.add_slider("enlarged", 0.0, most, usual / 20, usual)
+                    self._caption = gui.add_html("")
+                    self.scale.on_update(lambda _: self._choose())
                 else:
                     self._limit = max(each.limit for each in scene.torques)
                     gui.add_html(_torque_legend(self._limit))
@@ -178,12 +467,6 @@ class Shown:
                 self.highlight.on_update(lambda _: self._mark())
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
-
-    def _add_scale(self, errors: Sequence[PoseErrors]) -> None:
-        gui, usual = self.server.gui, errors[-1].scale
-        self.scale = gui.add_slider("enlarged", 0.0, 2 * max(each.scale for each in errors), usual / 20, usual)
-        self._caption = gui.add_html("")
-        self.scale.on_update(lambda _: self._choose())
 
     def _choose(self) -> None:
         """Another prediction, or another scale."""
@@ -203,7 +486,8 @@ class Shown:
             turned = Rotation.from_matrix(frames[:, :3, :3]).as_quat(scalar_first=True)
             for link, wxyz, T in zip(self._links, turned, frames, strict=True):
                 link.wxyz, link.position = wxyz, T[:3, 3]
-            errors, said = self._errors, self._row_statement(sample)
+            time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
+            errors, said = self._errors, f"Row {self.scene.row[sample]}{time}"
             if isinstance(errors, PoseErrors):
                 said += self._compare(errors, sample)
             elif isinstance(errors, TorqueErrors):
@@ -213,17 +497,21 @@ class Shown:
                 said += f": joint {worst + 1} is off most, by {errors.over_noise[sample, worst]:.2g} times its noise"
             self._status.content = _paragraphs([said])
 
-    def _row_statement(self, sample: int) -> str:
-        time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
-        return f"Row {self.scene.row[sample]}{time}"
-
     def _compare(self, errors: PoseErrors, sample: int) -> str:
         """Draws the errors and the tool of a sample; says how large its error is."""
         shown = (errors.caption, self.scale.value)
         if shown != self._drawn:
             self._drawn = shown
             self._arrows.points = errors.arrows(self.scale.value).astype(np.float32)
-            self._caption.content = _paragraphs([self._caption_of(errors)])
+            times = f"{scale:.0f}" if (scale := self.scale.value) >= 100 else f"{scale:.3g}"
+            few = len(errors.shown) < self.scene.samples
+            some = f" {len(errors.shown)} of {self.scene.samples} rows have one." if few else ""
+            said = (
+                f"Arrows lead from where the tool is predicted to where it was measured. They are enlarged {times} "
+                f"times: the median error of {number(1e3 * errors.median)} mm is {1e3 * scale * errors.median:.0f} mm "
+                f"long.{some}"
+            )
+            self._caption.content = _paragraphs([said])
         there = bool(np.isfinite(errors.length[sample]))
         for node in (self._arrow, self._predicted, self._measured):
             if node is not None:
@@ -237,15 +525,6 @@ class Shown:
             self._measured.wxyz = _wxyz(self.scene.orientation[sample])
             self._measured.position = T[:3, 3] + self.scale.value * errors.error[sample]
         return f": error {number(1e3 * errors.length[sample])} mm"
-
-    def _caption_of(self, errors: PoseErrors) -> str:
-        few = len(errors.shown) < self.scene.samples
-        some = f" {len(errors.shown)} of {self.scene.samples} rows have one." if few else ""
-        return (
-            "Arrows lead from where the tool is predicted to where it was measured. They are enlarged "
-            f"{_times(self.scale.value)} times: the median error of {number(1e3 * errors.median)} mm is "
-            f"{1e3 * self.scale.value * errors.median:.0f} mm long.{some}"
-        )
 
     def _mark(self) -> None:
         """Colours and labels the places of the findings that are chosen."""
@@ -264,10 +543,6 @@ class Shown:
                     self._marks.append(add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND)))
                 if part in marked:
                     self._marks.append(add.add_label(f"{node.name}/label", ", ".join(map(str, marked[part]))))
-
-
-def _times(scale: float) -> str:
-    return f"{scale:.0f}" if scale >= 100 else f"{scale:.3g}"
 
 
 def _from_z(axis: np.ndarray) -> np.ndarray:

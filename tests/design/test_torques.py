@@ -13,7 +13,7 @@ from lite6jax.cli import main
 from lite6jax.design.motions import Motion
 from lite6jax.design.torques import identify_torques, structure_of, torque_model
 from lite6jax.errors import InputError
-from lite6jax.report.torque_study_tables import combination, torque_identification_report
+from lite6jax.report.study import combination, torque_identification_report
 from tests.oracles.arms import random_kinematics
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 

@@ -23,7 +23,9 @@ from lite6jax.effects.kinematic.joints import JointCompliance
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.report import combined, worth
+from lite6jax.report import ranking
+from lite6jax.report.sections import diagnosis_report
+from lite6jax.report.statements import with_statements
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=2e-4"
@@ -120,16 +122,14 @@ def test_what_disagrees_is_said(made, found):
     heavier = torques_of(both(made, held=2.4))
     payload = next(each for each in shared_by(found.poses, heavier) if each.quantity == "payload_mass")
     assert payload.agree is False
-    document = combined.with_statements(
-        CombinedDiagnosis(found.poses, heavier, shared_by(found.poses, heavier)).to_dict()
-    )
+    document = with_statements(CombinedDiagnosis(found.poses, heavier, shared_by(found.poses, heavier)).to_dict())
     said = next(entry["statement"] for entry in document["shared"] if entry["quantity"] == "payload_mass")
     assert "they disagree" in said
     assert "payload_com_m" in said
 
 
 def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
-    path = write_document(combined.with_statements(found.to_dict()), tmp_path / "d.json")
+    path = write_document(with_statements(found.to_dict()), tmp_path / "d.json")
     document = json.loads(path.read_text())
     assert document["before"]["heldout_position_rms_m"] > document["after"]["heldout_position_rms_m"]
     assert document["torques"]["domain"] == "torque"
@@ -147,14 +147,15 @@ def test_a_summary_names_both(found):
     assert "The held-out position error is" in text
     document = found.to_dict()
     for domain in (document, document["torques"]):
-        assert worth.headline(domain) in text
+        assert ranking.headline(domain) in text
     assert "Of the payload's mass" in text
 
 
 def test_a_plot_has_the_figures_of_both(found, monkeypatch):
-    for part, name in (("diagnosis_figures", "where"), ("torque_figures", "friction")):
-        drawn = {name: Figure()}
-        monkeypatch.setattr(f"lite6jax.report.{part}.drawings", lambda *_, drawn=drawn: iter(drawn.items()))
+    def drawings(one, *_):
+        yield ("where" if one is found.poses else "friction"), Figure()
+
+    monkeypatch.setattr("lite6jax.report.diagnosis_figures.drawings", drawings)
     assert list(found.plot()) == ["ranking", "where", "torque_ranking", "torque_friction"]
     assert found.plot("mine")["torque_ranking"].get_suptitle().startswith("mine")
     assert list(replace(found, torques=None).plot()) == ["ranking", "where"]
@@ -166,7 +167,8 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
     named = ["error_by_joint", "where", "orders", "remaining"]
     named += [f"torque_{name}" for name in ("error_by_joint", "over_time", "friction")]
-    monkeypatch.setattr("lite6jax.report.combined.drawings", lambda *_: ((name, Figure((1, 1))) for name in named))
+    blank = {name: Figure((1, 1)) for name in named}
+    monkeypatch.setattr("lite6jax.report.diagnosis_figures.drawings", lambda *_: blank.items())
     code, said, _ = run(capsys, "diagnose", run_file, "--out", out, "--report", tmp_path / "r.html", width=60)
     assert code == 0
     text = flat(said)
@@ -180,7 +182,7 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     for finding in (*document["findings"], *document["torques"]["findings"]):
         assert finding["statement"] in shown
     assert "they agree, and it is one finding that both sensors see" in shown
-    cause = worth.headline(document["torques"])
+    cause = ranking.headline(document["torques"])
     assert shown.index("Poses") < shown.index(cause) < shown.index("What poses and torques both depend on")
     anchors = [attributes.get("id") for tag, attributes in page.tags if tag == "article"]
     assert len(set(anchors)) == len(anchors) == len(document["findings"]) + len(document["torques"]["findings"])
@@ -214,7 +216,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     assert "held-out error (Nm RMS)" in said
     assert "they agree" in flat(said)
     refused = replace(found, torques=None, shared=(), refused="it holds static poses")
-    write_document(combined.with_statements(refused.to_dict()), out, overwrite=True)
+    write_document(with_statements(refused.to_dict()), out, overwrite=True)
     assert "not diagnosed: it holds static poses." in flat(run(capsys, "report", out)[1])
     document = found.to_dict()
     document["torques"]["model"]["links"] = "none"
@@ -243,7 +245,7 @@ def test_both_are_diagnosed_with_their_effects_and_references(recording, found, 
     again = diagnose_combined(recording, LITE6, reference=reference, effects=effects)
     assert asked == {"poses": effects[:1], "torques": effects[1:], "reference": reference}
     assert [each.quantity for each in again.shared] == [each.quantity for each in found.shared]
-    document = combined.with_statements(again.to_dict())
+    document = with_statements(again.to_dict())
     assert document["torques"]["against"]["statement"].startswith("Findings and model are those of this recording")
     assert "against" not in document
 
@@ -253,13 +255,13 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
     alone = diagnose_combined(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
     assert alone.torques is None
     assert "has no masses" in alone.refused
-    document = combined.with_statements(alone.to_dict())
+    document = with_statements(alone.to_dict())
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
     with pytest.raises(InputError, match="is no diagnosis of torques"):
         read_torque_model(path)
     assert "are not diagnosed: " in alone.summary()
-    assert any("has no masses" in str(part) for part in combined.combined_report(document, "run.csv"))
+    assert any("has no masses" in str(part) for part in diagnosis_report(document, "run.csv"))
 
 
 def test_what_is_not_both_is_refused(recording, tmp_path, capsys):

@@ -423,7 +423,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
     document = to_document(found)
     assert document["heldout_blocks"] == 25
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
-    said = statements.held_out_statement(document, "40 rows")
+    said = statements.held_out_statement(document)
     assert said.startswith("Errors of 40 rows, held out in 25 contiguous blocks, several at a time")
     assert "without each of 5 contiguous blocks predicts them worse" in said
     assert "the errors are 1.2 times those without" in said

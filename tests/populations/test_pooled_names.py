@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from lite6jax.populations.functions import in_common
 from lite6jax.populations.reduced import PooledTerm
 from lite6jax.populations.schema import check_fleet_document
-from lite6jax.report.population_tables import population_report, title
+from lite6jax.report.fleets import population_report, title
 
 SOFT = PooledTerm("soft")
 

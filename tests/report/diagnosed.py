@@ -7,7 +7,6 @@ import numpy as np
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
@@ -86,8 +85,8 @@ def wavy_arm(recorded):
 
 
 def documented(found, against=None):
-    """The JSON document of a diagnosis, with its comparison with a reference where there is one."""
-    document = to_document(found)
+    """The JSON document of any diagnosis, with its comparison with a reference where there is one."""
+    document = found.to_dict()
     return with_statements(document if against is None else {**document, "against": against.to_dict()})
 
 

@@ -7,29 +7,23 @@ from datetime import date
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
-from torque_diagnosed import diagnosed as torques_diagnosed
-from torque_diagnosed import recorded as torques_recorded
+from diagnosed import documented
 from typed import flat, run
 
-from lite6jax.diagnosis.document import to_document, write_document
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.report.certificate import Stated, certificate, write_certificate
-from lite6jax.report.torque_statements import with_statements
+from lite6jax.diagnosis.document import write_document
+from lite6jax.report.pages import Stated, certificate, write_certificate
 
 INPUTS = [{"role": "recording", "file": "run7.csv", "sha256": "ab" * 32}]
 
 
 @pytest.fixture(scope="module")
-def document(tmp_path_factory):
-    recorded = recording_maker(tmp_path_factory.mktemp("arm"))
-    return {**documented(diagnosed(*recorded(COMPLIANCE, HARMONIC))), "inputs": INPUTS}
+def document(found):
+    return {**documented(found), "inputs": INPUTS}
 
 
 @pytest.fixture(scope="module")
-def motors():
-    found = torques_diagnosed(torques_recorded(), (ViscousFriction(2), CoulombFriction(2)))
-    return {**with_statements(to_document(found)), "inputs": INPUTS}
+def of_motors(motors):
+    return {**documented(motors), "inputs": INPUTS}
 
 
 def texts(figure):
@@ -48,8 +42,7 @@ def test_the_figures_are_those_of_the_document(document):
         assert said[at + 3] == f"{100 * after / before:.0f} %"
 
 
-def test_the_sidecar_says_when_and_with_what(tmp_path):
-    found = diagnosed(*recording_maker(tmp_path)(COMPLIANCE))
+def test_the_sidecar_says_when_and_with_what(found, tmp_path):
     recording = found.problem.recording
     settings = replace(recording.settings, date="2026-11-20", instrument="tracker 9")
     declared = replace(found, problem=replace(found.problem, recording=replace(recording, settings=settings)))
@@ -81,10 +74,10 @@ def test_orientations_stand_on_it_where_they_were_measured(document):
     assert not any("orientation" in line for line in texts(certificate(document, Stated())))
 
 
-def test_torques_are_in_newton_metres(motors):
-    said = texts(certificate(motors, Stated()))
+def test_torques_are_in_newton_metres(of_motors):
+    said = texts(certificate(of_motors, Stated()))
     at = said.index("joint 2 (Nm), RMS")
-    pair = [motors[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after")]
+    pair = [of_motors[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after")]
     assert [float(cell) for cell in said[at + 1 : at + 3]] == pytest.approx(pair, abs=6e-5)
     assert "torque sensors of the joints" in " ".join(said)
 
@@ -102,16 +95,10 @@ def test_one_page_and_the_same_bytes(document, tmp_path):
     assert (width / 72, height / 72) == pytest.approx((8.27, 11.69), abs=0.01)  # A4
 
 
-def test_everything_stays_inside_the_page(document, motors):
-    for each in (
-        document,
-        motors,
-        {
-            **motors,
-            "findings": motors["findings"] * 20,
-            "model": {**motors["model"], "effects": motors["model"]["effects"] * 20},
-        },
-    ):
+def test_everything_stays_inside_the_page(document, of_motors):
+    effects = of_motors["model"]["effects"] * 20
+    many = {**of_motors, "findings": of_motors["findings"] * 20, "model": {**of_motors["model"], "effects": effects}}
+    for each in (document, of_motors, many):
         figure = certificate(each, Stated())
         figure.canvas.draw()
         for text in figure.texts:
@@ -120,8 +107,8 @@ def test_everything_stays_inside_the_page(document, motors):
             assert box.y0 > 0, text.get_text()
 
 
-def test_an_effect_on_torques_of_ones_own_is_reported_without_its_file(motors, tmp_path, capsys):
-    document = copy.deepcopy(motors)
+def test_an_effect_on_torques_of_ones_own_is_reported_without_its_file(of_motors, tmp_path, capsys):
+    document = copy.deepcopy(of_motors)
     for entries in (document["findings"], document["model"]["effects"]):
         entries[0]["effect"] = "air_drag"
     path, pdf = write_document(document, tmp_path / "d.json"), tmp_path / "c.pdf"

@@ -12,13 +12,11 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.recordings import Recording
-from lite6jax.report.plots import ranking_figure
+from lite6jax.report.diagnosis_figures import drawings, ranking_figure
+from lite6jax.report.ranking import contribution, headline
 from lite6jax.report.remedies import remedy_of
+from lite6jax.report.statements import with_statements
 from lite6jax.report.torque_faults import FOUND
-from lite6jax.report.torque_figures import drawings
-from lite6jax.report.torque_statements import with_statements
-from lite6jax.report.worth import headline as headline_of
-from lite6jax.report.worth import moves_size
 from tests.oracles import kane
 
 
@@ -49,7 +47,7 @@ def test_an_arm_of_slides_alone_is_said_in_newtons():
     document = with_statements(found.to_dict())
     assert not [key for key in document["before"] if key.endswith("_Nm") and "by_joint" not in key]
     assert re.match(
-        r"Joint 2 rubs the more the faster it moves: \d+ of \d+ N; with it in the model,", headline_of(document)
+        r"Joint 2 rubs the more the faster it moves: \d+ of \d+ N; with it in the model,", headline(document)
     )
     table = found._repr_html_()
     assert "held-out torque error before, of each joint (N RMS)" in table
@@ -71,8 +69,8 @@ def test_what_moves_both_kinds_is_said_in_both_units():
     payload, friction = document["findings"]
     assert {"moves_rms_Nm", "moves_rms_N"} <= set(payload)
     assert re.search(r"contributes \S+ Nm RMS to the torque and \S+ N RMS to the force\.", payload["statement"])
-    assert " Nm and " in moves_size(document, payload)
-    assert moves_size(document, friction).endswith(" N")
+    assert " Nm and " in contribution(document, payload)
+    assert contribution(document, friction).endswith(" N")
     label = ranking_figure(document, "telescope").axes[0].get_xlabel()
     assert label == "moves the torque or the force (RMS over the error before, largest: 1)"
     assert remedy_of(friction, torques=True).action.startswith(

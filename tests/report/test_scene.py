@@ -4,39 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, LITE6, diagnosed, documented, recording_maker
-from torque_diagnosed import diagnosed as torques_diagnosed
-from torque_diagnosed import recorded as torques_recorded
+from diagnosed import LITE6, documented
 
-from lite6jax.diagnosis.document import model_from_document, to_document, torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document, torque_model_from_document
 from lite6jax.domains.pose.predict import predict
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.model import ArmModel
-from lite6jax.report import scene as scenes
-from lite6jax.report.scene import MEDIAN_ARROW, MOST_ARROWS, WITH, WITHOUT, PoseErrors, pose_scene, torque_scene
-from lite6jax.report.torque_statements import with_statements
+from lite6jax.report import viewer
+from lite6jax.report.viewer import MEDIAN_ARROW, MOST_ARROWS, WITH, WITHOUT, PoseErrors, pose_scene, torque_scene
 from tests.oracles.chains import joint_frames, six_parameter_poses
 from tests.oracles.transforms import origin_transform
 
 
 @pytest.fixture(scope="module")
-def poses(tmp_path_factory):
+def poses(found):
     """A document, its model and its recording."""
-    recording, effects = recording_maker(tmp_path_factory.mktemp("arm"))(COMPLIANCE, HARMONIC)
-    document = documented(diagnosed(recording, effects))
-    return document, model_from_document(document), recording
+    document = {**documented(found), "data_faults": []}
+    return document, model_from_document(document), found.problem.recording
 
 
 @pytest.fixture(scope="module")
 def scene(poses):
     return pose_scene(*poses)
-
-
-@pytest.fixture(scope="module")
-def motors():
-    recording = torques_recorded()
-    document = with_statements(to_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2)))))
-    return document, torque_model_from_document(document), recording
 
 
 def test_the_arm_stands_as_its_joints_say(scene, poses):
@@ -110,7 +98,7 @@ def test_findings_have_their_place_their_size_and_plain_words(scene, poses):
     ],
 )
 def test_every_site_has_its_part_of_the_arm(site, parts):
-    assert scenes._parts(site, [0, 1, 2]) == parts
+    assert viewer._parts(site, [0, 1, 2]) == parts
 
 
 def test_a_long_recording_has_arrows_at_even_distances():
@@ -125,8 +113,8 @@ def test_a_long_recording_has_arrows_at_even_distances():
 
 
 def test_joints_are_coloured_by_the_errors_of_their_torques(motors):
-    document, model, recording = motors
-    shown = torque_scene(document, model, recording)
+    document, recording = documented(motors), motors.problem.data.recording
+    shown = torque_scene(document, torque_model_from_document(document), recording)
     found, rigid = shown.torques
     assert (found.caption, rigid.caption) == (WITH, WITHOUT)
     assert found.over_noise.shape == (recording.samples, 6)

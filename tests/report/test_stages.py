@@ -5,8 +5,8 @@ import time
 import pytest
 
 from lite6jax.progress import Stage, entered, followed, part
-from lite6jax.report import screen, stages
-from lite6jax.report.stages import Clock
+from lite6jax.report import screen
+from lite6jax.report.screen import Clock
 
 
 def clock(*times):
@@ -57,7 +57,7 @@ def test_lines_name_stage_block_and_times():
 
 def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch, capsys):
     monkeypatch.setattr(screen, "EVERY", 0.01)
-    with stages.shown() as follow:
+    with screen.stages() as follow:
         follow(Stage("naming", 1, 5))
         until = time.monotonic() + 10.0
         heard = ""
@@ -68,10 +68,10 @@ def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch,
 
 
 def test_a_short_computation_says_nothing(capsys):
-    with stages.shown() as follow:
+    with screen.stages() as follow:
         follow(Stage("naming", 1, 5))
     assert capsys.readouterr().err == ""
 
 
 def test_every_code_has_words():
-    assert set(stages._STAGES) == set(stages.Code.__args__)
+    assert set(screen._STAGES) == set(screen.Code.__args__)

@@ -83,12 +83,12 @@ def codes(compared):
 
 def differences(compared):
     """The sentences."""
-    return reference.difference_sentences(compared.to_dict())
+    return [entry["statement"] for entry in reference.with_statements(compared.to_dict())["differences"]]
 
 
 def notes(compared):
     """The sentences."""
-    return reference.note_sentences(compared.to_dict())
+    return [entry["statement"] for entry in reference.with_statements(compared.to_dict())["notes"]]
 
 
 def diagnose_against(recording, other, *arguments):

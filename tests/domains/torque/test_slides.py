@@ -39,10 +39,10 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.populations.reduction import reduced_torques
 from lite6jax.recordings import write_recording
+from lite6jax.report.reference import headline
 from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.statements import finding_statement
 from lite6jax.report.torque_faults import FOUND
-from lite6jax.report.torque_reference import headline
-from lite6jax.report.torque_statements import finding_statement
 from tests.oracles import kane
 
 FEW = Options(folds=2)
@@ -268,7 +268,7 @@ def test_the_ripple_of_a_screw_is_found_with_its_lead(on_a_screw):
         assert abs(estimate["value"] - value) < 3 * estimate["std"], name
         assert estimate["std"] < 0.1 * value
     assert ripple["driver"] == "slide position of joint 3"
-    said = finding_statement({**ripple, "where": {"of_slide": True}})
+    said = finding_statement({**ripple, "where": {"of_slide": True}}, torques=True)
     assert re.match(r"Torque ripple of period (9\.99|10)\d* mm at joint3 is significant: period [\d.]+ ± ", said)
     assert re.search(r"it contributes 1\.\d+ N RMS to the force\.$", said)  # 3 / √2, less what the low pass keeps back
     assert cause_of(ripple, torques=True) == "joint 3 cogs as it moves"

@@ -23,7 +23,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording, read_recording
-from lite6jax.report.torque_statements import verdict_statement, with_statements
+from lite6jax.report.statements import verdict_statement, with_statements
 from lite6jax.search.search import search
 
 FEW = Options(folds=2)

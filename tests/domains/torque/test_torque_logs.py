@@ -18,7 +18,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueOffset
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.report.torque_statements import with_statements
+from lite6jax.report.statements import with_statements
 
 FEW = Options(folds=2)
 PENDULUM = """<robot name="pendulum"><link name="base"/>

@@ -17,7 +17,7 @@ from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.report.torque_reference import with_statements
+from lite6jax.report.reference import with_statements
 
 FEW = Options(folds=2)
 EARLIER = (

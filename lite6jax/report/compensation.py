@@ -1,4 +1,4 @@
-"""What a person reads of a compensation: which targets are reached, which are not and why, and how accurately."""
+"""What a terminal shows of predictions: of a registration, and of a compensation which targets are reached, and why."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.text import Text
 
+from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import screen
-from lite6jax.report.cells import counted, fixed, joint_units, listing, number, rows_named
-from lite6jax.report.sections import indented
+from lite6jax.report.screen import indented
+from lite6jax.report.words import SCREEN, counted, fixed, joint_units, listing, number, rows_named
 
 NO_BARS = (
     "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
@@ -97,27 +99,22 @@ def compensation_report(
         verb = "concerns" if len(found.omitted) == 1 else "concern"
         omitted = f"omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position"
         yield from screen.notes([omitted])
-    yield from _bars(found)
+    if found.position_std is None or found.outside is None:
+        yield from screen.notes([NO_BARS])
+    else:
+        yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
+        if hit:
+            std = 1e3 * found.position_std[found.reached]
+            rms = number(np.sqrt(np.mean(std**2)))
+            yield Text(
+                f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(std.max())} mm."
+            )
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)
         yield ""
         yield Text(
             f"Expected accuracy: in cross-validation this model had position errors of {after} mm RMS, and {before} mm "
             "without its effects."
-        )
-
-
-def _bars(found: Compensation) -> Iterator[RenderableType]:
-    """How sure the poses are, and how many targets are outside."""
-    if found.position_std is None or found.outside is None:
-        yield from screen.notes([NO_BARS])
-        return
-    yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
-    if found.reached.any():
-        std = 1e3 * found.position_std[found.reached]
-        yield Text(
-            f"Standard deviation of the positions reached: {number(np.sqrt(np.mean(std**2)))} mm RMS per axis, at most "
-            f"{number(std.max())} mm."
         )
 
 
@@ -150,11 +147,12 @@ def _missed(found: Compensation, rows: NDArray) -> str:
 def _corrections(corrections: NDArray, sliding: Sequence[int]) -> Iterator[RenderableType]:
     scales, units = joint_units(sliding, corrections.shape[1])
     degrees, named = scales * corrections, ", ".join(dict.fromkeys(units))
-    table = listing(f"correction of the joints ({named})", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
-    table.columns[0].no_wrap = False  # rather than cut numbers short
-    for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
-        table.add_row(name, *(fixed(float(value)) for value in values))
-    yield table
+    rows = (
+        (name, *map(fixed, values)) for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0)))
+    )
+    joints = (f"q{joint}" for joint in range(1, degrees.shape[1] + 1))
+    # rather wrap the name than cut numbers short
+    yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
 
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:
@@ -198,3 +196,21 @@ def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
         f"{rows_named(rows)} {verb} outside what was recorded{where}: there the compensation extrapolates; record "
         "poses there, or keep targets inside"
     )
+
+
+def registration_report(found: Registration) -> Iterator[RenderableType]:
+    """The frames that were fitted, and the remaining errors."""
+    kept = found.kept
+    turned = ""
+    if found.turned is not None:
+        turned = f" and {number(float(np.rad2deg(np.sqrt(np.mean(np.sum(found.turned[kept] ** 2, 1))))))} deg"
+    yield Text(f"The registration on {len(kept)} rows leaves errors of {number(1e3 * found.rms)} mm{turned} RMS.")
+    if not kept.all():
+        yield Text(f"{np.sum(~kept)} rows are outliers and have little weight.")
+    table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
+    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
+        row = frames.row_from_transform(T) * np.repeat([SCREEN["m"][0], SCREEN["rad"][0]], 3)
+        table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
+    yield table
+    if found.turned is None:
+        yield Text("Positions do not determine the tool's rotation: only its offset is fitted.")

@@ -13,14 +13,12 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller.calibration import CalibrationRead
-from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded
 from lite6jax.controller.recorder import Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.fitting.start import calibration_poses, check_positions
 from lite6jax.report import screen
-from lite6jax.report.cells import fixed, listing, number
-from lite6jax.report.tables import STATISTICS
+from lite6jax.report.words import STATISTICS, fixed, listing, number
 
 Array = NDArray[np.floating]
 
@@ -68,8 +66,7 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         f"Forward kinematics of the controller (xarm-python-sdk, {verification.version}) minus those of the calibration"
         f" at {len(verification.position)} random joint positions"
     )
-    table = listing("", "", *(name for name, _ in STATISTICS))
-    table.columns[0].no_wrap, table.columns[1].justify = False, "left"
+    table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
         ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
@@ -183,8 +180,13 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
         if recorded.short:
             yield Text(f"{recorded.asked} rows were asked for.")
         repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
-        yield Text(f"{_missing(recorded.gaps, recorded.runs)}{repeated}.")
-        if recorded.gaps.count:
+        gaps = recorded.gaps
+        missing = f"{gaps.within} reports missing" if gaps.within else "No report missing"
+        if recorded.runs > 1:
+            missing = f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
+            missing = missing if gaps.within + gaps.between else "No report missing within or between runs"
+        yield Text(f"{missing}{repeated}.")
+        if gaps.count:
             yield _gaps(recorded)
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
@@ -195,25 +197,14 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
     yield from screen.notes(recorded.notes)
 
 
-def _missing(gaps: Gaps, runs: int) -> str:
-    """How many reports are missing, and where."""
-    if runs < 2:
-        return f"{gaps.within} reports missing" if gaps.within else "No report missing"
-    if not gaps.within + gaps.between:
-        return "No report missing within or between runs"
-    return f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
-
-
 def _gaps(recorded: Recorded) -> Table:
     """The longest gaps; the columns of the recording have all."""
     gaps = recorded.gaps
     shown = gaps.longest(_MOST_GAPS)
     title = "Gaps" if len(shown) == gaps.count else f"The {len(shown)} longest of {gaps.count} gaps"
-    table = listing(f"{title}: before row", "run", "missing", "s", "reason")
-    table.columns[4].justify, table.columns[4].no_wrap = "left", False
-    for gap in shown:
-        table.add_row(str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
-    return table
+    rows = ((str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason)) for gap in shown)
+    headers = (f"{title}: before row", "run", "missing", "s", "reason")
+    return listing(*headers, rows=rows, left=[4], wrapped=[4])
 
 
 def _sources(recorded: Recorded) -> Table:
@@ -224,12 +215,8 @@ def _sources(recorded: Recorded) -> Table:
             grouped[-1][0].append(name)
         else:
             grouped.append(([name], source))
-    table = listing("columns", "source")
-    table.columns[1].justify = "left"
-    table.columns[1].no_wrap = False
-    for names, source in grouped:
-        table.add_row(names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source)
-    return table
+    rows = ((names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source) for names, source in grouped)
+    return listing("columns", "source", rows=rows, left=[1], wrapped=[1])
 
 
 def _kind(name: str) -> str:

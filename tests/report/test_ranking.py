@@ -5,34 +5,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
-from torque_diagnosed import diagnosed as torques_diagnosed
-from torque_diagnosed import recorded as torques_recorded
+from diagnosed import documented
 
-from lite6jax.diagnosis.document import to_document
 from lite6jax.effects import catalogue
 from lite6jax.effects.dynamic import catalogue as dynamic
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.report import next_steps, worth
-from lite6jax.report.next_steps import Files
-from lite6jax.report.quantities import quantity
+from lite6jax.report import ranking
+from lite6jax.report.ranking import Files, steps
 from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
+from lite6jax.report.words import quantity
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return recording_maker(tmp_path_factory.mktemp("arm"))
+def ranked(document):
+    return [document["findings"][k] for k in ranking.order(document)]
 
 
-@pytest.fixture(scope="module")
-def found(recorded):
-    """A compliance that moves the point by less than the harmonic that was found after it."""
-    return diagnosed(*recorded(COMPLIANCE, HARMONIC), outliers=(3, 5))
-
-
-@pytest.fixture(scope="module")
-def motors():
-    return torques_diagnosed(torques_recorded(), (ViscousFriction(2), CoulombFriction(2)))
+def words_of(document, *files):
+    """The words of each command to copy, without the program's name."""
+    return [shlex.split(step.command)[1:] for step in steps(document, Files(*files))]
 
 
 @pytest.mark.parametrize(("known", "remedies"), [(catalogue.BUILT_IN, OF_POSES), (dynamic.BUILT_IN, OF_TORQUES)])
@@ -82,30 +71,29 @@ def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
 
 def test_findings_are_ranked_by_what_they_move(found):
     document = documented(found)
-    sizes = [finding["moves_rms_m"] for finding in worth.ranked(document)]
+    sizes = [finding["moves_rms_m"] for finding in ranked(document)]
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > 1.05 * sizes[1]
-    bars = worth.bars(document)
-    assert [bar.number for bar in bars] == [1, 2]
+    bars = ranking.bars(document)
+    assert len(bars) == 2
     assert bars[0].share == 1
     assert bars[1].share == pytest.approx(sizes[1] / sizes[0])
     assert float(bars[0].size) == pytest.approx(1e3 * sizes[0], rel=0.05)
 
 
-def test_the_first_sentence_is_the_cause_and_its_worth(recorded):
-    found = diagnosed(*recorded(COMPLIANCE))
-    document = documented(found)
+def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
+    document = documented(compliant)
     moved = 1e3 * document["findings"][0]["moves_rms_m"]
     before, after = (1e3 * document[stage]["heldout_position_rms_m"] for stage in ("before", "after"))
-    assert worth.headline(document) == (
+    assert ranking.headline(document) == (
         f"Joint 2 gives way to gravity: {moved:.2g} of {before:.2g} mm; compensated, {after:.3f} mm is left, "
         "the sensor's noise."
     )
     scaled = {**document, "findings": [{**document["findings"][0], "effect": "measurement_scale", "site": "sensor"}]}
-    assert worth.headline(scaled).startswith("The sensor's lengths are off: ")
-    assert "; with it in the model, " in worth.headline(scaled)
+    assert ranking.headline(scaled).startswith("The sensor's lengths are off: ")
+    assert "; with it in the model, " in ranking.headline(scaled)
     larger = {**document, "findings": [{**document["findings"][0], "moves_rms_m": 1.0}]}
-    assert "1000 mm, which others partly cancel" in worth.headline(larger)
+    assert "1000 mm, which others partly cancel" in ranking.headline(larger)
 
 
 def test_effects_that_only_turn_the_tool_are_ranked_in_degrees(found):
@@ -115,9 +103,9 @@ def test_effects_that_only_turn_the_tool_are_ranked_in_degrees(found):
     ]
     errors = {stage: {**document[stage], "heldout_orientation_rms_rad": 2e-3} for stage in ("before", "after")}
     turned = {**document, "findings": turning, **errors}
-    assert worth.unit_of(turned) == "deg"
-    assert worth.ranked(turned)[0] == turning[1]
-    assert "0.11 of 0.11 deg" in worth.headline(turned)
+    assert ranking.unit_of(turned) == "deg"
+    assert ranked(turned)[0] == turning[1]
+    assert "0.11 of 0.11 deg" in ranking.headline(turned)
 
 
 def test_a_document_without_sizes_is_ranked_by_likelihood(found):
@@ -126,10 +114,10 @@ def test_a_document_without_sizes_is_ranked_by_likelihood(found):
         {key: value for key, value in entry.items() if not key.startswith("moves")} for entry in document["findings"]
     ]
     old = {**document, "findings": old}
-    assert worth.bars(old) == []
-    gains = [finding["log_likelihood_gain"] for finding in worth.ranked(old)]
+    assert ranking.bars(old) == []
+    gains = [finding["log_likelihood_gain"] for finding in ranked(old)]
     assert gains == sorted(gains, reverse=True)
-    assert " is left" in worth.headline(old)
+    assert " is left" in ranking.headline(old)
 
 
 @pytest.mark.parametrize(
@@ -146,19 +134,19 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
         "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
         "noise": {"declared_position_m": 2e-5},
     }  # fmt: skip
-    assert worth.headline(document) == says
+    assert ranking.headline(document) == says
     nearly = {**document, "nearest": {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}}
     open_still = "The error of 0.034 mm RMS is noise, or noise and one more effect, which is nearly significant."
-    assert worth.headline(nearly) == (open_still if verdict == "undetermined" else says)
+    assert ranking.headline(nearly) == (open_still if verdict == "undetermined" else says)
     faulty = {**document, "data_faults": [{"fault": "swapped_joints"}]}
-    assert worth.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
+    assert ranking.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
     if verdict == "consistent":
-        assert worth.headline({**document, "noise": {"declared_position_m": None}}) == (
+        assert ranking.headline({**document, "noise": {"declared_position_m": None}}) == (
             "No effect is significant, and the error of 0.034 mm RMS looks like noise; declare position_noise_m to "
             "test this."
         )
         for computed in ({"pose_source": "controller_fk"}, {"data_faults": [{"fault": "computed_pose"}]}):
-            assert worth.headline({**document, **computed}) == (
+            assert ranking.headline({**document, **computed}) == (
                 "The poses are the controller's own computation: the arm's table reproduces them to 0.034 mm RMS."
             )
 
@@ -173,18 +161,18 @@ def test_what_is_no_error_of_the_arm_is_not_compensated(found, at):
     document = documented(found)
     first, second = document["findings"]
     alone = {**document, "findings": [{**first, **at}]}
-    said = [worth.headline(alone), *(action for _, action in next_steps.actions(alone))]
-    said += [step.command for step in next_steps.steps(alone, Files(Path("run.csv"), Path("d.json")))]
+    said = [ranking.headline(alone), *(action for _, action in ranking.actions(alone))]
+    said += [step.command for step in ranking.steps(alone, Files(Path("run.csv"), Path("d.json")))]
     assert not any("compensat" in line.lower() for line in said)
-    assert "compensated" not in worth.headline({**document, "findings": [{**first, **at}, second]})
+    assert "compensated" not in ranking.headline({**document, "findings": [{**first, **at}, second]})
 
 
 def test_of_torques_the_worth_is_that_at_the_joint(motors):
-    document = to_document(motors)
-    main = worth.ranked(document)[0]
+    document = documented(motors)
+    main = ranked(document)[0]
     assert main["joints"] == [2]
     before, after = (document[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after"))
-    said = worth.headline(document)
+    said = ranking.headline(document)
     assert f" of {before:.2g} Nm; with both findings in the model, {after:.2g}" in said
     assert said.startswith("Joint 2 rubs")
 
@@ -199,35 +187,34 @@ def test_a_compliance_is_a_stiffness_too_and_a_rate_a_drift_per_day():
 
 
 def test_each_remedy_is_said_once_with_the_findings_that_it_is_for(motors, found):
-    assert [ranks for ranks, _ in next_steps.actions(to_document(motors))] == [[1, 2]]
-    assert sorted(rank for ranks, _ in next_steps.actions(documented(found)) for rank in ranks) == [1, 2]
+    assert [ranks for ranks, _ in ranking.actions(documented(motors))] == [[1, 2]]
+    assert sorted(rank for ranks, _ in ranking.actions(documented(found)) for rank in ranks) == [1, 2]
 
 
 def test_commands_name_the_files_at_hand(found, motors, tmp_path):
-    recording, diagnosis = tmp_path / "my run.csv", tmp_path / "d.json"
-    lines = [step.command for step in next_steps.steps(documented(found), Files(recording, diagnosis))]
-    assert [shlex.split(line)[1] for line in lines] == ["compensate", "view", "report"]
-    assert shlex.split(lines[0])[2:4] == [str(diagnosis), str(recording)]
-    assert shlex.split(lines[1])[2:] == [str(diagnosis)]  # it is beside
-    apart = next_steps.steps(documented(found), Files(recording, tmp_path / "other" / "d.json"))[1].command
-    assert shlex.split(apart)[2:] == [str(tmp_path / "other" / "d.json"), str(recording)]
-    first = next_steps.steps(documented(found), Files(recording))[0].command
-    assert shlex.split(first)[1:] == ["diagnose", str(recording), "--out", "my run_diagnosis.json"]
-    lines = [step.command for step in next_steps.steps(to_document(motors), Files(recording, diagnosis))]
-    assert [shlex.split(line)[1] for line in lines] == ["predict", "convert", "view", "report"]
-    own = {**documented(found), "findings": [{**documented(found)["findings"][0], "effect": "cable_drag"}]}
-    assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
-    given = next_steps.steps(own, Files(recording, diagnosis, tmp_path / "mine.py"))[0].command
-    assert shlex.split(given)[-4:-2] == ["--effects", str(tmp_path / "mine.py")]
+    recording, diagnosis, other = tmp_path / "my run.csv", tmp_path / "d.json", tmp_path / "other" / "d.json"
+    document = documented(found)
+    compensate, view, report = words_of(document, recording, diagnosis)
+    assert compensate[:3] == ["compensate", str(diagnosis), str(recording)]
+    assert view == ["view", str(diagnosis)]  # it is beside
+    assert report[0] == "report"
+    assert words_of(document, recording, other)[1][1:] == [str(other), str(recording)]
+    assert words_of(document, recording)[0] == ["diagnose", str(recording), "--out", "my run_diagnosis.json"]
+    of_torques = words_of(documented(motors), recording, diagnosis)
+    assert [line[0] for line in of_torques] == ["predict", "convert", "view", "report"]
+    own = {**document, "findings": [{**document["findings"][0], "effect": "cable_drag"}]}
+    assert [line[0] for line in words_of(own, recording, diagnosis)] == ["report"]
+    mine = tmp_path / "mine.py"
+    assert words_of(own, recording, diagnosis, mine)[0][-4:-2] == ["--effects", str(mine)]
 
 
 def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
     recording, diagnosis, mine = (tmp_path / name for name in ("run.csv", "d.json", "mine.py"))
-    document = to_document(motors)
+    document = documented(motors)
     own = {**document, "findings": [{**document["findings"][0], "effect": "air_drag"}, *document["findings"][1:]]}
     # without the file of the effect, no command reads the model
-    assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
-    lines = [shlex.split(step.command)[1:] for step in next_steps.steps(own, Files(recording, None, mine))]
+    assert [line[0] for line in words_of(own, recording, diagnosis)] == ["report"]
+    lines = words_of(own, recording, None, mine)
     assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "view", "report"]
     for line in lines[:4]:
         assert line[line.index("--effects") + 1] == str(mine)

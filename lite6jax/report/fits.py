@@ -1,0 +1,321 @@
+"""What a terminal shows of a fit, and of a comparison of arms: in mm and degrees, for 60 columns or more."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from lite6jax.arms import frames
+from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.entries import SIX
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.fleet import Comparison
+from lite6jax.fitting.problem import TOLERANCE
+from lite6jax.fitting.quality import ABOVE_NOISE
+from lite6jax.fitting.solution import Errors, Result, Solution
+from lite6jax.model import TWIST_NAMES
+from lite6jax.recordings import Recording
+from lite6jax.report import screen
+from lite6jax.report.data_faults import fault_statement
+from lite6jax.report.statements import quality_statement
+from lite6jax.report.words import SCREEN, SHOWS_AS_ZERO, STATISTICS, counted, fixed, listed, listing, number, plus_minus
+
+_MOST_ROWS = 5
+_MOST_ARMS = 12
+_MOST_PAIRS = 8
+"""Arms of which each pair is listed."""
+
+
+def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType]:
+    """The calibration file and its arm."""
+    arm = calibration.arm
+    yield Text(f"{calibration.source}", no_wrap=True, overflow="ignore")
+    yield Text(f"Factory calibration of {arm.dof} joints, of a {arm.name}.")
+
+
+def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
+    """The recording, and which parameters the fit estimates according to its sidecar."""
+    settings = recording.settings
+    kind = "positions and orientations" if recording.quaternion is not None else "positions"
+    by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
+    yield Text(recording.source, no_wrap=True, overflow="ignore")
+    yield Text(
+        f"Recording of {recording.samples} samples, {recording.dof} joints of a {solution.arm.name}: {kind}{by}."
+    )
+    chain = "nominal, fitted"
+    if not isinstance(solution.form.chain, HayatiForm):
+        moved = bool(solution.free[: solution.form.chain.size].any())
+        chain = "the factory calibration, fitted within its uncertainty" if moved else "the factory calibration, held"
+    frame = "unknown, fitted" if solution.form.frame else "the arm's base"
+    tool = "unknown, fitted" if solution.form.tool else "none" if settings.tool == "none" else "as declared"
+    yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+    yield from screen.notes(_notes_of_data(solution))
+
+
+def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
+    """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
+    yield ""
+    yield Text(_result_line(solution, recording is not None))
+    bad = quality_statement(solution.quality.to_dict())
+    if bad is not None:
+        yield Text(bad)
+    yield ""
+    chain = solution.form.chain
+    checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
+    start = "factory calibration" if recording and recording.settings.factory_calibration else "nominal arm"
+    rows = [(start, solution.nominal_errors), (checked, solution.checked)]
+    if recording is not None:
+        rows.insert(1, ("fitted rows", solution.errors))
+    yield Text(f"Error at the {'flange' if recording is None else 'measured point'}")
+    yield _errors_table(rows)
+    yield ""
+    if isinstance(chain, HayatiForm):
+        yield from _hayati_tables(solution, chain)
+    elif solution.free[: chain.size].any():
+        deviation = solution.standard_deviation
+        assert deviation is not None
+        shown = zip(chain.names, chain.units, solution.parameters, deviation, strict=False)
+        cells = {
+            name: f"{fixed(SCREEN[unit][0] * value, 3)}\n±{plus_minus(SCREEN[unit][0] * std)}"
+            for name, unit, value, std in shown
+        }
+        yield Text("Six-parameter chain (mm, deg); below each number its standard deviation")
+        yield from parameter_tables(chain, lambda name, _: cells[name])
+        yield ""
+    if recording is not None:
+        yield from _frame_tables(solution)
+        yield from map(Text, _remarks(solution, recording))
+        yield from screen.notes(note for note in solution.notes if note not in _notes_of_data(solution))
+
+
+def _notes_of_data(solution: Solution) -> tuple[str, ...]:
+    """What was dropped or assumed as the recording was read: it stands above the results."""
+    return () if solution.recording is None else solution.recording.notes
+
+
+def _result_line(solution: Solution, recorded: bool) -> str:
+    steps = counted(solution.steps, "step")
+    if solution.result != Result.CONVERGED:
+        return f"The fit {solution.result.message} ({steps}); the values below are those of its last step."
+    before, after = (1e3 * e.position_rms for e in (solution.nominal_errors, solution.checked))
+    if recorded:
+        return f"Converged in {steps}: {number(after, 3)} mm RMS on held-out rows, {number(before, 3)} mm before."
+    worst = 1e3 * float(solution.checked.position.max())
+    most = 1e3 * float(solution.nominal_errors.position.max())
+    return (
+        f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
+        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
+    )
+
+
+def _errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
+    """Mean, median, 95th percentile and maximum of position (mm) and orientation (deg) errors."""
+    cells = []
+    for name, errors in rows:
+        for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
+            if values is not None:
+                scale, shown = SCREEN[unit]
+                numbers = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
+                cells.append((name if unit == "m" else "", shown, *numbers))
+    return listing("", "", *(name for name, _ in STATISTICS), rows=cells, left=[1])
+
+
+def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
+    """The parameters of a chain: of a Hayati form its base, then a row for each joint.
+
+    Args:
+        chain: six parameters a joint, or a Hayati form.
+        cell: the text of a parameter by its name and by that of its column; the form may have none of the name.
+    """
+    if isinstance(chain, HayatiForm):
+        given = set(chain.names)
+        base = [name for name in SIX if f"base_{name}" in given]
+        yield listing("base", *base, rows=[("", *(cell(f"base_{name}", name) for name in base))])
+        yield ""
+        columns = [
+            name
+            for name in ("theta_off", "d", "a", "b", "alpha", "beta")
+            if any(f"{name}{i + 1}" in given for i in range(chain.dof))
+        ]
+        names = [[f"{name}{i + 1}" for name in columns] for i in range(chain.dof)]
+    else:
+        columns = list(SIX)
+        names = [[f"joint{i + 1}_{name}" for name in columns] for i in range(chain.dof)]
+    slides = chain.sliding if isinstance(chain, HayatiForm) else ()
+    rows = ((f"J{i + 1}{' P' * (i in slides)}", *map(cell, row, columns)) for i, row in enumerate(names))
+    yield listing("joint", *columns, rows=rows)
+
+
+def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableType]:
+    """The base and one row per joint; below each value its standard deviation or its difference from nominal."""
+    measured = solution.standard_deviation is not None
+    below = solution.standard_deviation if measured else solution.parameters - solution.arm.hayati
+    assert below is not None
+    free, determined = solution.free[: form.size], solution.determined[: form.size]
+    at = {name: i for i, name in enumerate(form.names)}
+
+    def cell(name: str, column: str) -> str:
+        if name not in at:
+            return "" if column in ("b", "beta") else "0\nfixed"
+        i = at[name]
+        scale, _ = SCREEN[form.units[i]]
+        value = fixed(scale * solution.parameters[i])
+        if not measured:
+            return f"{value}\n{fixed(scale * below[i], sign='+')}"
+        deviation = f"±{plus_minus(scale * below[i])}" if free[i] else "held"
+        return f"{value}\n{deviation if determined[i] or not free[i] else f'({deviation})'}"
+
+    under = "its standard deviation" if measured else "its difference from nominal"
+    yield Text(f"Effective model (mm, deg); below each number {under}")
+    yield ""
+    yield from parameter_tables(form, cell)
+    if (free & ~determined).any():
+        length, angle = (f"{SCREEN[unit][0] * TOLERANCE[unit]:.2g}" for unit in ("m", "rad"))
+        yield Text(
+            "In brackets: these data do not determine the number. Its prior does, which is the nominal one "
+            f"± {length} mm or {angle} deg."
+        )
+    if form.sliding:
+        yield Text(
+            "P: a prismatic joint, whose axis is drawn through the origin of the frame before it; b is a shift along y "
+            "after a."
+        )
+    if parallel := [i for i in form.parallel if i >= 0]:
+        pairs = " and ".join(f"{i + 1}-{i + 2}" for i in parallel)
+        yield Text(
+            f"Joints {pairs} are nominally parallel: d is fixed at zero, beta (Hayati) is a turn about y after alpha."
+        )
+    yield ""
+
+
+def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
+    """The poses of the base in the sensor frame and of the tool on the flange, where they are estimated."""
+    parts = []
+    if solution.form.frame:
+        parts.append(("Base in the sensor's frame", "frame", np.asarray(solution.model.T_sensor_base)))
+    if solution.form.tool:
+        T_flange_tool = np.linalg.inv(solution.arm.T_joint_flange) @ np.asarray(solution.model.T_flange_tool)
+        parts.append(("Tool on the flange", "tool", T_flange_tool))
+    deviation, names = solution.standard_deviation, solution.form.names
+    for title, prefix, T in parts:
+        yield Text(f"{title} (mm, deg); below each number its standard deviation")
+        table = listing(*SIX)
+        table.columns[0].justify = "right"
+        cells = []
+        for k, (value, axis) in enumerate(zip(frames.row_from_transform(T), TWIST_NAMES, strict=True)):
+            i, (scale, _) = names.index(f"{prefix}_{axis}"), SCREEN["m" if k < 3 else "rad"]
+            held = "held" if deviation is None or not solution.free[i] else f"±{plus_minus(scale * deviation[i])}"
+            cells.append(f"{fixed(scale * value, 3)}\n{held}")
+        table.add_row(*cells)
+        yield table
+        yield ""
+
+
+def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
+    """Data faults, parameters that are held, the noise and outliers, a sentence each."""
+    for fault in solution.faults:
+        rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+        yield f"Data fault: {fault_statement(fault)}{rows}"
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for each in solution.held:
+        groups.setdefault(each.carried_by, []).append(each.name)
+    if groups:
+        yield "Held at their start, because these data do not identify them:"
+    for carried_by, names in groups.items():
+        reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
+        yield f"  {', '.join(names)}: {reason}"
+    if (noise := solution.noise) is not None:
+        found = f"{number(1e3 * noise.position)} mm"
+        if noise.orientation is not None:
+            found += f", {number(np.rad2deg(noise.orientation))} deg"
+        if noise.declared is None or (ratio := noise.over_declared) is None:
+            yield f"Noise per axis: not declared; the residuals have {found}."
+        else:
+            parts = zip(noise.declared, ("m", "rad"), strict=True)
+            told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
+            declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
+            verdict = f"{ratio:.0f} times it: this geometry does not explain the rest"
+            verdict = "as declared" if ratio < ABOVE_NOISE else verdict
+            yield f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}."
+    weight, low = solution.weight, np.flatnonzero(solution.outlying)
+    if not low.size:
+        yield f"No outliers among {len(weight)} samples."
+        return
+    rows = recording.row[low[np.argsort(weight[low])]]
+    named, more = ", ".join(map(str, rows[:_MOST_ROWS])), ", …" if len(rows) > _MOST_ROWS else ""
+    yield f"{len(rows)} of {len(weight)} samples are outliers with weights below {DOWNWEIGHTED:g}: rows {named}{more}."
+
+
+# ------------------------------------------------------------------ comparisons
+
+
+def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
+    """A comparison of arms of one model."""
+    names, form = comparison.names, comparison.arm.form
+    arms = len(names)
+    yield Text(
+        f"{arms} arms of the type {comparison.arm.name}; flange over {comparison.from_nominal.shape[1]} samples."
+    )
+    yield ""
+    yield Text("Distance from nominal (mm)")
+    table = listing("arm", *(name for name, _ in STATISTICS), "file", left=[5], wrapped=[5])
+    for k in range(arms):
+        cells = (f"{1e3 * float(statistic(comparison.from_nominal[k])):.3f}" for _, statistic in STATISTICS)
+        table.add_row(str(k + 1), *cells, Text(names[k], overflow="fold"))
+    yield table
+    yield ""
+    shown = list(range(arms)) if arms <= _MOST_ARMS else []
+    fitting = max(1, (width - 32) // 9)
+    blocks = [shown[i : i + fitting] for i in range(0, len(shown), fitting)] or [[]]
+    for block in blocks:
+        which = f", arms {block[0] + 1}–{block[-1] + 1}" if len(blocks) > 1 else ""
+        yield Text(f"Hayati parameters minus nominal{which}")
+        yield _differences_table(comparison, block)
+        yield ""
+    scale = np.array([SCREEN[unit][0] for unit in form.units])
+    equal = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
+    if equal:
+        yield Text(f"Equal to nominal in every arm: {', '.join(equal)}.")
+    lengths = np.array([unit == "m" for unit in form.units])
+    spread = scale * comparison.spread
+    yield Text(
+        f"Spread between the arms: standard deviation {np.sqrt(np.mean(spread[lengths] ** 2)):.3f} mm and"
+        f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f} deg per parameter (RMS)."
+    )
+    yield from _pairwise_distances(comparison)
+
+
+def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
+    form = comparison.arm.form
+    rows = []
+    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
+        scale, shown = SCREEN[unit]
+        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
+        if largest >= SHOWS_AS_ZERO:
+            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
+            rows.append((name, shown, *own, f"{spread:.4f}", f"{largest:.4f}"))
+    return listing("", "", *(str(k + 1) for k in arms), "std", "largest", rows=rows)
+
+
+def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
+    arms = len(comparison.names)
+    if arms <= _MOST_PAIRS:
+        between = [
+            ["–" if i == j else f"{1e3 * d:.2f}" for j, d in enumerate(row)] for i, row in enumerate(comparison.between)
+        ]
+        numbers = [str(k + 1) for k in range(arms)]
+        yield ""
+        yield Text("Largest distance between two arms' flanges (mm)")
+        yield listing("arm", *numbers, rows=((name, *row) for name, row in zip(numbers, between, strict=True)))
+        return
+    pairs = np.triu_indices(arms, 1)
+    distance = comparison.between[pairs]
+    near, far = int(np.argmin(distance)), int(np.argmax(distance))
+    yield Text(
+        f"Between two arms: {1e3 * distance[near]:.3f} mm at most for the nearest pair"
+        f" ({pairs[0][near] + 1} and {pairs[1][near] + 1}), {1e3 * distance[far]:.3f} mm for the furthest"
+        f" ({pairs[0][far] + 1} and {pairs[1][far] + 1})."
+    )

@@ -1,0 +1,245 @@
+"""What a terminal shows of many recordings: the fits and diagnoses of a folder, and what a fleet has in common."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from lite6jax.fitting.quality import Result
+from lite6jax.folders.diagnoses import DIAGNOSED
+from lite6jax.folders.fleet import Row
+from lite6jax.report.screen import headed, indented
+from lite6jax.report.words import Quantity, counted, listing, number, quantity
+
+Document = Mapping[str, Any]
+
+_DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_verdict", "torque_rms_Nm", 1.0))
+"""With the columns of the verdict and the errors, and the factor to the unit on the screen."""
+_FOUND_BY = {
+    "mean": "by the mean over all recordings",
+    "any": "by the sum of what each recording shows",
+    "drift": "by its change with the date",
+    "one": "in one recording alone",
+}
+_DAYS = 365.25
+"""In a year: what an arm loses in a day has no digit on the screen."""
+_CHANCE = 0.05
+"""Family-wise p-value from which a change is not significant."""
+_NEAR = 6.0
+"""Log-likelihood within which effects are not distinguished."""
+
+
+# ------------------------------------------------------------------ folders
+
+
+def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType]:
+    """Position errors by type of arm, and a line for each file without a usable fit.
+
+    Args:
+        rows: of the files, looked at once.
+        kept: how many of them are of an earlier run that was ended.
+    """
+    groups: dict[tuple[str, str], list[tuple[bool, float | None, float | None]]] = {}
+    bad: list[str] = []
+    count = 0
+    for row in rows:
+        count += 1
+        if row.arm:
+            nominal, checked = (part and 1e3 * part.position_max for part in (row.nominal, row.checked))
+            groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, nominal, checked))
+        if row.failed:
+            bad.append(_with_file(row.file, row.message))
+    yield from _of_earlier_run(kept, count, "fitted")
+    table = listing("arm", "files", "ok", "nominal", "worst", "check")
+    for (kind, arm), group in sorted(groups.items()):
+        nominal = [error for _, error, _ in group if error is not None]
+        checked = [error for _, _, error in group if error is not None]
+        good = sum(converged for converged, _, _ in group)
+        name = arm if kind == "calibration" else f"{arm} (recorded)"
+        errors = (f"{median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked)))
+        table.add_row(name, str(len(group)), str(good), *errors)
+    if groups:
+        yield Text("By type of arm; position errors in mm")
+        yield table
+        yield Text(
+            "nominal, worst: median and largest, over the arms, of the maximum error before the fit;"
+            " check: largest after it."
+        )
+    yield from headed(f"{len(bad)} of {count} files have no usable fit:", bad)
+
+
+def read_diagnoses(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table of diagnoses."""
+    import pyarrow.parquet as pq
+
+    return pq.read_table(path).to_pylist()
+
+
+def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[RenderableType]:
+    """A line for each recording with its verdict, its errors and its findings, and for each that was not diagnosed.
+
+    Args:
+        rows: of `folders.diagnoses.SCHEMA`.
+        kept: how many of them are of an earlier run that was ended.
+    """
+    yield from _of_earlier_run(kept, len(rows), "diagnosed")
+    done = [row for row in rows if row["result"] == DIAGNOSED]
+    table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])
+    for column in table.columns[:2]:
+        column.overflow = "fold"
+    table.columns[1].min_width = len("unexplained")
+    found: list[str] = []
+    for row in done:
+        for domain, verdict, unit, scale in _DOMAINS:
+            if row[verdict] is None:
+                continue
+            errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
+            cells = ("–" if error is None else number(scale * error) for error in errors)
+            name = row["file"] if domain == "poses" or row["verdict"] is None else ""
+            table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
+        if row["findings"]:
+            names = "; ".join(f"{each['effect']} {each['site']}" for each in row["findings"])
+            found.append(f"{row['file']}: {names}")
+    if done:
+        yield table
+        yield Text(
+            "before, after: root mean square of the errors of held-out rows without and with the findings; of poses in"
+            " mm, of torques in N·m."
+        )
+    yield from headed("Findings:", found)
+    left = [row["message"] for row in rows if row["result"] != DIAGNOSED]
+    yield from headed(f"{len(left)} of {len(rows)} recordings were not diagnosed:", left)
+
+
+def _of_earlier_run(kept: int, count: int, done: str) -> Iterator[RenderableType]:
+    if kept:
+        yield Text(
+            f"{kept} of {count} files had been {done} by a run that was ended; their rows are those of that run."
+        )
+
+
+def _with_file(file: str, message: str) -> str:
+    return message if file in message else f"{file}: {message}"
+
+
+# ------------------------------------------------------------------ fleets
+
+
+def population_report(document: Document) -> Iterator[RenderableType]:
+    """The screen report of a fleet's document."""
+    members, effects = document["recordings"], document["effects"]
+    pooled = [member for member in members if member["used"]]
+    over = document["over"] is not None
+    what = f"recordings of one {document['arm']}" if over else f"recordings of {document['arm']} arms"
+    yield Text(f"{len(pooled)} {what} were pooled.")
+    yield Text(_headline(document))
+    for k, effect in enumerate(effects, 1):
+        yield ""
+        yield Text(f"{k}. {title(effect)}: p = {effect['p_value']:.1e}, found {_FOUND_BY[effect['found_by']]}.")
+        if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
+            yield Padding(_parameters(effect), (0, 0, 0, 3))
+        yield from (indented(line, 3) for line in remarks(effect, over))
+    own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
+    alone = [
+        f"{member['file']}: {', '.join(labels)}"
+        for member in pooled
+        if (labels := [one["label"] for one in member["found_alone"] if one["label"] not in own])
+    ]
+    yield from headed("Found in one recording and not in the type:", alone)
+    left = [_with_file(member["file"], member["reason"]) for member in members if not member["used"]]
+    yield from headed(f"{counted(len(left), 'recording')} of {len(members)} not pooled:", left)
+    yield ""
+
+
+def _headline(document: Document) -> str:
+    """What the fleet shows, in a sentence or two."""
+    effects = document["effects"]
+    if not effects:
+        return "No effect is significant over all recordings, and none in one that the others could be compared with."
+    arms = [arm for effect in effects for arm in effect["arms"]]
+    outlying = sorted({arm["file"] for arm in arms if arm["outlier_p_value"] is not None})
+    said = f"{counted(len(effects), 'effect')} found."
+    if outlying:
+        said += f" {', '.join(outlying)} {'differs' if len(outlying) == 1 else 'differ'} from the others."
+    drifting = [e for e in effects if "drift" in e and e["drift"]["p_value"] < document["level"]]
+    return f"{said} {'; '.join(map(title, drifting))}: drifts with the date." if drifting else said
+
+
+def title(effect: Document) -> str:
+    """An effect with its site, and its order or source."""
+    if effect["effect"] == "unnamed":
+        return f"a function of {effect['driver']} without a name, {effect['site']}"
+    name = effect["effect"].replace("_", " ")
+    if "order" in effect:
+        name += f" of order {effect['order']:g}"
+    if "source_joint" in effect:
+        name += f" to joint {effect['source_joint']}"
+    return f"{name}, {effect['site']}"
+
+
+def remarks(effect: Document, over: bool) -> Iterator[str]:
+    """What is said of an effect below its numbers."""
+    if effect["effect"] == "unnamed":
+        nearest = ""
+        if near := effect.get("nearest"):
+            nearest = f"; the nearest, {title(near)}, explains {100 * near['share']:.0f} % of it"
+        yield f"No effect of the catalogue describes it{nearest}."
+        if "curve" in effect:
+            mean = effect["curve"]["mean"]
+            size = {"value": max(mean) - min(mean), "std": 0.0}
+            yield f"The range of its mean: {_shown(effect['curve']['name'], size)}."
+    for name in ("amplitude_rms_rad", "amplitude_rms_Nm"):
+        if name in effect:
+            size = {"value": effect[name], "std": 0.0}
+            yield f"Root mean square of its amplitude over the arms: {_shown(name, size)}."
+    recordings = "recordings" if over else "arms"
+    if effect["between_p_value"] < 0.01:
+        p = effect["between_p_value"]
+        yield f"The {recordings} differ from each other by more than their uncertainty (p = {p:.1e})."
+    for arm in effect["arms"]:
+        if arm["outlier_p_value"] is not None:
+            own = ", ".join(str(quantity(name, each)) for name, each in arm["parameters"].items())
+            said = "" if effect["effect"] == "unnamed" else f": {own}"
+            yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
+    if "drift" in effect and effect["effect"] == "unnamed":
+        yield f"Its change with the date: {_chance(effect['drift']['p_value'])}."
+    elif "drift" in effect:
+        drift = effect["drift"]
+        for name, each in drift["per_day"].items():
+            low, high = (_of_a_year(name, each, bound) for bound in each["interval_95"])
+            shown = _of_a_year(name, each, each["value"])
+            yield (
+                f"Drift of {shown.name} in a year: {shown.value} {shown.unit}, 95 % interval {low.value} to"
+                f" {high.value} ({_chance(drift['p_value'])})."
+            )
+    near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]
+    if near:
+        yield f"Not distinguished from {', '.join(title(rival) for rival in near)}."
+
+
+def _chance(p: float) -> str:
+    """A p-value; one that is no sign of anything is not printed."""
+    return f"p = {p:.1e}" if p < _CHANCE else "not significant"
+
+
+def _parameters(effect: Document) -> RenderableType:
+    table = listing("", "mean", "95 % interval", "between arms", "unit")
+    for name, each in effect["parameters"].items():
+        mean = quantity(name, {"value": each["mean"], "std": each["std"]})
+        low, high = (quantity(name, {"value": v, "std": each["std"]}).value for v in each["interval_95"])
+        between = quantity(name, {"value": each["between_std"], "std": each["std"]}).value
+        table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
+    return table
+
+
+def _of_a_year(name: str, estimate: Mapping[str, float], value: float) -> Quantity:
+    return quantity(name, {"value": _DAYS * value, "std": _DAYS * estimate["std"]})
+
+
+def _shown(name: str, estimate: Mapping[str, float]) -> str:
+    found = quantity(name, estimate)
+    return f"{number(float(found.value))} {found.unit}"

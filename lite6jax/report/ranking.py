@@ -1,0 +1,314 @@
+"""What a diagnosis is worth: its first sentence, its findings ranked by their contributions, and commands to copy.
+
+Contributions are in mm, degrees, Nm or N.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lite6jax.errors import command_line
+from lite6jax.recordings.sources import SUFFIXES
+from lite6jax.report.data_faults import fault_name
+from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.words import capital, plus_minus, torque_units
+
+Document = Mapping[str, Any]
+Entry = Mapping[str, Any]
+
+_SHARE = 0.1
+"""Of the error of positions, below which all findings concern orientations."""
+_NEARLY = 0.05
+"""Family-wise p-value below which an effect that is no finding is said to be nearly significant."""
+
+
+# ------------------------------------------------------------------ what a document is of
+
+
+def of_torques(document: Document) -> bool:
+    """Whether a document is of torques."""
+    return document.get("domain") == "torque"
+
+
+def sliding(document: Document) -> tuple[int, ...]:
+    """The prismatic joints of the diagnosed arm, counted from 0."""
+    return tuple(joint - 1 for joint in document["model"].get("prismatic_joints", ()))
+
+
+def units(document: Document) -> tuple[str, ...]:
+    """Of each joint of a document of torques: Nm, or N of a prismatic one."""
+    return torque_units(sliding(document), len(document["model"]["kinematics"]))
+
+
+def common_unit(document: Document) -> str:
+    """The unit of what all motors exert; empty where revolute and prismatic joints have two."""
+    return "" if len(set(units(document))) > 1 else units(document)[0]
+
+
+def is_computed(document: Document) -> bool:
+    """Whether no sensor measured the poses: the controller computed them from the joints."""
+    found = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
+    return found or document.get("pose_source") == "controller_fk"
+
+
+def is_significant(finding: Entry) -> bool:
+    """Whether a finding was tested by itself; numbers that share a prior are found together."""
+    return bool(finding["p_value"] < _NEARLY)
+
+
+def is_nearly_significant(nearest: Entry | None) -> bool:
+    """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
+    return nearest is not None and nearest["p_value"] < _NEARLY
+
+
+# ------------------------------------------------------------------ contributions
+
+
+class Measure(NamedTuple):
+    """In what findings are ranked.
+
+    Attributes:
+        moves: the key of a finding.
+        error: the key of the root mean square error before and after.
+        scale: from SI units to the unit shown.
+        unit: shown.
+        what: is moved.
+    """
+
+    moves: str
+    error: str
+    scale: float
+    unit: str
+    what: str
+
+
+POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm", "the measured point")
+ORIENTATION = Measure("moves_rms_rad", "heldout_orientation_rms_rad", 180 / np.pi, "deg", "the measured orientation")
+TORQUE = Measure("moves_rms_Nm", "heldout_torque_rms_Nm", 1.0, "Nm", "the torque")
+FORCE = Measure("moves_rms_N", "heldout_torque_rms_N", 1.0, "N", "the force")
+"""Of prismatic joints."""
+
+
+class Bar(NamedTuple):
+    """The contribution of a finding in a chart: its share of the largest, and its size in two digits."""
+
+    share: float
+    size: str
+
+
+def measures_of(document: Document) -> tuple[Measure, ...]:
+    """Millimetres; degrees where no finding moves the measured point, but one turns it; newton metres of torques.
+
+    Of an arm that has prismatic joints also newtons, or these alone: what has no common unit is ranked by its share of
+    the error before.
+    """
+    if of_torques(document):
+        return tuple(measure for measure in (TORQUE, FORCE) if measure.error in document["before"]) or (TORQUE,)
+    moved, turned = (
+        max((_share(document, finding, measure) for finding in document["findings"]), default=0.0)
+        for measure in (POSITION, ORIENTATION)
+    )
+    return (ORIENTATION,) if moved < _SHARE < turned else (POSITION,)
+
+
+def unit_of(document: Document) -> str:
+    """The unit of all contributions; empty where they have several, and each says its own."""
+    measures = measures_of(document)
+    return measures[0].unit if len(measures) == 1 else ""
+
+
+def order(document: Document) -> list[int]:
+    """Places of the findings, from 0, the largest contribution first; by log-likelihood in a document without these."""
+    findings = document["findings"]
+    sizes = _sizes(document) or [finding["log_likelihood_gain"] for finding in findings]
+    return sorted(range(len(findings)), key=lambda k: -sizes[k])
+
+
+def bars(document: Document) -> list[Bar]:
+    """The contribution of each finding in this order; none in a document without contributions."""
+    sizes, alone = _sizes(document), unit_of(document)
+    most = max(sizes, default=0.0) or 1.0
+    return [
+        Bar(sizes[k] / most, contribution(document, document["findings"][k]).removesuffix(f" {alone}"))
+        for k in order(document)
+        if sizes
+    ]
+
+
+def contribution(document: Document, finding: Entry) -> str:
+    """What a finding moves, with its unit: 0.21 mm, or 0.8 Nm and 12 N; empty in a document without this."""
+    pairs = [(finding.get(measure.moves), measure) for measure in measures_of(document)]
+    return " and ".join(_size(measure.scale * moved, measure) for moved, measure in pairs if moved is not None)
+
+
+def _sizes(document: Document) -> list[float]:
+    """By what the findings are ranked: contributions, in shares of the errors where these have several units."""
+    measures, sizes = measures_of(document), []
+    for finding in document["findings"]:
+        moved = [finding[measure.moves] for measure in measures if finding.get(measure.moves) is not None]
+        if not moved:
+            return []
+        sizes.append(moved[0] if len(measures) == 1 else _share(document, finding, _main(document, finding)))
+    return sizes
+
+
+def _share(document: Document, finding: Entry, measure: Measure) -> float:
+    """What a finding moves, over the error before."""
+    before = document["before"].get(measure.error)
+    return (finding.get(measure.moves) or 0.0) / before if before else 0.0
+
+
+def _main(document: Document, finding: Entry) -> Measure:
+    """In what a finding moves most."""
+    return max(measures_of(document), key=lambda measure: _share(document, finding, measure))
+
+
+def _size(value: float, measure: Measure) -> str:
+    return f"{plus_minus(value)} {measure.unit}"
+
+
+# ------------------------------------------------------------------ the first sentence
+
+
+def headline(document: Document) -> str:
+    """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
+    findings, torques = document["findings"], of_torques(document)
+    if not findings:
+        return _nothing_found(document)
+    main = findings[order(document)[0]]
+    measure = _main(document, main)
+    before, after = (_error_at(document, stage, measure, main) for stage in ("before", "after"))
+    of_arm = not torques and all(remedy_of(finding).of_arm for finding in findings)
+    kept = "compensated" if of_arm else "with it in the model"
+    if len(findings) > 1:
+        which = "both" if len(findings) == 2 else f"all {len(findings)}"
+        kept = f"with {which} findings {'compensated' if of_arm else 'in the model'}"
+    noise = f", the {_whose(torques)} noise" if document["verdict"] == "explained" else ""
+    left = f"{kept}, {_size(after, measure)} is left{noise}"
+    cause, moved = capital(cause_of(main, torques)), main.get(measure.moves)
+    if moved is None:
+        return f"{cause}: of {_size(before, measure)}, {left}."
+    if measure.scale * moved > before:
+        return f"{cause}: {_size(measure.scale * moved, measure)}, which others partly cancel; {left}."
+    return f"{cause}: {plus_minus(measure.scale * moved)} of {_size(before, measure)}; {left}."
+
+
+def _error_at(document: Document, stage: str, measure: Measure, finding: Entry) -> float:
+    """The root mean square of held-out errors in the unit shown; of torques at the joints that a finding acts on."""
+    errors, slides = document[stage], document["model"].get("prismatic_joints", ())
+    joints = [joint for joint in finding.get("joints") or () if (joint in slides) == (measure is FORCE)]
+    if measure not in (TORQUE, FORCE) or not joints:
+        return measure.scale * errors[measure.error]
+    by_joint = np.array(errors["heldout_torque_rms_by_joint_Nm"])[np.array(joints) - 1]
+    return float(np.sqrt(np.mean(by_joint**2)))
+
+
+def _whose(torques: bool) -> str:
+    return "sensors'" if torques else "sensor's"
+
+
+def _nothing_found(document: Document) -> str:
+    torques, verdict = of_torques(document), document["verdict"]
+    measures = measures_of(document) if torques else (POSITION,)
+    errors = [_size(measure.scale * document["before"][measure.error], measure) for measure in measures]
+    error = f"{' and '.join(errors)} RMS"
+    if verdict == "consistent" and is_computed(document):
+        return f"The poses are the controller's own computation: the arm's table reproduces them to {error}."
+    key, declared = ("torque_noise_Nm", "torque_Nm") if torques else ("position_noise_m", "position_m")
+    if verdict == "consistent" and document["noise"][f"declared_{declared}"] is None:
+        said = f"no effect is significant, and the error of {error} looks like noise; declare {key} to test this."
+    elif verdict == "consistent":
+        said = f"nothing is missing from the model: the error of {error} is the {_whose(torques)} noise."
+    elif verdict != "undetermined":
+        of = "torques" if torques else "poses"
+        said = f"the error of {error} is not the noise of the {of} alone, and nothing explains it."
+    elif is_nearly_significant(document.get("nearest")):
+        said = f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
+    else:
+        said = f"the recording is too short to tell what the error of {error} is."
+    faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
+    if not faults:
+        return capital(said)
+    names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))
+    have = "a fault" if len(names) == 1 else f"{len(names)} faults"
+    these = "this" if len(faults) == 1 else "these"
+    return f"The data have {have} ({', '.join(names)}); with {these} corrected, {said}"
+
+
+# ------------------------------------------------------------------ what to do
+
+
+class Files(NamedTuple):
+    """The files of a diagnosis, as they were named on the command line.
+
+    Attributes:
+        recording: that was diagnosed.
+        diagnosis: its JSON file; None where it was not written.
+        effects: of effects of the user's own; None where there are none.
+    """
+
+    recording: Path
+    diagnosis: Path | None = None
+    effects: Path | None = None
+
+
+class Step(NamedTuple):
+    """A command to copy: its purpose, a phrase, and the line."""
+
+    purpose: str
+    command: str
+
+
+def actions(document: Document) -> list[tuple[list[int], str]]:
+    """What to do, each once, with the ranks of the findings that it is for."""
+    ranks: dict[str, list[int]] = {}
+    for rank, k in enumerate(order(document), 1):
+        ranks.setdefault(remedy_of(document["findings"][k], of_torques(document)).action, []).append(rank)
+    return [(held, action) for action, held in ranks.items()]
+
+
+def steps(document: Document, files: Files) -> list[Step]:
+    """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
+    recording, findings, torques = files.recording, document["findings"], of_torques(document)
+    named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
+    own = ["--effects", str(files.effects)] if files.effects is not None else []
+    known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")
+    found: list[Step] = []
+
+    def add(purpose: str, *words: object) -> None:
+        found.append(Step(purpose, command_line(*words)))
+
+    def beside(end: str) -> Path:
+        return named.with_name(f"{recording.stem}_{end}")
+
+    if files.diagnosis is None:
+        add("keep this diagnosis", "diagnose", recording, *own, "--out", named)
+    if torques and findings and known:
+        if table:
+            purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
+            add(purpose, "predict", named, recording, *own, "--out", beside("predicted.csv"))
+        add("the arm with what was found, for a simulator", "convert", named, beside("arm.urdf"), *own)
+    if not torques and known and table and any(remedy_of(finding).of_arm for finding in findings):
+        play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
+        side = ["--approach", "1"] if play else []
+        purpose = "joint positions that reach these poses; give a table of your own targets in their place"
+        add(purpose, "compensate", named, recording, *side, *own, "--out", beside("compensated.csv"))
+    if not torques and any(remedy_of(finding).of_geometry for finding in findings):
+        add("recalibrate", "fit", recording, "--geometry", "free", "--out", beside("table.json"))
+    if known and recording.suffix.lower() in SUFFIXES:
+        shown = [] if recording.parent in (named.parent, Path()) else [recording]  # where `view` finds it
+        add("the arm and its errors in the browser", "view", named, *shown, *own)
+    add("a certificate, one page", "report", named, "--certificate", named.with_suffix(".pdf"))
+    return found
+
+
+def _known(document: Document, own: Sequence[str]) -> bool:
+    """Whether the model can be read, which effects of the user's own take their file for."""
+    # a look at a table, which has next steps too, takes no effects
+    from lite6jax.effects.catalogue import BUILT_IN
+    from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
+
+    known = OF_TORQUES if of_torques(document) else BUILT_IN
+    return bool(own) or all(finding["effect"] in known for finding in document["findings"])

@@ -1,0 +1,323 @@
+"""The page of a diagnosis says all that was found, in words and units, needs no other file, and is safe to open."""
+
+import base64
+import re
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosed import COMPLIANCE, HARMONIC, Reader, diagnosed, documented
+from matplotlib.image import imread
+from torque_diagnosed import COULOMB, LITE6, VISCOUS, moved
+from torque_diagnosed import diagnosed as torques_diagnosed
+from torque_diagnosed import recorded as torques_recorded
+
+import lite6jax
+from lite6jax.cli import main
+from lite6jax.diagnosis import torque_curves
+from lite6jax.diagnosis.evidence_map import explained_shares
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.errors import InputError
+from lite6jax.recordings import write_recording
+from lite6jax.report import canvas, ranking
+from lite6jax.report.diagnosis_figures import NAMES, TORQUE_NAMES, drawings
+from lite6jax.report.pages import diagnosis_page
+from lite6jax.report.ranking import Files
+
+DOMAINS = ("poses", "torques")
+both_domains = pytest.mark.parametrize("domain", DOMAINS)
+
+
+@pytest.fixture(scope="module")
+def shown(found, motors):
+    """By domain a diagnosis, its figures and its page."""
+    made = {}
+    for domain, one in zip(DOMAINS, (found, motors), strict=True):
+        figures = dict(drawings(one, "run.csv"))
+        made[domain] = one, figures, diagnosis_page(one, documented(one), "folder/run.csv", figures)
+    return made
+
+
+def text_of(html):
+    page = Reader(html)
+    assert page.open == []
+    return " ".join(page.text.split())
+
+
+def paged(found):
+    return text_of(diagnosis_page(found, documented(found), "run.csv", dict(drawings(found, "run.csv"))))
+
+
+def row_of(pattern, text):
+    """The numbers of a row of a table."""
+    seen = re.search(pattern, text)
+    assert seen, pattern
+    return [float(number) for number in seen.groups()]
+
+
+# ------------------------------------------------------------------ both domains
+
+
+@both_domains
+def test_the_page_is_one_file(shown, domain):
+    html = shown[domain][2]
+    page = Reader(html)
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+    assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed", "base"}
+    assert "url(" not in html
+    assert "@import" not in html
+    pictures = [attributes for tag, attributes in page.tags if tag == "img"]
+    assert len(pictures) == 4 + 2
+    for attributes in pictures:
+        kind, _, data = attributes["src"].partition("base64,")
+        assert kind == "data:image/png;"
+        assert attributes["alt"].endswith(".")
+        assert imread(BytesIO(base64.b64decode(data))).ndim == 3
+    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+
+
+@both_domains
+@pytest.mark.usefixtures("unpainted")
+def test_names_are_text(shown, domain):
+    found, drawn, _ = shown[domain]
+    hostile = "<script>alert('1')</script>\"><img src=x onerror=alert(1)>{{ 7*7 }}.csv"
+    html = diagnosis_page(found, documented(found), hostile, drawn)
+    page = Reader(html)
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert "49" not in page.text.split(".csv")[0]
+    assert hostile in page.text
+    assert "<script" not in html
+
+
+@both_domains
+@pytest.mark.usefixtures("unpainted")
+def test_nothing_missing(clean, domain):
+    found = clean if domain == "poses" else torques_diagnosed(torques_recorded(friction=False))
+    drawn = dict(drawings(found, "run.csv"))
+    names, said = {
+        "poses": (NAMES, "Consistent: the model of the arm and the sensor's noise explain the recording."),
+        "torques": (TORQUE_NAMES, "Consistent: the inverse dynamics of the declared arm and the sensors' noise"),
+    }[domain]
+    assert list(drawn) == [name for name in names if name != "findings"]
+    html = diagnosis_page(found, documented(found), "run.csv", drawn)
+    text = text_of(html)
+    assert text.count(said) == 1
+    assert "None: no effect of the catalogue" in text
+    assert "Data faults None found." in text
+    assert html.count("<img") == 4
+    if domain == "torques":
+        panels = drawn["friction"].axes
+        assert [panel.texts[0].get_text() for panel in panels] == ["no friction over velocity found"] * 6
+    else:
+        shares = explained_shares(found).shares
+        assert np.nanmax(shares) < 0.2
+        assert np.nanmedian(shares) < 0.02
+
+
+@both_domains
+@pytest.mark.usefixtures("unpainted")
+def test_the_command_writes_both(tmp_path, recorded, motors, monkeypatch, capsys, domain):
+    recording, effects = recorded(COMPLIANCE)
+    found, search, names = diagnosed(recording, effects), "lite6jax.diagnosis.diagnose.diagnose", NAMES
+    if domain == "torques":
+        recording, search = torques_recorded(), "lite6jax.diagnosis.torque_diagnosis.diagnose_torques"
+        found, names = motors, TORQUE_NAMES
+    run = write_recording(recording, tmp_path / "<b>run.csv")
+    monkeypatch.setattr(search, lambda *_, **__: found)
+    out, report, figures = (str(tmp_path / name) for name in ("d.json", "r.html", "figures"))
+    assert main(["diagnose", str(run), "--out", out, "--report", report, "--figures", figures]) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert "&lt;b&gt;run.csv" in page
+    assert "<b>" not in page
+    written = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert written == {f"<b>run_{name}{suffix}" for name in names for suffix in canvas.SUFFIXES}
+    said = capsys.readouterr().out
+    assert "r.html" in said
+    assert "<b>run_error_by_joint.png" in said
+
+    def never(*_, **__):
+        raise AssertionError("checked before long work")
+
+    monkeypatch.setattr(search, never)
+    others = ["diagnose", str(run), "--out", str(tmp_path / "e.json")]
+    for more, message in (
+        (["--report", report], "r.html: exists already; choose another name or add --force"),
+        (["--report", str(tmp_path / "r.pdf")], "r.pdf: what is written here is html; let the name end in .html"),
+        (["--figures", figures], "run_error_by_joint.png: exists already"),
+    ):
+        assert main([*others, *more]) == 2
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "e.json").exists()
+
+
+# ------------------------------------------------------------------ poses
+
+
+def test_all_that_was_found_is_said(shown):
+    found, _, html = shown["poses"]
+    text = text_of(html)
+    assert [tag for tag, _ in Reader(html).tags].count("h1") == 1
+    assert text.index("Explained: with the effects below") < text.index("held-out position error")
+    kept = ~found.outliers
+    for errors in (found.before, found.after):
+        mm = 1e3 * errors[kept]
+        for value in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max()):
+            assert f"{value:.4f}" in text
+    assert f"{kept.sum()} rows" in text
+    first = "1. Joint compliance at joint2 Joint compliance at joint2, a function of the gravity torque of joint 2"
+    assert first in text
+    assert "2. Joint harmonic of order 2 at joint1" in text
+    compliance, std = 1e6 * found.fit.values[0], 1e6 * np.sqrt(found.fit.covariance[0, 0])
+    value, deviation = row_of(r"compliance ([\d.]+) ([\d.]+) µrad/Nm", text)
+    assert value == pytest.approx(compliance, abs=std)
+    assert deviation == pytest.approx(std, rel=0.06)
+    assert re.search(r"order 2 – amplitude 0\.\d+ 0\.\d+ mrad phase \d+\.\d+ \d\.\d+ deg", text)
+    assert "Family-wise p-value 1.0e-09 over all effects, sites and orders searched." in text
+    assert "This recording does not distinguish it from: joint compliance at joint2 (log-likelihood -1.5)" in text
+    assert "rejected: joint compliance at joint2 (log-likelihood -44.0)" in text
+    assert "2 rows are outliers" in text
+    assert ", ".join(map(str, found.problem.recording.row[[3, 5]])) in text
+    assert "0.0200 mm is declared" in text
+
+
+def test_the_same_diagnosis_gives_the_same_page(shown):
+    found, _, html = shown["poses"]
+    again = dict(drawings(found, "run.csv"))
+    assert diagnosis_page(found, documented(found), "folder/run.csv", again) == html
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_physics_without_a_name(recorded):
+    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, 8)
+    text = paged(diagnosed(recorded(HARMONIC)[0], (curve,)))
+    assert "Unnamed: no effect of the catalogue explains the largest effect that was found." in text
+    assert "1. Unnamed effect at joint1, a smooth curve over its position" in text
+    assert "explains an effect at joint1, a function of the position of joint 1: a smooth curve, peak to peak" in text
+    assert "coefficient" not in text
+    swing, std = row_of(r"unit peak to peak ([\d.]+) ([\d.]+) mrad", text)
+    assert swing == pytest.approx(0.8, abs=4 * std)  # twice the amplitude
+    assert std < 0.1
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_what_was_ruled_out_is_folded_and_commands_stand_on_the_page(shown):
+    found, drawn, _ = shown["poses"]
+    html = diagnosis_page(found, documented(found), "run.csv", drawn, Files(Path("my run.csv"), Path("d.json")))
+    folded = html[html.index("<details>") : html.index("</details>")]
+    assert "Effects not tested" in folded
+    assert "Effects not tested" not in html.replace(folded, "")
+    text = text_of(html)
+    assert "lite6jax compensate d.json 'my run.csv' --out 'my run_compensated.csv'" in text
+    assert text.index("Joint 2 gives way to gravity: ") < text.index("Explained: ")
+    widths = [float(width) for width in re.findall(r'class="bar"><span style="width: ([\d.]+)%"', html)]
+    assert widths[0] == 100 > widths[1]
+
+
+# ------------------------------------------------------------------ torques
+
+
+def test_the_cause_comes_first_and_all_that_was_found_is_said(shown):
+    found, _, html = shown["torques"]
+    text, document = text_of(html), documented(found)
+    said = ranking.headline(document)
+    assert said.startswith("Joint 2 rubs ")
+    assert text.index(said) < text.index("Explained: ") < text.index("What each finding moves")
+    for joint in range(6):
+        pair = (np.sqrt(np.mean(errors[joint] ** 2)) for errors in (found.before, found.after))
+        assert "joint {}, RMS {:.3g} {:.3g}".format(joint + 1, *pair) in text
+    for finding in document["findings"]:
+        assert finding["statement"] in text
+    for name, unit, truth in (("viscous", "Nm·s/rad", VISCOUS), ("coulomb", "Nm ", COULOMB)):
+        value, std = row_of(rf"{name} ([\d.]+) ([\d.]+) {unit}", text)
+        assert value == pytest.approx(truth, abs=5 * std)
+    assert "not distinguish it from: torque offset at joint1" in text
+    assert "rejected: torque offset at joint6" in text
+    assert document["data_faults"][0]["statement"] in text
+    assert "Rows 7, 9." in text
+    assert "0.06, 0.08, 0.05, 0.02, 0.02, 0.015 Nm are declared" in text
+    assert "friction temperature at joint1–6" in text  # not tested: no temperatures
+
+
+@pytest.mark.usefixtures("unpainted")
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
+    _, q, dq, _ = moved()
+    bump = 0.8 * np.exp(-(((q[1] - q[1].mean()) / 0.25) ** 2))
+    extra = np.zeros_like(q)
+    extra[1] = bump * np.sign(dq[1]) if signed else bump
+    curve = UnnamedTorque(2, "position of joint 2", float(q[1].min()), float(q[1].max()), 10, signed)
+    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (curve,))
+    shown = torque_curves.finding_curve(found, 0)
+    planted = 0.8 * np.exp(-(((shown.at - q[1].mean()) / 0.25) ** 2))
+    assert np.sqrt(np.mean((shown.curve - planted) ** 2)) < 0.05
+    near = np.interp(shown.driver, shown.at, shown.curve)
+    assert np.corrcoef(near, shown.partial)[0, 1] > 0.9
+    text = paged(found)
+    times = ", multiplied by the direction of motion" if signed else ""
+    of = f"a torque at joint2 that is a function of the position of joint 2{times}"
+    assert "Joint 2 has a torque that no effect of the catalogue names: " in text
+    assert f"No effect of the catalogue explains {of}: it contributes " in text
+    assert "peak to peak" in text
+    assert not re.search(r"coefficient|level|step\d", text)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_a_curve_that_names_nearly_describe_says_so():
+    _, q, dq, _ = moved()
+    extra = np.zeros_like(q)
+    extra[1] = np.sign(dq[1]) * (2.0 + 1.5 * np.abs(dq[1]) ** 1.5)
+    curve = UnnamedTorque(2, "speed of joint 2", 0.0, float(np.abs(dq[1]).max()), 4, signed=True)
+    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (curve,))
+    described = found.to_dict()["findings"][0]["described_by"]
+    A = np.stack([dq[1], np.sign(dq[1])], 1)  # filtering changes both sides alike, but for the ends and the jumps
+    viscous, coulomb = np.linalg.lstsq(A, extra[1], rcond=None)[0]
+    numbers = {entry["effect"]: next(iter(entry["parameters"].values())) for entry in described["effects"]}
+    assert numbers == {
+        "viscous_friction": pytest.approx(viscous, abs=0.1),
+        "coulomb_friction": pytest.approx(coulomb, abs=0.1),
+    }
+    left = extra[1] - A @ (viscous, coulomb)
+    assert described["share"] == pytest.approx(1 - np.sum(left**2) / np.sum(extra[1] ** 2), abs=0.01)
+    text, share = paged(found), f"{100 * described['share']:.0f} %"
+    assert f"Joint 2 has a torque that viscous friction and Coulomb friction describe to {share}: " in text
+    sizes = r"Viscous friction of \d.\d+ Nm·s/rad and Coulomb friction of \d.\d+ Nm"
+    assert re.search(f"{sizes} would give {share} of its mean square", text)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
+    _, q, dq, _ = moved()
+    further = (float(dq[1].min()), float(dq[1].max()))
+    drivers = "position of joint 2 and velocity of joint 2"
+    curve = UnnamedTorque(2, drivers, float(q[1].min()), float(q[1].max()), degree=2, further=further)
+    found = torques_diagnosed(torques_recorded(), (curve,))
+    shown = torque_curves.finding_curve(found, 0)
+    assert shown.hysteresis
+    assert shown.at.shape == shown.curve.shape == shown.partial.shape
+    assert "position of joint 2 and the velocity of joint 2" in paged(found)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_without_declared_noise():
+    text = paged(torques_diagnosed(torques_recorded(declared=False), (ViscousFriction(2), CoulombFriction(2))))
+    assert "the sidecar declares no torque_noise_Nm" in text
+    assert "none is declared" in text
+
+
+def test_a_summary_is_sentences_and_a_table(motors):
+    text = motors.summary()
+    assert text.startswith("Joint 2 rubs ")
+    assert re.search(r"viscous 2\.0\d* ± 0\.\d+ Nm·s/rad", text)
+    assert text.endswith(".")
+    table = motors._repr_html_()
+    assert table.count("<tr>") == 7
+    assert "held-out torque error before, of each joint (Nm RMS)" in table
+    assert not re.search(r"https?:|src=|href=|style|script", table)
+
+
+def test_poses_and_torques_have_functions_of_their_own():
+    with pytest.raises(InputError, match=r"has torques and no poses; call lite6jax\.diagnose_torques$"):
+        lite6jax.diagnose(torques_recorded(), LITE6)
