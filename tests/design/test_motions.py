@@ -27,7 +27,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
-from lite6jax.report.torque_study_tables import torque_plan_report
+from lite6jax.report.study import torque_plan_report
 from tests.design.test_torques import chain, with_friction
 from tests.oracles.chains import six_parameter_poses
 

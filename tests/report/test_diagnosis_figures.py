@@ -12,8 +12,9 @@ from torque_diagnosed import COULOMB, EFFECTS, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
-from lite6jax.diagnosis import evidence_map, torque_curves
+from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.evidence_map import explained_shares
+from lite6jax.diagnosis.partial_residuals import finding_curves
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report.canvas import medians
 from lite6jax.report.diagnosis_figures import drawings, explained_map, finding_figure, order_spectrum
@@ -274,7 +275,7 @@ def test_torques_over_time(motors, motors_drawn):
     assert figure.legends[0].get_texts()[0].get_text() == "measured"
     measured, rigid, modelled = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.sqrt(np.mean((measured - rigid) ** 2)) > 10 * np.sqrt(np.mean((measured - modelled) ** 2))
-    shown = torque_curves.torques_over_time(motors)
+    shown = evidence_map.torques_over_time(motors)
     at = np.searchsorted(np.asarray(motors.problem.data.time), shown.time[0])
     np.testing.assert_allclose(shown.measured, motors.problem.measured[:, at : at + len(shown.time)])
 
@@ -283,7 +284,7 @@ def test_friction_is_a_line_through_what_is_left(motors, motors_drawn):
     def planted(velocity):
         return VISCOUS * velocity + COULOMB * np.sign(velocity)
 
-    friction = torque_curves.joint_frictions(motors)[1]
+    friction = evidence_map.joint_frictions(motors)[1]
     away = np.abs(friction.at) > 0.05
     np.testing.assert_allclose(friction.friction[away], planted(friction.at[away]), atol=0.05)
     moving = np.abs(friction.velocity) > 0.1
@@ -302,6 +303,6 @@ def test_every_kind_of_finding_draws():
         *("position of joint 4 (deg)", "position of joint 5 (deg)"),
     ]
     assert all(re.fullmatch(r"fitted torque at joint \d \(Nm\)", label) for label in labels[6:])
-    for curve in (torque_curves.finding_curve(found, k) for k in range(len(EFFECTS))):
+    for (curve,) in (finding_curves(found, k) for k in range(len(EFFECTS))):
         assert np.isfinite(np.concatenate([curve.driver, curve.partial, curve.at, curve.curve, curve.std])).all()
         assert np.all(np.diff(curve.at) >= 0)

@@ -15,8 +15,8 @@ from torque_diagnosed import recorded as torques_recorded
 
 import lite6jax
 from lite6jax.cli import main
-from lite6jax.diagnosis import torque_curves
 from lite6jax.diagnosis.evidence_map import explained_shares
+from lite6jax.diagnosis.partial_residuals import finding_curves
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.nonparametric import Unnamed
@@ -250,7 +250,7 @@ def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     extra[1] = bump * np.sign(dq[1]) if signed else bump
     curve = UnnamedTorque(2, "position of joint 2", float(q[1].min()), float(q[1].max()), 10, signed)
     found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (curve,))
-    shown = torque_curves.finding_curve(found, 0)
+    (shown,) = finding_curves(found, 0)
     planted = 0.8 * np.exp(-(((shown.at - q[1].mean()) / 0.25) ** 2))
     assert np.sqrt(np.mean((shown.curve - planted) ** 2)) < 0.05
     near = np.interp(shown.driver, shown.at, shown.curve)
@@ -294,7 +294,7 @@ def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
     drivers = "position of joint 2 and velocity of joint 2"
     curve = UnnamedTorque(2, drivers, float(q[1].min()), float(q[1].max()), degree=2, further=further)
     found = torques_diagnosed(torques_recorded(), (curve,))
-    shown = torque_curves.finding_curve(found, 0)
+    (shown,) = finding_curves(found, 0)
     assert shown.hysteresis
     assert shown.at.shape == shown.curve.shape == shown.partial.shape
     assert "position of joint 2 and the velocity of joint 2" in paged(found)
