@@ -27,7 +27,7 @@ from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
+from lite6jax.fitting.residual import BLOCK, pad, predict_frames, step_order, twist_columns
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.units import real_array
@@ -404,5 +404,5 @@ def recording_experiment(recording: Recording, arm: Arm | None = None, geometry:
         )
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"
-    sensor = Sensor(quantity, position, orientation, joint_noise=problem.joint_noise)
+    sensor = Sensor(quantity, position, orientation, joint_noise=recording.settings.joint_noise_rad)
     return experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)

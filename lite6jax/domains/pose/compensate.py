@@ -388,8 +388,8 @@ class _Search:
             unsolved[tried[_reached(solved)]] = False
             if not unsolved.any():
                 break
-        rows, positions, costs = (np.concatenate(each) for each in (where, q, cost))
-        return _least_motion(rows, positions, costs, at, given, self._usual())
+        positions, costs = np.concatenate(q), np.concatenate(cost)
+        return _least_motion(np.concatenate(where), positions, costs, at, given, self._usual())
 
     def settle(self, q: Array) -> tuple[Solved, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.

@@ -145,12 +145,14 @@ def alike(a: Hypothesis, b: Hypothesis) -> bool:
     """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
     if kinds(a) != kinds(b):
         return False
-    zeros, gravity = (
-        [{c.joints: get(c) for c in h if c.code in codes} for h in (a, b)]
-        for codes, get in ((("joint_zero",), lambda c: c.value), (GRAVITY, lambda c: np.array(c.gravity)))
-    )
-    same = [np.linalg.norm(g - gravity[1][k]) <= _SAME_GRAVITY * np.linalg.norm(g) for k, g in gravity[0].items()]
-    return all(same) and all(abs(turned_back(v - zeros[1][j])) < STEP for j, v in zeros[0].items())
+    for one in a:
+        other = next(c for c in b if (c.code, c.joints) == (one.code, one.joints))
+        if one.code == "joint_zero" and abs(turned_back(one.value - other.value)) >= STEP:
+            return False
+        apart = np.linalg.norm(np.subtract(one.gravity, other.gravity))
+        if one.gravity and apart > _SAME_GRAVITY * np.linalg.norm(one.gravity):
+            return False
+    return True
 
 
 def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
