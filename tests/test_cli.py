@@ -522,7 +522,7 @@ def test_fleet_refuses_what_is_no_folder(capsys, tmp_path, calibration):
 
 
 def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path, calibration):
-    def stumble(path, nominal):
+    def stumble(path):
         raise ZeroDivisionError("division\nby zero")
 
     monkeypatch.setattr(fit, "_read", stumble)

@@ -16,11 +16,15 @@ from benchmarks.ending import DONE, UNUSABLE
 from benchmarks.torque_trials import command, plans, report, scores, trials
 from benchmarks.torque_trials.campaign import SCHEMA, TORQUES
 
+CONTACT = next(
+    i for i in plans.indices(4, 30, "faulty") if plans.draw_plan(4, i, np.random.default_rng(0)).fault == "contact"
+)
+
 
 @pytest.fixture(scope="module")
 def truths():
-    """Of two trials of each kind."""
-    return [trials.draw(4, index).truth for kind in plans.KINDS for index in plans.indices(4, 2, kind)]
+    """Of two trials of each kind, and of a contact."""
+    return [trials.draw(4, i).truth for i in [*(i for kind in plans.KINDS for i in plans.indices(4, 2, kind)), CONTACT]]
 
 
 def rows_of(truths, answer, off=0.0):
@@ -35,7 +39,13 @@ def met(rows):
 def a_truth(*hidden, kind="single", **more):
     base = {"seed": 0, "index": 0, "kind": kind, "engine": "plain", "arm": "lite6", "inertial": "declared"}
     base |= {"source": "torque", "noise": "white", "edge": "", "fault": "", "sealed": False, "rows": 1000}
-    base |= {"sizes": [2.0] if hidden else [], "hidden": list(hidden), "fault_rows": [], "fault_joints": []}
+    base |= {
+        "sizes": [2.0] if hidden else [],
+        "hidden": list(hidden),
+        "fault_rows": [],
+        "fault_joints": [],
+        "fault_numbers": {},
+    }
     base |= {"unseen_bound_Nm": 0.01}
     return base | {"unseen_torque_Nm": [[1.0, 2.0], [3.0, 4.0]]} | more
 
@@ -68,7 +78,7 @@ def test_an_oracle_is_right_in_every_trial(truths):
         assert row["unseen_Nm"] == pytest.approx(0, abs=1e-12)
         nameless = any(effect.get("nameless") for effect in truth["hidden"])
         assert row["exact"] == (not nameless)
-        assert row["fault_found"] == bool(truth["fault"])
+        assert row["fault_found"] == bool(truth["fault"]) or truth["fault"] == "torque_unit"  # which is refused
     assert scores.covered(rows).value > 0.5
 
 
@@ -169,6 +179,33 @@ def test_a_wrong_column_is_found_by_its_joints():
     ]
 
 
+@pytest.mark.parametrize(
+    ("fault", "numbers", "said", "right"),
+    [
+        ("joint_zero", {"added_rad": -3.1}, {"joint": 2, "added_rad": 3.15}, True),
+        ("joint_zero", {"added_rad": 0.5}, {"joint": 2, "added_rad": 0.7}, False),
+        ("joint_zero", {"added_rad": 0.5}, {"joint": 3, "added_rad": 0.5}, False),
+        ("wrong_torque_constant", {"factors": [4.0]}, {"joints": [2], "factors": [3.8]}, True),
+        ("wrong_torque_constant", {"factors": [4.0]}, {"joints": [2], "factors": [2.0]}, False),
+    ],
+)
+def test_a_fault_is_said_with_its_size_or_among_its_like(fault, numbers, said, right):
+    truth = a_truth(kind="faulty", fault=fault, fault_joints=[2], fault_numbers=numbers)
+    alone = {"fault": fault, "rows": [], "numbers": said}
+    listed = {"fault": "undecided_torques", "rows": [], "numbers": {"alternatives": [[{"fault": fault} | said]]}}
+    for given in (alone, listed):
+        assert judged(truth, faults=[given])["fault_found"] is right
+
+
+def test_another_unit_is_refused_and_a_heavy_link_is_absurd():
+    unit = a_truth(kind="faulty", fault="torque_unit", fault_joints=[1, 2], fault_numbers={"factors": [1e3, 1e3]})
+    assert scores.scored(unit, None, None, 1.0, "InputError: they are in another unit")["fault_found"]
+    assert not scores.scored(unit, None, None, 1.0, "InputError: no times")["fault_found"]
+    for mass, absurd in ((0.2, False), (13.0, True)):
+        heavy = a_finding("link_mass", "link3", {"mass_kg": {"value": mass, "std": 0.1}})
+        assert judged(a_truth(kind="clean"), heavy)["absurd"] is absurd
+
+
 def test_a_trial_without_an_answer_counts_as_wrong():
     row = scores.scored(a_truth(FRICTION), None, None, 2.0, "InputError: no")
     assert (row["exact"], row["found"], row["unseen_Nm"], row["honest"]) == (False, False, None, None)
@@ -200,7 +237,13 @@ def test_tables_and_stories_are_told_of_every_kind(truths):
     titles = [title for title, *_ in report.sections(rows)]
     assert titles == [
         *("Goals", "Nothing hidden", "One effect hidden, by size", "One effect hidden, twice the threshold or more"),
-        *("Several hidden", "Outside the catalogue", "Contacts", "Numbers, from four thresholds on", "Unseen motion"),
+        *(
+            "Several hidden",
+            "Outside the catalogue",
+            "Something wrong",
+            "Numbers, from four thresholds on",
+            "Unseen motion",
+        ),
         "The run",
     ]
     assert "| false alarms, upper end of the interval: 1 % |" in tables.markdown(report.sections(rows))
@@ -247,7 +290,7 @@ def test_the_diagnosis_is_given_no_truth_and_a_touched_one_is_not_opened(tmp_pat
 
 
 def test_trials_are_exported_with_their_truth(tmp_path, capsys):
-    arguments = ["torque", "--seed", "4", "--trials", "1", "--kind", "faulty", "--export", str(tmp_path)]
+    arguments = ["torque", "--seed", "4", "--trial", str(CONTACT), "--export", str(tmp_path)]
     assert harness.main(arguments) == DONE
     (case,) = tmp_path.iterdir()
     assert str(case.name) in capsys.readouterr().out.replace("\n", "")

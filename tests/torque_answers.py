@@ -42,7 +42,8 @@ def the_oracle(truth, rng):
                 "std": bound,
             }
         findings.append(a_finding(effect["effect"], effect["site"], said))
-    numbers = {"joints": truth["fault_joints"]}
+    wanted = truth["fault_numbers"]
+    numbers = {"joints": truth["fault_joints"]} | wanted | {"found_m_per_s2": wanted.get("gravity_m_per_s2")}
     faults = [{"fault": truth["fault"], "rows": truth["fault_rows"], "numbers": numbers}] if truth["fault"] else []
     return a_document(findings, faults, after=0.5 if findings else 1.0)
 
@@ -52,10 +53,12 @@ def nothing_said(truth, rng):
 
 
 def wrongly_named(truth, rng):
-    """A friction at the first joint that is not hidden, whatever is."""
-    sites = {effect["site"] for effect in truth["hidden"]}
-    site = next(f"joint{k}" for k in range(1, 7) if f"joint{k}" not in sites)
-    return a_document([a_finding("viscous_friction", site, {"viscous_Nm_s_per_rad": {"value": 1.0, "std": 0.1}})])
+    """A spring or a friction at the first joint, whichever is not hidden there."""
+    there = {effect["effect"] for effect in truth["hidden"] if effect["site"] == "joint1"}
+    name, number = ("viscous_friction", "viscous_Nm_s_per_rad")
+    if name in there:
+        name, number = ("joint_spring", "stiffness_Nm_per_rad")
+    return a_document([a_finding(name, "joint1", {number: {"value": 1.0, "std": 0.1}})])
 
 
 def the_prediction(truth, off=0.0):

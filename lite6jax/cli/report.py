@@ -93,7 +93,7 @@ class Report:
 
 def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     """What adds the sentences to a document, and what makes the screen report of it then; refuses a damaged one."""
-    from lite6jax.diagnosis.document import check_document, is_of_torques
+    from lite6jax.diagnosis.document import check_document
     from lite6jax.populations.schema import check_fleet_document, is_of_fleet
 
     if is_of_fleet(document):
@@ -104,10 +104,7 @@ def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     from lite6jax.report.sections import diagnosis_report
     from lite6jax.report.statements import with_statements
 
-    if not is_of_torques(document):
-        check_document(document, diagnosis)
-    if is_of_torques(document) or "torques" in document:
-        check_torque_document(document, diagnosis)
+    check_document(document, diagnosis)
     return with_statements, diagnosis_report
 
 

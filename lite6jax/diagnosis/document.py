@@ -405,7 +405,11 @@ def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm
 
 
 def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
-    """The model of the torques in a diagnosis file, of torques or of poses and torques; otherwise as `read_model`."""
+    """The model of the torques in a diagnosis file, of torques or of poses and torques; otherwise as `read_model`.
+
+    Raises:
+        InputError: as `read_model`; a diagnosis of poses alone.
+    """
     document = parsed_document(path)
     model = torque_model_from_document(document, effects, str(path))
     check_sum(document, path)

@@ -163,7 +163,11 @@ def test_uneven_times_are_made_even_and_said(arm, reason):
     (fault,) = [fault for fault in found.faults if fault.code == "uneven_times"]
     assert fault.numbers["reason"] == reason
     assert fault.numbers["rate_Hz"] == pytest.approx(50, rel=0.05)
-    assert set(numbers(found)) == {CoulombFriction(1), ViscousFriction(1)}
+    friction = {type(effect): (effect, values) for effect, values in numbers(found).items()}
+    assert set(friction) == {CoulombFriction, ViscousFriction}
+    coulomb, values = friction[CoulombFriction]
+    assert coulomb.transition_rad_per_s <= 0.02  # interpolation passes a reversal in steps of a fiftieth of a second
+    assert values["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
     (said,) = [one["statement"] for one in with_statements(found.to_dict())["data_faults"]]
     assert ("resampled to" if reason == "samples" else "the stamps jitter") in said
 
