@@ -1,6 +1,6 @@
 """The nominal arm: its chain, limits, inertia, friction and flange by design."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -176,6 +176,10 @@ class Arm:
     def dof(self) -> int:
         """The number of joints."""
         return len(self.kinematics)
+
+    def __getstate__(self) -> dict[str, object]:
+        """The fields alone: a pickle does not depend on what has been computed of an arm."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
