@@ -2,8 +2,8 @@
 
 Where many effects are missing at once, their residuals inflate the estimate of autocorrelated noise, which masks each
 of them, and forward selection ends early. The noise is therefore estimated from the residuals of the saturated model,
-and terms are removed one by one as long as what they explain is not significant in that noise (Efroymson's backward
-elimination, in generalised least squares).
+and terms are removed one by one as long as what they explain is not significant in that noise (backward elimination in
+generalised least squares).
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ _STEPS = 6
 def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
     """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
 
-    It does where they are few, and are not what most sites have.
+    It does unless they are more than `most_terms`, or usual terms gain more than `together` at over half of the sites.
 
     Args:
         problem: the data.

@@ -137,7 +137,7 @@ def faults_in(hypothesis: Hypothesis) -> int:
 
 
 def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...]]]:
-    """Its changes without how far a zero is off, how large a constant is, and where gravity points."""
+    """Its changes by code and joints alone, without their numbers."""
     return {(c.code, c.joints) for c in hypothesis}
 
 
@@ -148,6 +148,8 @@ def alike(a: Hypothesis, b: Hypothesis) -> bool:
     for one in a:
         other = next(c for c in b if (c.code, c.joints) == (one.code, one.joints))
         if one.code == "joint_zero" and abs(turned_back(one.value - other.value)) >= STEP:
+            return False
+        if one.code == "coupled_joint" and one.value != other.value:
             return False
         apart = np.linalg.norm(np.subtract(one.gravity, other.gravity))
         if one.gravity and apart > _SAME_GRAVITY * np.linalg.norm(one.gravity):

@@ -177,8 +177,10 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
             "to interpolate this motion; record at a constant rate, or move slower"
         )
     at = [np.arange(float(time[r.start]), float(time[r.stop - 1]), step) for r in parts]
-    doubt = np.concatenate([_from_neighbours(recording.torques()[r], time[r]) for r in parts])
-    numbers = said | {"gaps": int(gaps.sum()), "rms_Nm": np.sqrt(np.mean(doubt**2, 0)).tolist()}
+    numbers = said | {"gaps": int(gaps.sum())}
+    if recording.has_torques:
+        doubt = np.concatenate([_from_neighbours(recording.torques()[r], time[r]) for r in parts])
+        numbers["rms_Nm"] = np.sqrt(np.mean(doubt**2, 0)).tolist()
     fault = DataFault("uneven_times", (), {"reason": "samples"} | numbers)
     return _interpolated(recording, parts, at), fault
 

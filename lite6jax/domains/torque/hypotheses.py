@@ -1,9 +1,9 @@
 """What is wrong where torques contradict the arm grossly: signs, columns, zeros, constants, or gravity.
 
-A hypothesis is a tuple of changes, each a fault and what undoes it. All are compared by the squares that the rigid arm
-as declared leaves beside friction that takes power. The best are compared by their evidence beside other masses, a
-payload, springs and scales, and one is taken only where it exceeds that of the recording as it is declared, and of
-every other.
+A hypothesis is a tuple of changes, each a fault and what undoes it. All are ranked by a penalised likelihood of what
+the rigid arm as declared leaves beside friction that takes power, and the best by their evidence beside other masses, a
+payload, springs and scales. Of those within `TRUSTED` of the best one, the one of fewest faults is taken; several of as
+few are listed. It has to exceed the recording as it is declared by as much.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ from lite6jax.recordings.fault import DataFault
 Array = NDArray[np.floating]
 
 _EXPLAINED = 0.15
-"""The same as `_SUSPECT`, from which a second change is sought: what most arms have beside leaves as much."""
+"""Of a joint's torque, RMS, from which a second change is sought: what most arms have beside leaves as much."""
 _CLEARLY = 1.5
 """Times by which a hypothesis leaves less of the torque of a joint, RMS."""
 _BEAM = 4
@@ -75,7 +75,7 @@ class Declared(NamedTuple):
 
 
 def as_declared(data: TorqueRows) -> Declared:
-    """The rows as the hypothesis has them that is decided; as they are where none is needed, or several do alike."""
+    """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
     rows = Samples(data)
     compared = _compare(rows)
     found: list[DataFault] = []
@@ -94,10 +94,10 @@ def as_declared(data: TorqueRows) -> Declared:
     ruled_out = [
         DataFault(code, (), {})
         for code, others in (
-            ("swapped_torques", {"swapped_torques", "reversed_torque"}),
+            ("swapped_torques", {"swapped_torques", "reversed_torque", "reversed_joint", "swapped_columns"}),
             ("wrong_gravity", set(GRAVITY)),
-            ("wrong_torque_constant", {"wrong_torque_constant"}),
-            ("joint_zero", set(POSITIONS)),
+            ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
+            ("joint_zero", {*POSITIONS, "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis"}),
         )
         if not (codes | doubted) & others
     ]
@@ -167,10 +167,12 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
 
 
 class _Comparison(NamedTuple):
-    """Attributes:
-    found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
-    alternatives: where none is taken, two or more that cannot be told apart.
-    evidence: of the best of them.
+    """How the hypotheses of a recording compare.
+
+    Attributes:
+        found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
+        alternatives: where none is taken, two or more that cannot be told apart.
+        evidence: of what is taken, or of the best alternative.
     """
 
     found: Hypothesis = ()

@@ -57,7 +57,7 @@ class Scored(NamedTuple):
 
     Attributes:
         hypothesis: with its changes of torques.
-        cost: less log-likelihood, with what its changes cost.
+        cost: negative log-likelihood, with what its changes cost.
         left: `(joint,)` Nm RMS of what is left, in the unit that was recorded.
     """
 
@@ -95,7 +95,10 @@ class Samples:
         if joint + 1 < self.dof:
             kinematics[joint + 1] = frames.row_from_transform(T.T @ frames.transform_from_row(kinematics[joint + 1]))
         links[joint] = _rotated(links[joint], R.T)
-        other.data = replace(self.data, bodies=replace(bodies, kinematics=kinematics, links=links))
+        center = bodies.payload_center if joint + 1 < self.dof else R.T @ bodies.payload_center
+        turned = replace(bodies, kinematics=kinematics, links=links, payload_center=center)
+        other.data = replace(self.data, bodies=turned)
+        vars(other).pop("declared", None)  # which is that of the other arm
         return other
 
     @property

@@ -15,7 +15,7 @@ from lite6jax.arms.joint_units import as_revolute, joint_sizes, joint_unit
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.torque.composition import composed, offsets_of, pairs, scales_of, without_sensors
 from lite6jax.domains.torque.families import joints_of, unit_torques
-from lite6jax.domains.torque.filtering import interpolant
+from lite6jax.domains.torque.filtering import evenly_timed, interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
     Uncertainty,
@@ -120,9 +120,10 @@ def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -
         recording: joint positions with times, and with the drivers of its effects; or the path of their file.
 
     Raises:
-        InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
+        InputError: no times, more gaps than motion, or a driver that the model needs and the motion lacks.
     """
-    return _torques(model, *_along(model, recording))
+    motion, even = _motion_of(model, recording)
+    return _at_rows(_torques(model, *_along(model, even)), even, motion)
 
 
 def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
@@ -133,9 +134,14 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path)
     Raises:
         InputError: as `predict_torques`.
     """
-    bodies, runs = _along(model, recording)
+    motion, even = _motion_of(model, recording)
+    bodies, runs = _along(model, even)
     std, outside = _bars(model, bodies, runs)
-    return TorquePrediction(_torques(model, bodies, runs), std, outside, model.sliding)
+    torque = _at_rows(_torques(model, bodies, runs), even, motion)
+    if std is None or outside is None:
+        return TorquePrediction(torque, std, outside, model.sliding)
+    flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
+    return TorquePrediction(torque, _at_rows(std, even, motion), flags, model.sliding)
 
 
 def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
@@ -154,8 +160,8 @@ def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.inte
     return columns
 
 
-def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[RigidBodies, Runs]:
-    """The dynamics of the model's links along a motion, and the run of each sample."""
+def _motion_of(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[Recording, Recording]:
+    """A motion as it is given, and at even times, which filters need; the same where its times are even."""
     if not isinstance(model, DiagnosedMotors):
         raise wrong_type("model", model, "lite6jax.read_torque_model('d.json'), or the `model` of a TorqueDiagnosis")
     if isinstance(recording, str | Path):
@@ -164,6 +170,30 @@ def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[R
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
+    return recording, recording if recording.motion == "static" else evenly_timed(recording)[0]
+
+
+def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:
+    """Values `(sample, number)` at even times at those of a motion's rows, by lines; not a number in long gaps."""
+    if even.row is motion.row:
+        return values
+    assert even.time is not None
+    assert motion.time is not None
+    found, step = np.full((motion.samples, values.shape[1]), np.nan), float(np.median(np.diff(even.time)))
+    for run in np.unique(motion.run):
+        rows = np.flatnonzero(motion.run == run)
+        there = np.isin(even.row, motion.row[rows])
+        if not there.any():
+            continue
+        at, t = motion.time[rows], even.time[there]
+        near = np.abs(t[np.clip(np.searchsorted(t, at), 1, len(t) - 1) - np.array([[1], [0]])] - at).min(0) <= step
+        each = [np.interp(at[near], t, column) for column in values[there].T]
+        found[rows[near]] = np.stack(each, 1)
+    return found
+
+
+def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, Runs]:
+    """The dynamics of the model's links along a motion, and the run of each sample."""
     bodies, chosen, _ = bodies_of(recording, model.arm)
     for effect in model.terms.terms:
         for driver in getattr(effect, "drivers", ()):

@@ -25,6 +25,7 @@ from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.joint_changes import at_positions, without_turns
+from lite6jax.recordings.sequence import run_segments
 from lite6jax.recordings.torque_source import STILL_RAD
 
 Array = NDArray[np.floating]
@@ -32,7 +33,7 @@ Array = NDArray[np.floating]
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
 _FEWEST_POSTURES = 12
-"""At rest, of which gravity is compared: offset, mass and centre of mass of a joint's load are four numbers."""
+"""At rest, of which gravity is compared: the offset of a joint and the moments of its load are four numbers."""
 _BEYOND = 0.01
 """rad by which a joint may be beyond its limits: controllers stop a little late."""
 _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lbf in": 8.8507, "kgf m": 1 / 9.80665}
@@ -40,7 +41,7 @@ _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lb
 _SAME_UNIT = 0.15
 """Relative deviation of all factors from a unit's, up to which it is that."""
 _FEWEST_AT_REST = 10
-"""Rows at rest from which a bias of the velocity is known."""
+"""Rows from which a bias, or a dead zone, of a velocity is known."""
 _FEWEST_IN_ZONE = 5
 """Rows in a row without a velocity, over which positions show whether the joint moves."""
 _EVENT = 60.0
@@ -220,13 +221,14 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     velocities show where positions stand still, and it has to be what they show on average too.
     """
     recorded, time = recording.joint_velocity, recording.time
-    none = np.zeros(recording.dof)
+    found = np.zeros(recording.dof)
     if recorded is None or recording.velocity_differentiated or time is None:
-        return none
-    runs = [np.flatnonzero(recording.run == run) for run in np.unique(recording.run)]
+        return found
+    segment = run_segments(recording.run)
+    runs = [np.flatnonzero(segment == run) for run in np.unique(segment)]
     runs = [rows for rows in runs if len(rows) > 1]
     if not runs:
-        return none
+        return found
     gone = np.sum([recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs], axis=0)
     shown = np.sum([np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs], axis=0)
     average = (shown - gone) / sum(float(time[rows[-1]] - time[rows[0]]) for rows in runs)
@@ -239,34 +241,37 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
         bias = float(np.median(rest))
         large = abs(as_revolute([bias], "rad/s", arm.slides[[joint]])[0]) > DIRECTION_SPEED / 2
         if large and np.mean(np.abs(rest - bias) < abs(bias) / 2) > 0.8 and abs(average[joint] - bias) < abs(bias) / 2:
-            none[joint] = bias
-    return none
+            found[joint] = bias
+    return found
 
 
 def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[DataFault]]:
-    """Velocities of the positions where a register reads nothing although the joint moves, and the joints concerned.
+    """A register's zeros replaced by the slope of the positions where it has a dead zone, and the joints concerned.
 
-    A stretch of zeros counts where the joint goes on through it, and where no reading is smaller than the zone is wide.
+    It has one if no other reading is smaller, and the joint moves slowly through enough of the zeros.
     """
     recorded, time = recording.joint_velocity, recording.time
     if recorded is None or recording.velocity_differentiated or time is None:
         return recording, []
-    velocity, widths = recorded.copy(), dict[int, float]()
+    velocity, widths, segment = recorded.copy(), dict[int, float](), run_segments(recording.run)
     for joint in range(recording.dof):
         shown, zero = np.abs(recorded[:, joint]), recorded[:, joint] == 0
         width = float(np.min(shown[~zero], initial=np.inf))
         if not zero.any() or as_revolute([width], "rad/s", arm.slides[[joint]])[0] < DIRECTION_SPEED:
             continue
         q, dead = recording.joint_position[:, joint], 0
-        for rows in _pieces(zero, recording.run):
+        for rows in _pieces(zero, segment):
             span = time[rows.stop - 1] - time[rows.start]
             if rows.stop - rows.start < _FEWEST_IN_ZONE or span <= 0:
                 continue
             fastest = abs(q[rows.stop - 1] - q[rows.start]) / span
             dead += (rows.stop - rows.start) * bool(width / 8 < fastest < 2 * width)
         if dead >= _FEWEST_AT_REST:
-            slope = uniform_filter1d(np.gradient(q, time), _FEWEST_IN_ZONE, mode="nearest")
-            velocity[zero, joint], widths[joint] = slope[zero], width
+            for rows in _pieces(np.ones(recording.samples, bool), segment):
+                if rows.stop - rows.start > 1:
+                    slope = uniform_filter1d(np.gradient(q[rows], time[rows]), _FEWEST_IN_ZONE, mode="nearest")
+                    velocity[rows, joint] = np.where(zero[rows], slope, velocity[rows, joint])
+            widths[joint] = width
     if not widths:
         return recording, []
     numbers = {"joints": [1 + joint for joint in widths], "width_rad_per_s": [*widths.values()]}

@@ -12,6 +12,7 @@ from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.filtering import low_pass
+from lite6jax.domains.torque.predict import predicted_torques
 from lite6jax.domains.torque.rows import bodies_of
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
@@ -170,6 +171,23 @@ def test_uneven_times_are_made_even_and_said(arm, reason):
     assert values["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
     (said,) = [one["statement"] for one in with_statements(found.to_dict())["data_faults"]]
     assert ("resampled to" if reason == "samples" else "the stamps jitter") in said
+
+
+def test_torques_are_predicted_at_uneven_times(arm):
+    time = np.arange(1500) / 100
+    model = diagnose_torques(made(time, swung(time), both), arm, options=FEW).model
+    uneven = np.sort(np.arange(600) / 50 + np.random.default_rng(5).uniform(-0.008, 0.008, 600))
+    uneven = np.delete(uneven, np.arange(200, 300))  # two seconds are missing
+    q, dq, ddq = swung(uneven)
+    found = predicted_torques(model, Recording.from_arrays(q[:, None], time=uneven, motion="trajectory"))
+    assert found.std is not None
+    assert found.outside is not None
+    there = np.isfinite(found.torque[:, 0])
+    assert there.mean() > 0.95
+    assert found.outside[~there].all()
+    off = (found.torque[:, 0] - rigid(q, ddq) - both(dq))[there]
+    assert np.sqrt(np.mean(off**2)) < 0.1  # where the joint turns friction jumps by 1.2 Nm
+    assert np.median(np.abs(off)) < 0.03
 
 
 def test_gaps_that_are_too_long_for_the_motion_are_not_interpolated(arm):
