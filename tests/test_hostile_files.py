@@ -15,8 +15,9 @@ from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.arguments import refuse_inputs
 from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.folders.fleet import fit_folder, table_of_rows
+from lite6jax.folders.fleet import fit_folder
 from lite6jax.folders.place import Place, fleet_names
+from lite6jax.folders.rows import table_of_rows
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
 
 

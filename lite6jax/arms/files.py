@@ -162,6 +162,8 @@ def convert_file(
     form = "urdf" if into is not None else form or form_of(target, calibrated)
     if target.suffix.lower() not in SUFFIXES[form]:
         raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
+    if isinstance(source, Arm) and nominal is not None and nominal.dof != source.dof:
+        raise InputError(f"{source.name}: has {source.dof} joints, but {nominal.name} has {nominal.dof}; name its arm")
     storage.check_writable(target, overwrite)
     if into is not None and calibrated:
         nominal = nominal or read_arm(into)

@@ -58,7 +58,7 @@ class Fleet:
                 progress=advance,
                 overwrite=self.force,
             )
-        from lite6jax.folders.fleet import read_rows
+        from lite6jax.folders.rows import read_rows
 
         if self.json:
             from lite6jax.report import documents

@@ -114,9 +114,10 @@ class Predict:
             return DONE
         screen.show(opening)
         screen.show(screen.notes(recording.notes))
-        empty = 0 if poses is None else int(np.isnan(poses.poses[:, 0, 0]).sum())
-        if empty:
-            print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
+        shown = found.torque[:, 0] if poses is None else poses.poses[:, 0, 0]
+        if empty := int(np.isnan(shown).sum()):
+            why = "there is a gap of its times" if poses is None else "the clock offset reaches beyond the ends"
+            print(f"{empty} rows are empty: there, {why} of the motion.")
         if found.outside is None:
             print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
         else:

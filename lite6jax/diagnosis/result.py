@@ -269,11 +269,6 @@ class DomainDiagnosis(Generic[P]):
         return self.selection.state.fit
 
     @property
-    def kept(self) -> Mask:
-        """`(sample,)`, the rows that statistics are of."""
-        return ~self.outliers if self.outliers.size else self.problem.valid
-
-    @property
     def untestable(self) -> tuple[Untestable, ...]:
         """Effects that this recording cannot show, and why."""
         return self.problem.untestable

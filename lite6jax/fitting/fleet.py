@@ -16,7 +16,7 @@ from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, hayati_fk, joint_motion, six_parameter_fk
 from lite6jax.arms.dh import closed_form
-from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
 from lite6jax.arms.se3 import Frame
 from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
@@ -334,8 +334,6 @@ def compare(calibrations: Sequence[FactoryCalibration]) -> Comparison:
                 f"{other.source}: is of a {other.arm.name}, but {calibrations[0].source} of a {arm.name};"
                 " compare arms of one type"
             )
-    from lite6jax.arms.factory import hayati_of
-
     q = check_positions(arm)
     flange = np.stack([calibration_poses(calibration, q)[:, :3, 3] for calibration in calibrations])
     nominal = np.asarray(hayati_fk(arm.form, arm.hayati, q) @ arm.T_joint_flange)[:, :3, 3]

@@ -20,8 +20,8 @@ from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
 from lite6jax.fitting.start import SAMPLES
-from lite6jax.folders.fleet import Row, Statistics
 from lite6jax.folders.place import kind_of
+from lite6jax.folders.rows import Row, Statistics
 from lite6jax.model import ModelForm
 
 Array = NDArray[np.floating]

@@ -293,12 +293,12 @@ def _prediction(found: Prediction) -> Description:
 def _torque_prediction(found: TorquePrediction) -> Description:
     rows, joints = found.torque.shape
     units = torque_units(found.sliding, joints)
-    largest = each_with_unit(np.abs(found.torque).max(0).tolist(), units)
+    largest = each_with_unit(np.nanmax(np.abs(found.torque), 0).tolist(), units)
     sentences = [f"The torques of {counted(joints, 'joint')} are predicted in {counted(rows, 'sample')}.",
                  f"The largest of each joint are {largest}."]  # fmt: skip
     table = [("samples", str(rows)), ("joints", str(joints)), ("largest torque of each joint", largest)]
     if found.std is not None:
-        typical = each_with_unit(np.median(found.std, 0).tolist(), units)
+        typical = each_with_unit(np.nanmedian(found.std, 0).tolist(), units)
         sentences.append(f"Their standard deviations are {typical} in the median.")
         table.append(("standard deviation of each joint, median", typical))
     return _marked("Predicted torques", sentences, table, found.outside)

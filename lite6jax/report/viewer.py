@@ -135,11 +135,11 @@ class TorqueErrors:
     def limit(self) -> float:
         """At which colours end: what a twentieth of all samples exceeds at the worst joint."""
         worst = self.over_noise.max(axis=1)
-        return max(LEAST_LIMIT, float(f"{np.quantile(worst, 0.95):.2g}"))
+        return max(LEAST_LIMIT, float(f"{np.nanquantile(worst, 0.95):.2g}"))
 
     def colours(self, sample: int, limit: float) -> NDArray[np.uint8]:
         """`(joint, 3)` red, green, blue from 0 to 255: dark blue without error, yellow from `limit` on."""
-        return shades(self.over_noise[sample] / limit)
+        return shades(np.nan_to_num(self.over_noise[sample]) / limit)
 
 
 @final
@@ -257,7 +257,12 @@ def torque_scene(document: Document, model: DiagnosedMotors, recording: Recordin
 
     def averaged(each: DiagnosedMotors) -> Array:
         errors = (measured - predict_torques(each, recording)) / noise
-        return np.sqrt(uniform_filter1d(errors**2, window, axis=0, mode="nearest"))
+        there = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
+        sums = (
+            uniform_filter1d(x, window, axis=0, mode="nearest") for x in (np.where(there, errors**2, 0.0), 1.0 * there)
+        )
+        squares, share = sums
+        return np.sqrt(np.where(there, squares / np.maximum(share, 1e-9), np.nan))
 
     errors = tuple(TorqueErrors(caption, averaged(each)) for caption, each in models)
     return replace(_scene(document, model.arm, recording, chain_capsules(model.arm), []), torques=errors)
@@ -493,8 +498,10 @@ class Shown:
             elif isinstance(errors, TorqueErrors):
                 for joint, colour in enumerate(errors.colours(sample, self._limit), 1):
                     self._parts[f"joint{joint}"].color = tuple(map(int, colour))
-                worst = int(errors.over_noise[sample].argmax())
-                said += f": joint {worst + 1} is off most, by {errors.over_noise[sample, worst]:.2g} times its noise"
+                row = errors.over_noise[sample]
+                if np.isfinite(row).all():
+                    worst = int(row.argmax())
+                    said += f": joint {worst + 1} is off most, by {row[worst]:.2g} times its noise"
             self._status.content = _paragraphs([said])
 
     def _compare(self, errors: PoseErrors, sample: int) -> str:

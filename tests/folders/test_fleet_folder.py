@@ -15,8 +15,9 @@ from lite6jax.fitting.fit import fit_calibration
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit, place
-from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, table_of_rows
+from lite6jax.folders.fleet import fit_folder
 from lite6jax.folders.place import Place, url_of
+from lite6jax.folders.rows import Row, Statistics, read_rows, table_of_rows
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
