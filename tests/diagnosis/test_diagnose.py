@@ -131,6 +131,7 @@ def test_a_jump_is_said_beside_physics(arm, still):
     assert fault.numbers["log_likelihood_gap"] > 0
 
 
+@pytest.mark.long
 def test_joints_that_were_read_early_are_settled_beside_physics(arm, still):
     """A share of each move that was left is a fault, and says how unlikely the poses are without a correction."""
     recording = with_effects(arm, COMPLIANCE).recording(still)
