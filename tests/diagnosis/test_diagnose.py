@@ -107,6 +107,7 @@ def test_one_effect_is_explained(soft, wild):
     assert soft.estimated_noise == pytest.approx(NOISE[0], rel=0.1)
 
 
+@pytest.mark.long
 def test_a_frame_that_jumps_is_put_back_and_said(arm):
     """By the default folds: four fifths of the rows have both frames."""
     recording = replace(arm, frame=True).recording(static_motion(11, 300))

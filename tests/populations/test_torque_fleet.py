@@ -69,6 +69,7 @@ def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_p
     assert [one["file"] for one in document["recordings"] if one["outlier_in"]] == ["arm3.csv"]
 
 
+@pytest.mark.long
 def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
     arms, found = fleet(tmp_path, motion, [(0.0, 0.012)] * 10)
     assert arms[0].smoothing.every > 1
