@@ -69,7 +69,7 @@ def _located(truth: Row, faults: Sequence[Row], error: str) -> bool:
     A contact is where its rows are; a fault of the file has its joints and numbers. Another unit is refused.
     """
     if truth["fault"] == "torque_unit":
-        return "another unit" in error or "are these" in error
+        return any(said in error for said in ("another unit", "are these", "check torque_constant_Nm_per_A"))
     if truth["fault"] == "contact":
         rows = set(truth["fault_rows"])
         said = [set(fault["rows"]) for fault in faults if fault["fault"] == "contact"]
