@@ -87,7 +87,7 @@ class Predict:
             check_sum(document, self.diagnosis)
             recording = read_motion(self.motion, motors)
             found = predicted_torques(motors, recording)
-            columns = torque_columns(found)
+            columns, first = torque_columns(found), found.torque[:, 0]
             if motors.relative_to is not None:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
@@ -97,7 +97,7 @@ class Predict:
             if self.register:
                 model, registration = register_model(model, recording)
             found = poses = predicted(model, recording)
-            columns = prediction_columns(poses, model.orientation)
+            columns, first = prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
             if torques_of(document) is not None:
                 columns, said = self._with_torques(document, columns, recording, effects)
             if model.reference is not None:
@@ -114,8 +114,7 @@ class Predict:
             return DONE
         screen.show(opening)
         screen.show(screen.notes(recording.notes))
-        shown = found.torque[:, 0] if poses is None else poses.poses[:, 0, 0]
-        if empty := int(np.isnan(shown).sum()):
+        if empty := int(np.isnan(first).sum()):
             why = "there is a gap of its times" if poses is None else "the clock offset reaches beyond the ends"
             print(f"{empty} rows are empty: there, {why} of the motion.")
         if found.outside is None:

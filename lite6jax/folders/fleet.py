@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lite6jax.distribution.batches import Run, run_batches
+from lite6jax.fitting.quality import Result
 from lite6jax.folders.place import Place, batches_of, fleet_names, kind_of
-from lite6jax.folders.rows import table_of_rows
+from lite6jax.folders.rows import Row, table_of_rows
 
 if TYPE_CHECKING:
     import pyarrow as pa

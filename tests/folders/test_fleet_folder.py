@@ -218,3 +218,13 @@ def test_processes_and_a_cluster_are_alternatives(capsys, arms, tmp_path):
     assert "--processes 0: give 1 or more" in capsys.readouterr().err
     assert main([*options, "--processes", "2", "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert "--processes and --scheduler: give one of them" in capsys.readouterr().err
+
+
+def test_a_file_whose_process_was_ended_has_a_row_that_says_so(monkeypatch, tmp_path):
+    (tmp_path / "b.yaml").write_text("kinematics: {}\n")
+    asked = {}
+    monkeypatch.setattr("lite6jax.folders.fleet.run_batches", lambda *given, **named: asked.update(named))
+    fit_folder(tmp_path, tmp_path / "out.parquet")
+    (row,) = asked["died"]("b.yaml").to_pylist()
+    assert row["result"] == Result.UNREADABLE
+    assert row["message"].startswith("b.yaml: the process that read it was ended")
