@@ -14,7 +14,7 @@ from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import read_model, to_document, write_document
+from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.compensate import compensate, read_pose_targets
 from lite6jax.domains.pose.fit import fit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
@@ -114,7 +114,7 @@ def compensation(
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
             seconds, found = timed(partial(diagnose, recording))
             document = Path(folder) / "diagnosis.json"
-            write_document(to_document(found), document)
+            write_document(found.document(), document)
             wanted_q, payload = drawn(rng, targets)
             wanted = np.asarray(plain.predict(wanted_q), np.float64)
             asked = Recording.from_arrays(

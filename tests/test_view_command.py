@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.cli.inputs import inputs
-from lite6jax.diagnosis.document import model_from_document, read_torque_model, to_document, write_document
+from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report import statements, viewer
@@ -168,7 +168,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     pytest.importorskip("viser", reason="viser (extra view) is not installed")
     recording = torques_recorded()
     path = write_recording(recording, tmp_path / "torques.csv")
-    found = to_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))))
+    found = torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))).document()
     document = {**statements.with_statements(found), "inputs": inputs(path)}
     file = write_document(document, tmp_path / "torques.json")
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")

@@ -18,7 +18,6 @@ from benchmarks.residual.black_boxes import gaussian_process, geometry_alone, ne
 from benchmarks.residual.linear import ridge, stepwise
 from benchmarks.residual.view import Array, Fitted, Geometry, Rival, View, rotations
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import to_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.registration import register, register_model
 from lite6jax.recordings import Recording
@@ -139,7 +138,7 @@ def diagnosed(recording: Recording) -> tuple[Outcome, dict[str, Any]]:
     seconds, found = timed(partial(diagnose, recording))
     names = tuple(finding.effect.label for finding in found.findings)
     outcome = Outcome(OURS, found.after, found.fit.terms.size, names, seconds)
-    return outcome, to_document(found)
+    return outcome, found.document()
 
 
 def diagnosed_elsewhere(model: DiagnosedArm, other: Recording) -> Array:

@@ -8,7 +8,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,15 +44,6 @@ _ROUNDING = 1e-9
 _AXES = ("position_m", "orientation_rad")
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 """What a damaged document leads to where it is read."""
-
-
-class _Documented(Protocol):
-    def document(self) -> dict[str, Any]: ...
-
-
-def to_document(found: _Documented) -> dict[str, Any]:
-    """A whole diagnosis as values that JSON can hold, without a checksum."""
-    return found.document()
 
 
 def located(effect: Effect) -> dict[str, Any]:

@@ -10,8 +10,6 @@ from lite6jax.effects import catalogue
 from lite6jax.effects.dynamic import catalogue as dynamic
 from lite6jax.effects.effect import Effect
 
-DOMAINS = ("kinematic", "dynamic")
-
 
 @final
 @dataclass(frozen=True)

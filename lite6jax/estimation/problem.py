@@ -218,10 +218,6 @@ class Problem(LinearisedProblem, Protocol):
         """One in `every` samples."""
         ...
 
-    def without_preset(self) -> "Problem":
-        """The same problem without its preset terms."""
-        ...
-
     def alternative(self, terms: Terms) -> "Problem | None":
         """The same problem under the other of two models of the inputs; None where these terms do not depend on it."""
         ...

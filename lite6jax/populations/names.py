@@ -26,7 +26,7 @@ class _Choice(NamedTuple):
     better: float
 
 
-def challenge_names(looked: Search, chosen: Sequence[Selected], over: Overdispersion) -> list[Selected]:
+def apply_discrepancy_test(looked: Search, chosen: Sequence[Selected], over: Overdispersion) -> list[Selected]:
     """The effects with names that the recordings do not contradict, and functions without a name for what is left.
 
     Args:
@@ -46,7 +46,7 @@ def challenge_names(looked: Search, chosen: Sequence[Selected], over: Overdisper
 @final
 @dataclass(frozen=True, eq=False)
 class _Names:
-    """What all rounds share; attributes as the arguments of `challenge_names`."""
+    """What all rounds share; attributes as the arguments of `apply_discrepancy_test`."""
 
     looked: Search
     over: Overdispersion

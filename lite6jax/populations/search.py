@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.evidence import Reduced
 from lite6jax.populations.forward import Search, Selected
-from lite6jax.populations.names import challenge_names
+from lite6jax.populations.names import apply_discrepancy_test
 from lite6jax.populations.pooling import Overdispersion
 from lite6jax.populations.reduced import Evidence, Found
 
@@ -53,9 +53,9 @@ def search(
     chosen, scanned = looked.forward([], progress)
     chosen = looked.with_found_alone(chosen, found)
     chosen, evidence = looked.retested(chosen, scanned.overdispersion)
-    if (unnamed := challenge_names(looked, chosen, scanned.overdispersion)) != chosen:
+    if (unnamed := apply_discrepancy_test(looked, chosen, scanned.overdispersion)) != chosen:
         chosen, scanned = looked.forward(unnamed, progress)  # what a wrong name has hidden
         if len(chosen) > len(unnamed):
-            chosen = challenge_names(looked, chosen, scanned.overdispersion)
+            chosen = apply_discrepancy_test(looked, chosen, scanned.overdispersion)
         chosen, evidence = looked.retested(chosen, scanned.overdispersion)
     return Outcome(tuple(chosen), tuple(evidence), scanned.overdispersion, looked.searched)

@@ -1,5 +1,7 @@
 """What follows from the order of a recording's samples: runs, the kind of motion, velocities and directions."""
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -13,6 +15,18 @@ MOVING_SHARE = 0.05  # of the rows; a static recording may hold a few taken befo
 def run_segments(run: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
     """Numbers the runs 0, 1, ... in order: `run` only says where a new one starts."""
     return np.concatenate([[0], np.cumsum(run[1:] != run[:-1])])
+
+
+def stretches(inside: Bool[np.ndarray, " sample"], segment: Int[np.ndarray, " sample"]) -> list[slice]:
+    """The samples of each unbroken piece of a run that is inside, in their order.
+
+    Args:
+        inside: the samples that count.
+        segment: the run of each, as `run_segments` numbers them.
+    """
+    changes = (np.diff(inside.astype(int)) != 0) | (np.diff(segment) != 0)
+    edges = [0, *(1 + np.flatnonzero(changes)).tolist(), len(inside)]
+    return [slice(first, stop) for first, stop in pairwise(edges) if inside[first]]
 
 
 def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sample"]]:

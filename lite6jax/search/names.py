@@ -23,7 +23,7 @@ from lite6jax.search.tried_numbers import with_tried_numbers
 from lite6jax.search.whole_orders import slow_waves, with_whole_orders
 
 
-def challenge_names(problem: Problem, state: State, options: EngineOptions, several: bool = True) -> State:
+def apply_discrepancy_test(problem: Problem, state: State, options: EngineOptions, several: bool = True) -> State:
     """The state with names that the data do not contradict, and functions without a name for what is left.
 
     Args:

@@ -22,7 +22,7 @@ from lite6jax.progress import entered
 from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
-from lite6jax.search.names import challenge_names, most_probable
+from lite6jax.search.names import apply_discrepancy_test, most_probable
 from lite6jax.search.state import SelectedTerm, State
 
 Array = NDArray[np.floating]
@@ -73,7 +73,7 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
     entered("naming")
     more = replace(more, name_rounds=2 * options.name_rounds)
-    state = most_probable(problem, challenge_names(problem, state, more, several=False), more)
+    state = most_probable(problem, apply_discrepancy_test(problem, state, more, several=False), more)
     times = autocorrelation_times(problem, state.fit, options)
     while leaving := _unnecessary(problem, state.fit, times, options):
         kept = [k not in leaving for k in range(len(state.tested))]

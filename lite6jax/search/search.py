@@ -18,7 +18,7 @@ from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.functions import beside_noise, unmasked
-from lite6jax.search.names import challenge_names, most_probable
+from lite6jax.search.names import apply_discrepancy_test, most_probable
 from lite6jax.search.possible import believable
 from lite6jax.search.retest import retest
 from lite6jax.search.saturated import from_saturated, refined
@@ -141,7 +141,7 @@ def _selected(
     selection = replace(selection, state=unmasked(selection.problem, selection.state, rough))
     for _ in range(_ROUNDS):
         before = selection.problem
-        state = challenge_names(before, selection.state, rough)
+        state = apply_discrepancy_test(before, selection.state, rough)
         selection = at_estimate(replace(selection, state=state), options)
         if selection.problem is before:
             break  # else other functions may be likelier in the linearisation at what was found

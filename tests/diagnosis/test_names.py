@@ -8,7 +8,6 @@ from diagnosis.recorded import Made, drawn, moving_motion, static_motion, with_e
 from scipy.signal import lfilter
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
@@ -279,7 +278,7 @@ def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     unnamed = [k for k, finding in enumerate(diagnosis.findings) if isinstance(finding.effect, Unnamed)]
     assert unnamed
     assert diagnosis.verdict == "unnamed"
-    document = to_document(diagnosis)["findings"][unnamed[0]]
+    document = diagnosis.document()["findings"][unnamed[0]]
     assert document["driver"] == "measured position x and measured position y and measured position z"
     assert set(document["peak_to_peak"]) == {f"peak_to_peak_{axis}_m" for axis in "xyz"}
     assert 0 <= document["nearest"]["share"] < 1
@@ -291,7 +290,7 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     diagnosis = diagnose(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
     assert not diagnosis.findings
     assert diagnosis.left.acts_at.site == "joint5"
-    document = to_document(diagnosis)
+    document = diagnosis.document()
     assert document["left"]["acts_at"]["share"] > 0.7
     removed = f"every row removes {100 * diagnosis.left.acts_at.share:.0f} % of their sum of squares"
     assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
@@ -337,7 +336,7 @@ def test_a_chain_whose_uncertainty_is_declared_needs_no_rows_of_its_own(tmp_path
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
     diagnosis = diagnose(arm.recording(static_motion(6, 12)))
     assert diagnosis.verdict == "undetermined"
-    assert to_document(diagnosis)["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
+    assert diagnosis.document()["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
 
 
 @pytest.mark.long
@@ -373,7 +372,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
         effect, p_value = diagnosis.nearest
         assert effect.label == "joint_compliance:joint3"
         assert OPTIONS.engine.level < p_value < OPTIONS.nearly_significant
-        said = statements.verdict_statement(to_document(diagnosis))
+        said = statements.verdict_statement(diagnosis.document())
         assert said == (
             "Undetermined: what is left, with the effects below, is noise, but joint compliance at joint3 is nearly "
             f"significant (family-wise p-value {p_value:.2g}). Record about {diagnosis.rows_needed - 200} more poses."
@@ -403,7 +402,7 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
     assert found.findings == ()
     assert found.withdrawn is not None
     assert [finding.effect.label for finding in found.withdrawn.findings] == ["joint_compliance:joint2"]
-    document = to_document(found)
+    document = found.document()
     assert document["after"] == document["before"]
     assert document["verdict"] in ("unexplained", "undetermined")
     assert document["model"]["effects"] == []
@@ -420,7 +419,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     assert found.withdrawn is None
     assert np.linalg.norm(found.after) < 0.5 * np.linalg.norm(found.before)
-    document = to_document(found)
+    document = found.document()
     assert document["heldout_blocks"] == 25
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
     said = statements.held_out_statement(document)
@@ -496,7 +495,7 @@ def test_a_gear_between_its_flanks_in_a_few_rows_has_play(tmp_path, trial, joint
     (finding,) = diagnosis.findings
     assert finding.effect.label == f"joint_backlash:joint{joint}"
     assert f"unnamed:joint{joint}" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
-    document = to_document(diagnosis)
+    document = diagnosis.document()
     assert document["left_out"] == left_out
     assert any("between its flanks in rows" in line for line in statements.assumptions(document))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from domains.torque.moved import recorded
 
-from lite6jax.diagnosis.document import to_document, torque_model_from_document
+from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.predict import predict_torques
@@ -64,7 +64,7 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     assert finding.effect == effects[1]
     (estimate,) = finding.parameters.values()
     assert abs(estimate.value - 0.5) < 4 * estimate.std < 0.2
-    document = json.loads(json.dumps(to_document(found)))
+    document = json.loads(json.dumps(found.document()))
     with pytest.raises(InputError, match="effect 'air_drag': unknown"):
         torque_model_from_document(document)
     model = torque_model_from_document(document, effects)

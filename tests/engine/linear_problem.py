@@ -282,9 +282,6 @@ class LinearProblem:
         data = {name: values[::every] for name, values in self.data.items()}
         return replace(self, data=data, measured=self.measured[:, ::every], run=self.run[::every])
 
-    def without_preset(self):
-        return self
-
     def inputs(self, terms):
         return ()
 

@@ -20,7 +20,7 @@ from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
-from lite6jax.domains.pose.predict import DiagnosedArm, bars_of, has_memory, recording_of, require_model
+from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, recording_of, require_model
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.effects.motion import Motion
@@ -181,7 +181,7 @@ def compensate(
             reasons[row] = None if correction is None else _far(correction[row])
         else:
             reasons[row] = _missed(solved, k, search.limits)
-    bars = bars_of(model, search.motion(solved.joint_position.T))
+    bars = predict_deviations(model, search.motion(solved.joint_position.T))
     return Compensation(
         recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
         position_error=spread(solved.position_error),

@@ -304,7 +304,7 @@ def predicted(
         InputError: as `predict`.
     """
     sequence = _sequence(model, motion, circumstances)
-    poses, bars = _poses(model, sequence), bars_of(model, sequence)
+    poses, bars = _poses(model, sequence), predict_deviations(model, sequence)
     if bars is None:
         return Prediction(poses, None, None, None)
     empty = np.isnan(poses[:, 0, 0])
@@ -457,7 +457,7 @@ class Derivatives:
         return physics.alter(jnp.asarray(self.model.values), self._seen) if physics.altering else self._seen
 
 
-class Bars(NamedTuple):
+class Deviations(NamedTuple):
     """Standard deviations of predicted poses, sample by sample.
 
     Attributes:
@@ -472,8 +472,8 @@ class Bars(NamedTuple):
     outside: Flags
 
 
-def bars_of(model: DiagnosedArm, motion: Motion) -> Bars | None:
-    """The bars of a model's predictions in a motion; None where its diagnosis says nothing of uncertainty."""
+def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None:
+    """Standard deviations of what a model predicts; None where its diagnosis says nothing of uncertainty."""
     known = model.uncertainty
     if known is None:
         return None
@@ -492,7 +492,7 @@ def bars_of(model: DiagnosedArm, motion: Motion) -> Bars | None:
         for rows, usual in zip(measured, known.typical, strict=False):
             outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
     std = np.sqrt(variance)
-    return Bars(std[:3].T, std[3:].T, outside)
+    return Deviations(std[:3].T, std[3:].T, outside)
 
 
 def estimated_variance(change: Derivatives, covariance: Array) -> Array:

@@ -317,10 +317,6 @@ class PoseProblem:
         """One in `every` rows."""
         return self if every == 1 else self.selected(np.arange(self.samples)[::every])
 
-    def without_preset(self) -> "PoseProblem":
-        """The same problem without a clock offset."""
-        return replace(self, clock_offset=0.0, units={}) if self.clock_offset else self
-
     def alternative(self, terms: Terms) -> "PoseProblem | None":
         """As `with_other_loads`; None also where none of the terms depends on loads."""
         if not physics_of(terms).loaded:

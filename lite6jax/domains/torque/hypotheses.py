@@ -60,13 +60,13 @@ _AXES = {
 """Rotations that turn z into another axis of a frame."""
 
 
-class Declared(NamedTuple):
-    """The rows as they are diagnosed.
+class ScreenedTorques(NamedTuple):
+    """A recording as it is diagnosed.
 
     Attributes:
-        data: corrected.
-        found: what was wrong.
-        ruled_out: what was tested for and is right.
+        data: filtered, with corrected columns.
+        found: data faults.
+        ruled_out: faults that were tested for and are not there.
     """
 
     data: TorqueRows
@@ -74,7 +74,7 @@ class Declared(NamedTuple):
     ruled_out: tuple[DataFault, ...]
 
 
-def as_declared(data: TorqueRows) -> Declared:
+def correct_faults(data: TorqueRows) -> ScreenedTorques:
     """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
     rows = Samples(data)
     compared = _compare(rows)
@@ -101,7 +101,7 @@ def as_declared(data: TorqueRows) -> Declared:
         )
         if not (codes | doubted) & others
     ]
-    return Declared(data, tuple(found), tuple(ruled_out))
+    return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
 
 def _other_axis(rows: Samples, evidence: float) -> DataFault | None:

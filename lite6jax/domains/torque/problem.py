@@ -311,10 +311,6 @@ class TorqueProblem:
             return self
         return replace(self.selected(np.arange(self.samples)[::every]), known=self.known.of_every(every))
 
-    def without_preset(self) -> "TorqueProblem":
-        """Itself: it has none."""
-        return self
-
     def alternative(self, terms: Terms) -> None:
         """None: there is one model of the inputs."""
         return

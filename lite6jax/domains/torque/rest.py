@@ -1,6 +1,5 @@
 """Joints at rest: where friction holds them anywhere within a band, the torque of the motor is indeterminate."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, direction
 from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.sequence import stretches
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -48,16 +48,9 @@ def at_rest(data: TorqueRows) -> Flags:
     runs = data.filter.runs
     still = np.zeros_like(slow)
     for row, out in zip(slow, still, strict=True):
-        for start, stop in _pieces(row, runs):
-            out[start:stop] = stop - start >= least
+        for rows in stretches(row, runs):
+            out[rows] = rows.stop - rows.start >= least
     return still
-
-
-def _pieces(inside: Flags, runs: NDArray[np.integer]) -> list[tuple[int, int]]:
-    """First and last sample, the latter not included, of each piece of a run that is inside."""
-    changes = (np.diff(inside.astype(int)) != 0) | (np.diff(runs) != 0)
-    edges = [0, *(1 + np.flatnonzero(changes)).tolist(), len(inside)]
-    return [(a, b) for a, b in itertools.pairwise(edges) if inside[a]]
 
 
 def held_by_friction(data: TorqueRows) -> Held:
@@ -75,9 +68,9 @@ def held_by_friction(data: TorqueRows) -> Held:
         rest = still[j, kept]
         band = _left_at_rest(data, j, rest, ~near[j, kept]) if rest.sum() >= _FEWEST else 0.0
         if band:
-            for start, stop in _pieces(near[j], data.filter.runs):
+            for span in stretches(near[j], data.filter.runs):
                 # one rest is one torque, however many samples show it
-                slack[j, start:stop] = band * np.sqrt(max((stop - start) / data.filter.every, 1.0))
+                slack[j, span] = band * np.sqrt(max((span.stop - span.start) / data.filter.every, 1.0))
             joints.append(j + 1)
             bands.append(band)
     if not joints:

@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,10 @@ from scipy.ndimage import uniform_filter1d
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.hypotheses import as_declared, computed_torque
+from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
-from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
+from lite6jax.domains.torque.rows import require_joints, torque_rows
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
@@ -25,7 +24,7 @@ from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.joint_changes import at_positions, without_turns
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.sequence import run_segments, stretches
 from lite6jax.recordings.torque_source import STILL_RAD
 
 Array = NDArray[np.floating]
@@ -55,20 +54,6 @@ _WRONG_IN_A_ROW = 3
 _MOST_EVENTS = 3
 _PRESSED = 4.0
 """Standard deviations from which a joint takes part in a contact."""
-
-
-class ScreenedTorques(NamedTuple):
-    """A recording as it is diagnosed.
-
-    Attributes:
-        data: filtered, with corrected columns.
-        found: data faults.
-        ruled_out: faults that were tested for and are not there.
-    """
-
-    data: TorqueRows
-    found: tuple[DataFault, ...]
-    ruled_out: tuple[DataFault, ...]
 
 
 def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
@@ -120,12 +105,12 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     ruled_out: list[DataFault] = []
     if recording.settings.inertial != "unknown" and not still:
-        declared = as_declared(data)
-        _require_unit(recording, declared.found)
-        _require_axes(recording, declared.found)
-        data = declared.data
-        found += declared.found
-        ruled_out += declared.ruled_out
+        corrected = correct_faults(data)
+        _require_unit(recording, corrected.found)
+        _require_axes(recording, corrected.found)
+        data = corrected.data
+        found += corrected.found
+        ruled_out += corrected.ruled_out
     if not still:
         # a joint beyond its limits may have another sign or zero, which has been settled now
         recording, turns = _without_turns(data.recording, arm, wraps_only=False)
@@ -260,14 +245,14 @@ def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[
         if not zero.any() or as_revolute([width], "rad/s", arm.slides[[joint]])[0] < DIRECTION_SPEED:
             continue
         q, dead = recording.joint_position[:, joint], 0
-        for rows in _pieces(zero, segment):
+        for rows in stretches(zero, segment):
             span = time[rows.stop - 1] - time[rows.start]
             if rows.stop - rows.start < _FEWEST_IN_ZONE or span <= 0:
                 continue
             fastest = abs(q[rows.stop - 1] - q[rows.start]) / span
             dead += (rows.stop - rows.start) * bool(width / 8 < fastest < 2 * width)
         if dead >= _FEWEST_AT_REST:
-            for rows in _pieces(np.ones(recording.samples, bool), segment):
+            for rows in stretches(np.ones(recording.samples, bool), segment):
                 if rows.stop - rows.start > 1:
                     slope = uniform_filter1d(np.gradient(q[rows], time[rows]), _FEWEST_IN_ZONE, mode="nearest")
                     velocity[rows, joint] = np.where(zero[rows], slope, velocity[rows, joint])
@@ -304,7 +289,7 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     if not (away > _EVENT).any() or np.median(away) > 3 * problem.rows:
         return none, []
     inside = _joined(away > _EVENT, time, runs)
-    events = _pieces(inside, runs)
+    events = stretches(inside, runs)
     if len(events) > _MOST_EVENTS or inside.mean() > _LONGEST:
         return none, []
     faults = []
@@ -346,14 +331,3 @@ def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> N
         if runs[a] == runs[b] and time[b] - time[a] <= _JOINED:
             inside[a:b] = True
     return inside
-
-
-def _pieces(inside: NDArray[np.bool_], runs: NDArray[np.integer]) -> list[slice]:
-    starts = np.flatnonzero(inside & ~(np.append(False, inside[:-1]) & (np.append(-1, runs[:-1]) == runs)))
-    pieces = []
-    for start in starts:
-        stop = start + 1
-        while stop < len(inside) and inside[stop] and runs[stop] == runs[start]:
-            stop += 1
-        pieces.append(slice(int(start), int(stop)))
-    return pieces

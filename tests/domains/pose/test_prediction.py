@@ -14,7 +14,7 @@ from typed import flat, run
 from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import SCHEMAS, model_from_document, read_model, to_document
+from lite6jax.diagnosis.document import SCHEMAS, model_from_document, read_model
 from lite6jax.domains.pose.files import pose_columns, read_motion
 from lite6jax.domains.pose.predict import predict
 from lite6jax.domains.pose.registration import register_model
@@ -134,7 +134,7 @@ def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
     made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
     found = diagnose(made.recording(static_motion(1)))
     motion = static_motion(10, SAMPLES)
-    poses = predicted(tmp_path, to_document(found), motion)
+    poses = predicted(tmp_path, found.document(), motion)
     off = (poses - made.poses(motion))[:, :3, 3]
     assert np.sqrt(np.mean(np.sum(off**2, 1))) < 1.2e-5
     turned = np.einsum("nij,nik->njk", poses[:, :3, :3], made.poses(motion)[:, :3, :3])
@@ -147,7 +147,7 @@ def test_without_noise_the_prediction_is_the_truth(arm, tmp_path, noise):
     found = diagnose(made.recording(static_motion(1), noise=(noise, noise)))
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     motion = static_motion(10, SAMPLES)
-    poses = predicted(tmp_path, to_document(found), motion)
+    poses = predicted(tmp_path, found.document(), motion)
     assert np.abs(poses - made.poses(motion)).max() < 1e-9
 
 

@@ -16,10 +16,17 @@ from typed import flat, run
 import lite6jax
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import model_from_document, to_document
+from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import compensate
-from lite6jax.domains.pose.predict import SPARSE, Derivatives, bars_of, estimated_variance, predict, predicted
+from lite6jax.domains.pose.predict import (
+    SPARSE,
+    Derivatives,
+    estimated_variance,
+    predict,
+    predict_deviations,
+    predicted,
+)
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
 from lite6jax.effects.composition import Physics
@@ -51,7 +58,7 @@ def found(arm):
 
 @pytest.fixture(scope="module")
 def content(found):
-    return json.loads(json.dumps(to_document(found)))
+    return json.loads(json.dumps(found.document()))
 
 
 @pytest.fixture(scope="module")
@@ -180,9 +187,9 @@ def test_what_is_left_adds_in_quadrature(arm):
 def test_what_held_out_rows_show_is_left(found):
     """A model that misses unseen rows by a tenth of a millimetre says so; one that does not has nothing left."""
     worse = replace(found, after=np.full_like(found.after, 1e-4))
-    left = to_document(worse)["model"]["uncertainty"]["left"]["position_m"]
+    left = worse.document()["model"]["uncertainty"]["left"]["position_m"]
     assert left == pytest.approx(1e-4 / np.sqrt(7.8147), rel=0.2)
-    assert to_document(found)["model"]["uncertainty"]["left"]["position_m"] < NOISE[0]
+    assert found.document()["model"]["uncertainty"]["left"]["position_m"] < NOISE[0]
 
 
 def test_poses_without_noise_are_within_their_bars(arm, model):
@@ -235,7 +242,7 @@ def test_the_spacing_of_few_rows_is_that_between_the_blocks_that_were_held_out(t
     block, q = np.array([0, 0, 1, 1, 2]), recording.joint_position
     apart = np.linalg.norm(q[:, None] - q, axis=-1)
     apart[block[:, None] == block] = np.inf
-    recorded = to_document(diagnose(recording))["model"]["uncertainty"]["recorded"]
+    recorded = diagnose(recording).document()["model"]["uncertainty"]["recorded"]
     assert recorded["spacing_rad"] == pytest.approx(np.quantile(apart.min(1), 0.95), rel=1e-12)
 
 
@@ -321,7 +328,7 @@ def test_a_document_without_it_is_read(arm):
     assert (bars.position_std, bars.orientation_std, bars.outside) == (None, None, None)
     arrays = {name: motion[name] for name in ARRAYS}
     np.testing.assert_array_equal(bars.poses, predict(model, motion["joint_position"], **arrays))
-    assert bars_of(model, model.motion_of(Recording.from_arrays(motion["joint_position"]))) is None
+    assert predict_deviations(model, model.motion_of(Recording.from_arrays(motion["joint_position"]))) is None
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typed import flat, run
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.diagnosis.document import to_document, torque_model_from_document, write_document
+from lite6jax.diagnosis.document import torque_model_from_document, write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.predict import (
@@ -47,7 +47,7 @@ def diagnosed():
 
 @pytest.fixture(scope="module")
 def model(diagnosed):
-    return torque_model_from_document(json.loads(json.dumps(to_document(diagnosed))))
+    return torque_model_from_document(json.loads(json.dumps(diagnosed.document())))
 
 
 def unseen(seed, factor=1.0):
@@ -155,14 +155,14 @@ def test_variances_are_those_of_the_prediction(texts, inertial):
     ],
 )
 def test_damaged_bars_are_refused(diagnosed, damage, message):
-    document = json.loads(json.dumps(to_document(diagnosed)))
+    document = json.loads(json.dumps(diagnosed.document()))
     damage(document["model"]["uncertainty"])
     with pytest.raises(InputError, match=message):
         torque_model_from_document(document)
 
 
 def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
-    document = to_document(diagnosed)
+    document = diagnosed.document()
     path = write_document(document, tmp_path / "d.json")
     motion = write_recording(unseen(7)[2], tmp_path / "motion.csv")
     code, said, _ = run(capsys, "predict", path, motion, "--out", tmp_path / "p.csv")
