@@ -65,6 +65,7 @@ GENERATOR = (
     *("chain", "plain_physics", "mujoco_physics", "view", "information", "rivals", "oracle"),
     *("plans", "hiding", "recorded", "trials", "statements", "outside/__init__"),
     *(f"outside/{name}" for name in ("base", "drawing", "family", "joint", "link", "opened", "sensor", "tool")),
+    *("outside/vault", "outside/workshop"),
 )
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 

@@ -11,11 +11,23 @@ from benchmarks.concealed import campaign, command, hiding, outside, plans, reco
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
-from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses, yielding
+from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
 from benchmarks.ending import UNUSABLE
-
-PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
+from tests import vault_formulas
+from tests.outside_signals import (
+    PAYLOAD_CENTER,
+    base_moment,
+    beyond,
+    faded,
+    latched,
+    late,
+    played,
+    rise,
+    rising,
+    torque,
+    wave,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,19 +39,6 @@ def scene():
     setup = Setup(lite6().moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
     motion = recorded.draw_motion(rng, setup.chain, True, 60, warming=True, wandering=True)
     return setup, motion
-
-
-def rise(motion):
-    return (motion.temperature.mean(1) - 25) / 10
-
-
-def torque(setup, motion, joint):
-    return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[0][:, joint - 1]
-
-
-def beyond(load, preload):
-    """What is left of a load when a preload has taken its share, whichever way it acts; of a turn, beyond a slack."""
-    return load - load.clip(-preload, preload)
 
 
 def incidence(p):
@@ -55,7 +54,6 @@ FORMULAS = {
     "yielding_spring": ("joint2", {"torque_Nm": 3.0}, lambda s, m: yielding(torque(s, m, 2)[:, 2] / 3)),
     "joint_parabola": ("joint3", {"power": 2.0}, lambda s, m: m.q[:, 2] ** 2),
     "squared_coupling": ("joint3", {"by": 5.0, "power": 2.0}, lambda s, m: m.q[:, 4] ** 2),
-    "joint_product": ("joint3", {"by": 5.0, "and": 2.0}, lambda s, m: m.q[:, 4] * m.q[:, 1]),
     "squared_speed": ("joint3", {"power": 2.0}, lambda s, m: m.dq[:, 2] * abs(m.dq[:, 2])),
     "squared_warmth": ("joint3", {"power": 2.0}, lambda s, m: rise(m) ** 2),
     "sticking_zone": (
@@ -65,39 +63,21 @@ FORMULAS = {
     ),
     "link_tilt_by_time": ("link3", {"axis": 4.0, "span_s": 2.0}, lambda s, m: m.time / 2),
     "link_tilt_by_warmth": ("link3", {"axis": 3.0}, lambda s, m: rise(m)),
-    "squared_bending": (
-        "link3",
-        {"axis": 3.0, "moment_Nm": 2.0, "power": 2.0},
-        lambda s, m: torque(s, m, 3)[:, 0] ** 2 / 4,
-    ),
     "base_tilt_by_joint": ("base", {"axis": 3.0, "by": 4.0}, lambda s, m: m.q[:, 3]),
     "base_yaw_by_moment": (
         "base",
         {"axis": 5.0, "base_moment_Nm": 2.0},
-        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] / 2,
+        lambda s, m: base_moment(s, m)[:, 0] / 2,
     ),
     "tool_turn_by_joint": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1]),
-    "tool_shift_by_warmth": ("tool", {"axis": 2.0}, lambda s, m: rise(m)),
     "sensor_turn_by_time": ("sensor", {"axis": 4.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
     "sensor_shift_by_warmth": ("sensor", {"axis": 0.0}, lambda s, m: rise(m)),
     "squared_drift": ("sensor", {"axis": 1.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
     "eccentric_coupling": ("joint3", {"by": 5.0, "phase": 0.4}, lambda s, m: np.sin(1.5 * m.q[:, 4] + 0.4)),
-    "worn_gear": ("joint3", {"torque_Nm": 3.0}, lambda s, m: m.q[:, 2] * torque(s, m, 3)[:, 2] / 3),
     "dragging_gear": (
         "joint3",
         {"torque_Nm": 3.0},
         lambda s, m: -np.sign(m.dq[:, 2]) * abs(torque(s, m, 3)[:, 2]) / 3,
-    ),
-    "hose_pull": ("link3", {"axis": 4.0, "by": 5.0}, lambda s, m: m.q[:, 4] ** 3),
-    "gaping_flange": (
-        "link3",
-        {"axis": 4.0, "moment_y_Nm": 2.0},
-        lambda s, m: torque(s, m, 3)[:, 1].clip(min=0) / 2,
-    ),
-    "rocking_base": (
-        "base",
-        {"axis": 4.0, "base_moment_y_Nm": 2.0},
-        lambda s, m: np.tanh(2 * moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 1]),
     ),
     "loose_clip": ("tool", {"axis": 1.0, "instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
     "creeping_glue": ("tool", {"axis": 2.0, "span_s": 2.0}, lambda s, m: 1 - np.exp(-2 * m.time)),
@@ -112,36 +92,18 @@ FORMULAS = {
         {"by": 5.0, "phase": 0.4},
         lambda s, m: m.q[:, 4] * (np.sin(m.q[:, 2]) * np.cos(0.4) + np.cos(m.q[:, 2]) * np.sin(0.4)),
     ),
-    "flung_joint": ("joint3", {"by": 1.0}, lambda s, m: m.dq[:, 0] * m.dq[:, 0]),
     "softening_link": (
         "link3",
         {"axis": 3.0, "moment_Nm": 2.0},
         lambda s, m: rise(m) * torque(s, m, 3)[:, 0] / 2,
     ),
-    "belt_pull": ("link3", {"axis": 4.0, "by": 5.0}, lambda s, m: np.sign(m.dq[:, 4])),
     "preloaded_base": (
         "base",
         {"axis": 3.0, "base_moment_Nm": 2.0},
-        lambda s, m: beyond(moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0], 1.0) / 2,
-    ),
-    "loosening_clamp": ("tool", {"axis": 4.0, "by": 2.0, "span_s": 2.0}, lambda s, m: 0.5 * m.time * m.q[:, 1]),
-    "swelling_drum": ("joint3", {}, lambda s, m: m.q[:, 2] * rise(m)),
-    "skipped_tooth": ("joint3", {"instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
-    "rubbing_harness": ("joint3", {}, lambda s, m: -np.sign(m.dq[:, 2]) * abs(m.q[:, 2])),
-    "tiring_belt": (
-        "joint3",
-        {"torque_Nm": 3.0, "span_s": 2.0},
-        lambda s, m: m.time * torque(s, m, 3)[:, 2] / 6,
+        lambda s, m: beyond(base_moment(s, m)[:, 0], 1.0) / 2,
     ),
     "whipped_link": ("link3", {"axis": 3.0, "by": 5.0, "and": 2.0}, lambda s, m: m.dq[:, 4] * m.dq[:, 1]),
-    "softening_glue": ("link3", {"axis": 4.0, "softens": 0.6}, lambda s, m: (rise(m) - 0.6).clip(min=0)),
-    "lifting_plate": (
-        "base",
-        {"axis": 2.0, "base_moment_Nm": 2.0},
-        lambda s, m: np.sqrt(moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] ** 2 / 4),
-    ),
     "wheeled_table": ("base", {"axis": 1.0, "by": 4.0}, lambda s, m: np.sign(m.dq[:, 3])),
-    "taut_cable": ("tool", {"axis": 4.0, "by": 2.0, "slack": 0.5}, lambda s, m: beyond(m.q[:, 1], 0.5)),
     "tipping_tool": (
         "tool",
         {"axis": 3.0, "flange": 6.0, "flange_moment_Nm": 0.01},
@@ -150,7 +112,7 @@ FORMULAS = {
     "shared_bench": (
         "sensor",
         {"axis": 2.0, "base_moment_Nm": 2.0},
-        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] / 2,
+        lambda s, m: base_moment(s, m)[:, 0] / 2,
     ),
     "thinning_grease": ("joint3", {}, lambda s, m: (m.temperature.mean(1) / 10 - 2.5) * m.dq[:, 2]),
     "fading_friction": (
@@ -158,34 +120,11 @@ FORMULAS = {
         {"fades": 0.4},
         lambda s, m: np.where(m.dq[:, 2] > 0, -np.exp(-2.5 * m.dq[:, 2]), np.exp(2.5 * m.dq[:, 2])),
     ),
-    "loosening_hub": ("joint3", {"span_s": 2.0}, lambda s, m: np.where(m.dq[:, 2] > 0, -0.5, 0.5) * m.time),
-    "shared_differential": (
-        "joint5",
-        {"by": 2.0, "by_torque_Nm": 3.0},
-        lambda s, m: torque(s, m, 2)[:, 2] / 3,
-    ),
     "bowed_link": ("link3", {"axis": 4.0}, lambda s, m: np.diff(m.temperature[:, 2:4], axis=1)[:, 0] / 10),
-    "creeping_print": (
-        "link3",
-        {"axis": 3.0, "span_s": 2.0, "moment_Nm": 2.0},
-        lambda s, m: (1 - np.exp(-2 * m.time)) * torque(s, m, 3)[:, 0] / 2,
-    ),
-    "oblique_profile": ("link3", {"axis": 4.0, "moment_Nm": 2.0}, lambda s, m: torque(s, m, 3)[:, 0] / 2),
-    "slackening_bolts": (
-        "base",
-        {"axis": 3.0, "base_moment_Nm": 2.0, "span_s": 2.0},
-        lambda s, m: m.time / 2 * np.tanh(2 * moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0]),
-    ),
     "swung_trolley": (
         "base",
         {"axis": 0.0},
         lambda s, m: m.dq[:, 0] * np.sin(m.q[:, 0] + np.pi / 2) * m.dq[:, 0],
-    ),
-    "flung_probe": ("tool", {"axis": 1.0, "flange": 6.0}, lambda s, m: m.dq[:, 5] * m.dq[:, 5]),
-    "sliding_nest": (
-        "tool",
-        {"axis": 0.0, "flange": 6.0, "flange_moment_y_Nm": 0.01},
-        lambda s, m: 100 * torque(s, m, 6)[:, 1],
     ),
     "cracked_tooth": (
         "joint3",
@@ -209,11 +148,6 @@ FORMULAS = {
         "link3",
         {"axis": 3.0, "by": 5.0, "hums": 0.5, "band": 0.2},
         lambda s, m: np.exp(-12.5 * (np.sqrt(m.dq[:, 4] ** 2) - 0.5) ** 2),
-    ),
-    "sunken_foot": (
-        "base",
-        {"axis": 4.0, "base_moment_Nm": 2.0},
-        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, :2].sum(1).clip(min=0) / 2,
     ),
     "passing_truck": (
         "base",
@@ -277,7 +211,6 @@ FORMULAS = {
         {"by": 5.0},
         lambda s, m: np.where(m.dq[:, 2] > 0, -1.0, 1.0) * (1 - np.exp(-0.3 * np.sqrt(m.q[:, 4] ** 2))),
     ),
-    "weak_bridge": ("joint3", {}, lambda s, m: -(m.dq[:, 2] + abs(m.dq[:, 2])) / 2),
     "flipping_pull": (
         "joint3",
         {"by": 5.0, "over": -1.0},
@@ -297,39 +230,79 @@ FORMULAS = {
     "breathing_springs": (
         "base",
         {"axis": 3.0, "base_moment_Nm": 2.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
-        lambda s, m: (
-            np.cos(1.5 * np.pi * m.time + 0.4 - np.pi / 2)
-            * moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0]
-            / 2
-        ),
+        lambda s, m: np.cos(1.5 * np.pi * m.time + 0.4 - np.pi / 2) * base_moment(s, m)[:, 0] / 2,
     ),
-    "climbing_bayonet": ("tool", {"axis": 2.0, "flange": 6.0}, lambda s, m: np.where(m.dq[:, 5] > 0, 1.0, -1.0)),
     "opening_chuck": (
         "tool",
         {"axis": 3.0, "flange": 6.0, "flange_moment_Nm": 0.01},
         lambda s, m: 100 * torque(s, m, 6)[:, 0] * m.dq[:, 5] * m.dq[:, 5],
     ),
-    "wound_lead": ("sensor", {"axis": 4.0, "by": 5.0}, lambda s, m: m.q[:, 4] * m.q[:, 4]),
-}
+    "lost_motion": ("joint3", {"by": 5.0, "width": 0.3}, lambda s, m: played(m.q[:, 4], 0.3) - m.q[:, 4]),
+    "dragged_boot": (
+        "joint3",
+        {"width": 0.2},
+        lambda s, m: -faded(0.0, np.sign(np.diff(m.q[:, 2])), np.abs(np.diff(m.q[:, 2])) / 0.6),
+    ),
+    "sagging_supply": ("joint3", {"by": 5.0}, lambda s, m: -m.dq[:, 2] * np.sqrt(m.dq[:, 4] ** 2)),
+    "tensioned_cable": (
+        "joint3",
+        {"by": 5.0, "torque_Nm": 3.0},
+        lambda s, m: m.q[:, 4] * torque(s, m, 3)[:, 2] / 3,
+    ),
+    "warm_flanks": ("joint3", {"torque_Nm": 3.0}, lambda s, m: rise(m) * rising(4 * torque(s, m, 3)[:, 2] / 3)),
+    "lame_resolver": ("joint3", {"phase": 0.4}, lambda s, m: -wave(m.q[:, 2]) * m.dq[:, 2]),
+    "tiring_amplifier": ("joint3", {"span_s": 2.0}, lambda s, m: -0.5 * m.time * m.dq[:, 2]),
+    "nylon_wheel": (
+        "joint3",
+        {"torque_Nm": 3.0, "relaxes_s": 0.5},
+        lambda s, m: late(torque(s, m, 3)[:, 2] / 3, m, 0.5),
+    ),
+    "sailing_cover": ("link3", {"axis": 4.0, "by": 5.0}, lambda s, m: m.dq[:, 4] * np.sqrt(m.dq[:, 4] ** 2)),
+    "flopping_loom": (
+        "link3",
+        {"axis": 3.0, "moment_Nm": 0.2},
+        lambda s, m: latched(torque(s, m, 3)[:, 0], 0.1),
+    ),
+    "soft_tyres": (
+        "base",
+        {"axis": 4.0, "base_moment_y_Nm": 2.0, "relaxes_s": 0.5},
+        lambda s, m: late(base_moment(s, m)[:, 1] / 2, m, 0.5),
+    ),
+    "punching_press": (
+        "base",
+        {"axis": 2.0, "span_s": 2.0, "strokes": 5.0, "phase": 0.4},
+        lambda s, m: wave(5 * np.pi * m.time).clip(min=0) ** 8,
+    ),
+    "cycling_gripper": (
+        "tool",
+        {"axis": 1.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
+        lambda s, m: np.where(wave(1.5 * np.pi * m.time) > 0, 1.0, -1.0),
+    ),
+    "trailing_lead": ("tool", {"axis": 4.0, "by": 2.0, "hums": 0.5}, lambda s, m: rising(2 * m.dq[:, 1])),
+    "two_hoses": ("tool", {"axis": 3.0, "by": 1.0, "and": 4.0}, lambda s, m: np.sign(m.dq[:, [0, 3]]).sum(1)),
+    "switching_fan": ("sensor", {"axis": 0.0, "snaps": 0.6}, lambda s, m: latched(rise(m) - 0.6, 0.15)),
+    "brushed_mast": (
+        "sensor",
+        {"axis": 1.0, "by": 5.0, "over": -1.0},
+        lambda s, m: np.exp(-((m.q[:, 4] + 1) ** 2) / 0.18),
+    ),
+} | vault_formulas.FORMULAS
 IMAGES = {
-    "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
-    "skewed_axes": lambda p: p[:, [1]] * [1.0, 0.0, 0.0],
-    "stretched_axis": lambda p: p[:, [0]] * [1.0, 0.0, 0.0],
-    "keystone": lambda p: p[:, [1]] * p * [1.0, 1.0, 0.0],
-    "bent_beam": lambda p: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
-    "eccentric_circle": lambda p: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
-    "squinting_pair": lambda p: np.einsum("sa,s->sa", p, p[:, 2]),
-    "cyclic_ranger": lambda p: (
+    "lens_distortion": lambda p, m: p * np.sum(p**2, 1, keepdims=True),
+    "stretched_axis": lambda p, m: p[:, [0]] * [1.0, 0.0, 0.0],
+    "bent_beam": lambda p, m: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
+    "eccentric_circle": lambda p, m: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
+    "cyclic_ranger": lambda p, m: (
         p / np.linalg.norm(p, axis=1, keepdims=True) * np.sin(5 * np.pi * np.linalg.norm(p, axis=1, keepdims=True))
     ),
-    "tilted_trunnion": lambda p: (
-        np.cross([0.0, 0.0, 1.0], p) * p[:, [2]] / np.linalg.norm(p[:, :2], axis=1, keepdims=True)
-    ),
     # beside an angle of incidence, that of the refracted ray
-    "glass_pane": lambda p: (
+    "glass_pane": lambda p, m: (
         (np.cos(incidence(p)) / (1.5 * np.cos(np.arcsin(np.sin(incidence(p)) / 1.5)))) * [0.0, 0.0, 1.0]
     ),
-}
+    "drifting_clock": lambda p, m: np.einsum("sa,s->sa", p, 0.5 * m.time),
+    "moire_fringes": lambda p, m: wave(8 * np.pi * p[:, [0]], 0.0) * [0.0, 0.0, 1.0],
+    "steel_bench": lambda p, m: 1 / np.exp(5 * np.sqrt(p[:, [2]] ** 2)) * [0.0, 0.0, 1.0],
+} | vault_formulas.IMAGES
 
 
 def displaced(setup, motion, site, twist):
@@ -353,7 +326,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 101
+    assert len(FAMILIES) == 109
 
 
 @pytest.mark.parametrize("name", FORMULAS)
@@ -380,8 +353,8 @@ def test_a_family_shows_what_its_formula_says(name, scene):
 def test_an_image_shifts_points_and_turns_nothing(name, scene):
     setup, motion = scene
     rotation, position = poses(setup, (), motion)
-    moved = poses(setup, (Hidden(name, "sensor", (3e-4,)),), motion)
-    np.testing.assert_allclose(moved[1] - position, 3e-4 * IMAGES[name](position), atol=1e-15)
+    moved = poses(setup, (Hidden(name, "sensor", (3e-4,), {"span_s": 2.0}),), motion)
+    np.testing.assert_allclose(moved[1] - position, 3e-4 * IMAGES[name](position, motion), atol=1e-15)
     np.testing.assert_array_equal(moved[0], rotation)
 
 
@@ -409,7 +382,7 @@ def test_a_seed_means_the_same_families_whatever_was_opened_since():
 
 
 def test_every_family_that_was_written_is_drawn_some_day():
-    places = (outside.joint, outside.link, outside.base, outside.tool, outside.sensor)
+    places = (outside.joint, outside.link, outside.base, outside.tool, outside.sensor, outside.workshop, outside.vault)
     written = [name for place in places for name in place.FAMILIES]
     assert len(written) == len(set(written))
     assert set(written) == set(FAMILIES)

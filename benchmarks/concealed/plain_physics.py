@@ -235,7 +235,7 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     if sensor.any():
         turn = rotation_from_vector(sensor[:, 3:])
         p, R = sensor[:, :3] + np.einsum("sab,sb->sa", turn, p), turn @ R
-    shifts = [effect.values[0] * seen_shift(effect.name, p) for effect in image]
+    shifts = [effect.values[0] * seen_shift(effect.name, effect.fixed, signals, p) for effect in image]
     return R, scale * sum(shifts, p)
 
 

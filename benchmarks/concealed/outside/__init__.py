@@ -2,8 +2,7 @@
 
 from benchmarks.concealed.outside.drawing import drawn, straight
 from benchmarks.concealed.outside.family import Drivers, Family, Fixed, Signals
-from benchmarks.concealed.outside.opened import FAMILIES, OPENED, SEALED, families
-from benchmarks.concealed.outside.sensor import seen_shift
+from benchmarks.concealed.outside.opened import FAMILIES, OPENED, SEALED, families, seen_shift
 
 __all__ = [
     "FAMILIES",

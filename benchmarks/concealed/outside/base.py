@@ -6,7 +6,6 @@ from benchmarks.concealed.outside.family import (
     BY_JOINT,
     DIRECTION,
     PRELOAD,
-    ROCKING,
     TEMPERATURE,
     TIME,
     VELOCITY,
@@ -32,17 +31,6 @@ FAMILIES: dict[str, Family] = {
         (5,),
         loaded=True,
     ),
-    # a table one of whose feet is short
-    "rocking_base": Family(
-        "base",
-        "turn_rad",
-        lambda fixed, s: np.tanh(ROCKING * s.base_moment[:, 1] / fixed["base_moment_y_Nm"]),
-        ("base_moment_y_Nm",),
-        phrases("base moment y"),
-        (4,),
-        beside=("base_compliance", "frame_offset"),
-        loaded=True,
-    ),
     # a plate whose bolts hold it until the moment overcomes how tight they are
     "preloaded_base": Family(
         "base",
@@ -52,17 +40,6 @@ FAMILIES: dict[str, Family] = {
         phrases("base moment x"),
         (3,),
         beside=("base_compliance", "frame_offset"),
-        loaded=True,
-    ),
-    # a loose plate rocks over one edge or the other, and its middle rises both times
-    "lifting_plate": Family(
-        "base",
-        "shift_m",
-        lambda fixed, s: np.abs(s.base_moment[:, 0]) / fixed["base_moment_Nm"],
-        ("base_moment_Nm",),
-        phrases("base moment x"),
-        (2,),
-        beside=("frame_offset",),
         loaded=True,
     ),
     # a table on wheels stays where the last jerk of a joint pushed it
@@ -75,17 +52,6 @@ FAMILIES: dict[str, Family] = {
         (0, 1),
         beside=("frame_offset",),
     ),
-    # bolts that shaking slackens: the base tips from one side to the other, further and further
-    "slackening_bolts": Family(
-        "base",
-        "turn_rad",
-        lambda fixed, s: np.tanh(ROCKING * s.base_moment[:, 0] / fixed["base_moment_Nm"]) * s.time / fixed["span_s"],
-        ("base_moment_Nm", "span_s"),
-        together(phrases("base moment x"), TIME),
-        (3,),
-        beside=("base_compliance", "frame_offset"),
-        loaded=True,
-    ),
     # a light trolley is drawn to where the arm points as joint 1 swings it round
     "swung_trolley": Family(
         "base",
@@ -96,17 +62,6 @@ FAMILIES: dict[str, Family] = {
         (0,),
         beside=("frame_offset",),
         moving=True,
-    ),
-    # a foot at a corner stands on soft ground, and sinks when the arm leans over it
-    "sunken_foot": Family(
-        "base",
-        "turn_rad",
-        lambda fixed, s: np.maximum((s.base_moment[:, 0] + s.base_moment[:, 1]) / fixed["base_moment_Nm"], 0.0),
-        ("base_moment_Nm",),
-        together(phrases("base moment x"), phrases("base moment y")),
-        (3, 4),
-        beside=("base_compliance", "frame_offset"),
-        loaded=True,
     ),
     # a truck that drives by bends the floor for a while
     "passing_truck": Family(

@@ -47,7 +47,7 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(np.percentile(q, rng.uniform(55, 80)))
             case "slack":
                 fixed[key] = float(np.percentile(np.abs(column(s.q, fixed, "by")), rng.uniform(30, 60)))
-            case "softens" | "buckles":
+            case "buckles":
                 fixed[key] = float(np.percentile(s.warmth(), rng.uniform(30, 60)))
             case "over":
                 fixed[key] = float(np.percentile(column(s.q, fixed, "by"), rng.uniform(35, 65)))
@@ -63,6 +63,11 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 speed = np.abs(column(s.dq, fixed, "by"))
                 band = float(rng.uniform(0.1, 0.2) * np.percentile(speed, 95))
                 fixed |= {"hums": float(np.percentile(speed, rng.uniform(35, 75))), "band": band}
+            case "strokes":
+                fixed[key] = float(rng.uniform(5.0, 9.0))
+            case "relaxes_s":
+                # some poses at rest, or as long as it takes to come somewhere else
+                fixed[key] = float(rng.uniform(2.0, 6.0) * max(s.time[1] - s.time[0], 0.3))
             case "flange":
                 fixed[key] = float(dof)
             case "lower":
@@ -72,10 +77,8 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 load = {
                     "torque_Nm": s.moment[:, joint - 1, 2],
                     "moment_Nm": s.moment[:, joint - 1, 0],
-                    "moment_y_Nm": s.moment[:, joint - 1, 1],
                     "by_torque_Nm": s.moment[:, int(fixed.get("by", joint)) - 1, 2],
                     "flange_moment_Nm": s.moment[:, -1, 0],
-                    "flange_moment_y_Nm": s.moment[:, -1, 1],
                     "base_moment_Nm": s.base_moment[:, 0],
                     "base_moment_y_Nm": s.base_moment[:, 1],
                 }[key]

@@ -7,7 +7,7 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import chain
+from itertools import accumulate, chain
 
 import numpy as np
 
@@ -64,7 +64,7 @@ class Family:
         place: joint, link, base, tool, sensor or image.
         number: the name of its one number, with its unit.
         signal: `(sample,)` by which the number is multiplied; None where it depends on the way between the samples or
-            on the measured position.
+            on the measured position alone.
         keys: what is drawn for it beside the site.
         axes: the components of a twist (x y z, then turns about them) among which one is drawn.
         drivers: on what the signal depends.
@@ -75,6 +75,7 @@ class Family:
         moving: whether it needs velocities.
         warm: whether it needs temperatures that vary.
         skipping: whether "by" is never the next joint, whose axis would wobble by its own position.
+        image: of the point that the sensor has at `(axis, sample)` m, the shift `(axis, sample)` m; None elsewhere.
     """
 
     place: str
@@ -89,6 +90,99 @@ class Family:
     moving: bool = False
     warm: bool = False
     skipping: bool = False
+    image: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What happens where a family is, of its own joint or of the one that a key says; what was drawn is its items.
+
+    Attributes:
+        fixed: what was drawn.
+        s: what happens in the whole arm.
+    """
+
+    fixed: Fixed
+    s: Signals
+
+    def __getitem__(self, key: str) -> float:
+        return self.fixed[key]
+
+    def q(self, key: str = "joint") -> Array:
+        """`(sample,)` rad."""
+        return column(self.s.q, self.fixed, key)
+
+    def dq(self, key: str = "joint") -> Array:
+        """`(sample,)` rad/s."""
+        return column(self.s.dq, self.fixed, key)
+
+    def side(self, key: str = "joint") -> Array:
+        """`(sample,)`, -1, 0 or 1: the direction of motion."""
+        return column(self.s.direction, self.fixed, key)
+
+    def load(self, key: str = "joint") -> Array:
+        """`(sample,)`: gravity's torque over the one that was drawn."""
+        return column(self.s.moment[..., 2], self.fixed, key) / self[f"{'by_' if key == 'by' else ''}torque_Nm"]
+
+    def moment(self, axis: str, at: str = "") -> Array:
+        """`(sample,)`: gravity's moment about x or y of the link, "flange_" or "base_", over the one that was drawn."""
+        whole = self.s.base_moment if at == "base_" else column(self.s.moment, self.fixed, at.strip("_") or "joint")
+        return whole[:, "xy".index(axis)] / self[f"{at}moment_{'y_' if axis == 'y' else ''}Nm"]
+
+    def share(self) -> Array:
+        """`(sample,)`, 0 to 1: the part of the recording that is over."""
+        return self.s.time / self["span_s"]
+
+    def wave(self, turns: str = "turns") -> Array:
+        """`(sample,)`: a sine of the time, as often as was drawn."""
+        return np.sin(2 * np.pi * self[turns] * self.share() + self["phase"])
+
+
+def family(
+    place: str,
+    drivers: str,
+    signal: Callable[[Scene], Array] | None = None,
+    keys: str = "",
+    beside: str = "",
+    axes: tuple[int, ...] = (),
+    image: Callable[[Array], Array] | None = None,
+) -> Family:
+    """A family whose number and needs follow from its place and drivers; a constant is true beside it, or a scale.
+
+    Args:
+        place: joint, link, base, tool, sensor or image.
+        drivers: each of which the signal depends on, as "torque, velocity/speed of by": of the family's own joint or
+            of that of a key, with a stroke between phrases of which one is enough.
+        signal: of what happens there.
+        keys: words of what is drawn for it.
+        beside: words of the catalogue's effects that are its straight part.
+        axes: of a twist.
+        image: of the measured position.
+    """
+
+    def phrases_of(fixed: Fixed) -> Drivers:
+        each = (driver.partition(" of ") for driver in drivers.split(", "))
+        return tuple(
+            tuple(f"{_OF[w]} {int(fixed[key or 'joint'])}" if w in _OF else w for w in words.split("/"))
+            for words, _, key in each
+        )
+
+    always = {"joint": "joint_offset", "tool": "tool_offset", "image": "measurement_scale"}
+    always |= dict.fromkeys(("link", "base"), "frame_offset")
+    return Family(
+        place,
+        "turn_rad" if place == "joint" or min(axes, default=0) > 2 else "shift_m",
+        (lambda fixed, s: signal(Scene(fixed, s))) if signal else None,
+        tuple(keys.split()),
+        phrases_of,
+        axes,
+        (*beside.split(), *always.get(place, "").split()),
+        loaded="torque" in drivers or "moment" in drivers,
+        moving="velocity" in drivers,
+        warm="temperature" in drivers,
+        skipping=place in ("joint", "link"),
+        image=image,
+    )
 
 
 def column(values: Array, fixed: Fixed, key: str = "joint") -> Array:
@@ -109,6 +203,30 @@ def beyond(values: Array, free: float) -> Array:
 def bump(values: Array, centre: float, width: float) -> Array:
     """`(sample,)`: 1 at the centre, and a half at 1.2 widths from it."""
     return np.exp(-0.5 * ((values - centre) / width) ** 2)
+
+
+def play(values: Array, half: float) -> Array:
+    """`(sample,)`: what values push along that have so much play to either side of it."""
+    return np.array([*accumulate(values, lambda x, now: min(max(x, now - half), now + half))])
+
+
+def latch(values: Array, level: float) -> Array:
+    """`(sample,)`, -1 or 1: the side on which values were last beyond a level, or where they began."""
+    start = float(np.sign(values[0]))
+    return np.array([*accumulate(values[1:], lambda x, v: np.sign(v) if abs(v) > level else x, initial=start)])
+
+
+def lagged(values: Array, time: Array, constant: float) -> Array:
+    """`(sample,)`: what comes after values with a time constant, from rest, where each has held since the last."""
+    steps = zip(values[1:], -np.expm1(-np.diff(time) / constant), strict=True)
+    return np.array([*accumulate(steps, lambda x, now: x + now[1] * (now[0] - x), initial=values[0])])
+
+
+def wound(values: Array, run: float) -> Array:
+    """`(sample,)`, -1 to 1: how far what slips along is wound up, the more slowly the more it is (P. Dahl, 1968)."""
+    step = np.diff(values)
+    ways = zip(np.sign(step), -np.expm1(-np.abs(step) / run), strict=True)
+    return np.array([*accumulate(ways, lambda x, way: x + way[1] * (way[0] - x), initial=0.0)])
 
 
 def torque(fixed: Fixed, s: Signals) -> Array:
@@ -144,3 +262,14 @@ DIRECTION = "direction of motion of joint"
 VELOCITY = "velocity of joint"
 SPEED = "speed of joint"
 BY_JOINT = own(POSITION, "by")
+_OF = {
+    "position": POSITION,
+    "torque": TORQUE,
+    "direction": DIRECTION,
+    "velocity": VELOCITY,
+    "speed": SPEED,
+    "travel": "travel since reversal of joint",
+    "moment x": "gravity moment x of link",
+}
+TILT = (3, 4)
+X, Y, Z = np.eye(3)[:, :, None]

@@ -7,7 +7,6 @@ from benchmarks.concealed.outside.family import (
     BY_JOINT,
     DIRECTION,
     POSITION,
-    SPEED,
     TEMPERATURE,
     TIME,
     TORQUE,
@@ -77,14 +76,6 @@ FAMILIES: dict[str, Family] = {
         BY_JOINT,
         beside=("joint_coupling", "joint_offset"),
     ),
-    "joint_product": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: column(s.q, fixed, "by") * column(s.q, fixed, "and"),
-        ("by", "and"),
-        together(BY_JOINT, own(POSITION, "and")),
-        beside=("joint_coupling", "joint_offset"),
-    ),
     "squared_speed": Family(
         "joint",
         "turn_rad",
@@ -121,16 +112,6 @@ FAMILIES: dict[str, Family] = {
         beside=("joint_coupling", "joint_offset"),
         skipping=True,
     ),
-    # a gear that is worn more and more along its turn gives way more and more
-    "worn_gear": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: torque(fixed, s) * column(s.q, fixed),
-        ("torque_Nm",),
-        together(own(TORQUE), own(POSITION)),
-        beside=("joint_compliance", "joint_scale", "joint_offset"),
-        loaded=True,
-    ),
     # friction that grows with the load, whichever way it acts, holds a joint back
     "dragging_gear": Family(
         "joint",
@@ -160,54 +141,6 @@ FAMILIES: dict[str, Family] = {
         beside=("joint_harmonic", "joint_coupling", "joint_offset"),
         skipping=True,
     ),
-    # what another joint swings round pulls outwards, and the gear gives way to it
-    "flung_joint": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: column(s.dq, fixed, "by") ** 2,
-        ("by",),
-        own(VELOCITY, "by"),
-        beside=("joint_offset",),
-        moving=True,
-    ),
-    # a cable drum of plastic grows with warmth
-    "swelling_drum": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: s.warmth() * column(s.q, fixed),
-        (),
-        together(TEMPERATURE, own(POSITION)),
-        beside=("joint_scale", "joint_thermal_offset", "joint_offset"),
-        warm=True,
-    ),
-    # a belt jumps over a tooth of its pulley
-    "skipped_tooth": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: (s.time > fixed["instant_s"]).astype(float),
-        ("instant_s",),
-        TIME,
-        beside=("joint_offset",),
-    ),
-    # cables wound round a joint rub the more, the further they are wound
-    "rubbing_harness": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: -column(s.direction, fixed) * np.abs(column(s.q, fixed)),
-        (),
-        together(own(DIRECTION), own(POSITION)),
-        beside=("joint_backlash",),
-    ),
-    # a belt that wears stretches more and more under its load
-    "tiring_belt": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: torque(fixed, s) * s.time / fixed["span_s"],
-        ("torque_Nm", "span_s"),
-        together(own(TORQUE), TIME),
-        beside=("joint_compliance", "joint_offset"),
-        loaded=True,
-    ),
     # grease thins as it warms, and the drive lags less behind
     "thinning_grease": Family(
         "joint",
@@ -228,25 +161,6 @@ FAMILIES: dict[str, Family] = {
         either(VELOCITY, DIRECTION),  # of a moving joint the direction is the sign of the velocity
         beside=("joint_backlash", "joint_lag"),
         moving=True,
-    ),
-    # the set screw of a hub works loose, and its play grows
-    "loosening_hub": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: -column(s.direction, fixed) * s.time / fixed["span_s"],
-        ("span_s",),
-        together(own(DIRECTION), TIME),
-        beside=("joint_backlash",),
-    ),
-    # two joints share a differential, and the load of one turns the other
-    "shared_differential": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: column(s.moment[..., 2], fixed, "by") / fixed["by_torque_Nm"],
-        ("by", "by_torque_Nm"),
-        own(TORQUE, "by"),
-        beside=("joint_offset",),
-        loaded=True,
     ),
     # a tooth with a crack at its root gives way to the load while it is in mesh
     "cracked_tooth": Family(
@@ -345,16 +259,6 @@ FAMILIES: dict[str, Family] = {
         ("by",),
         together(own(DIRECTION), BY_JOINT),
         beside=("joint_backlash",),
-    ),
-    # one half of an amplifier's bridge is weak, and the servo falls behind when it runs forwards
-    "weak_bridge": Family(
-        "joint",
-        "turn_rad",
-        lambda fixed, s: -np.maximum(column(s.dq, fixed), 0.0),
-        (),
-        either(VELOCITY, SPEED),  # half the velocity and half the speed
-        beside=("joint_lag",),
-        moving=True,
     ),
     # the spring of a dress pack goes over its dead point as another joint turns, and pulls the other way
     "flipping_pull": Family(

@@ -5,8 +5,6 @@ import numpy as np
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
     BY_JOINT,
-    CREEP,
-    DIRECTION,
     POSITION,
     ROCKING,
     SPEED,
@@ -44,38 +42,6 @@ FAMILIES: dict[str, Family] = {
         "link", "turn_rad", lambda fixed, s: s.time / fixed["span_s"], ("span_s",), TIME, (3, 4)
     ),
     "link_tilt_by_warmth": Family("link", "turn_rad", lambda fixed, s: s.warmth(), (), TEMPERATURE, (3, 4), warm=True),
-    "squared_bending": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: (column(s.moment[..., 0], fixed) / fixed["moment_Nm"]) ** fixed["power"],
-        ("moment_Nm", "power"),
-        own("gravity moment x of link"),
-        (3,),
-        beside=("link_compliance",),
-        loaded=True,
-    ),
-    # a hose along the arm that stiffens as another joint bends it
-    "hose_pull": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: column(s.q, fixed, "by") ** 3,
-        ("by",),
-        BY_JOINT,
-        (3, 4),
-        beside=("frame_offset",),
-        skipping=True,
-    ),
-    # a flange with a loose bolt opens under a moment of one sign and stays shut under the other
-    "gaping_flange": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: np.maximum(column(s.moment[..., 1], fixed) / fixed["moment_y_Nm"], 0.0),
-        ("moment_y_Nm",),
-        own("gravity moment y of link"),
-        (4,),
-        beside=("link_compliance", "frame_offset"),
-        loaded=True,
-    ),
     # a link of plastic bends the more the warmer it is
     "softening_link": Family(
         "link",
@@ -88,17 +54,6 @@ FAMILIES: dict[str, Family] = {
         loaded=True,
         warm=True,
     ),
-    # the belt that drives another joint pulls a link to the side on which it is taut
-    "belt_pull": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: column(s.direction, fixed, "by"),
-        ("by",),
-        own(DIRECTION, "by"),
-        (3, 4),
-        beside=("frame_offset",),
-        skipping=True,
-    ),
     # Coriolis's force, where two joints move at once, bends a link
     "whipped_link": Family(
         "link",
@@ -110,17 +65,6 @@ FAMILIES: dict[str, Family] = {
         beside=("frame_offset",),
         moving=True,
     ),
-    # a glued joint of a link holds until it is so warm that the glue softens
-    "softening_glue": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: np.maximum(s.warmth() - fixed["softens"], 0.0),
-        ("softens",),
-        TEMPERATURE,
-        (3, 4),
-        beside=("frame_offset",),
-        warm=True,
-    ),
     # a link bows where one of its ends is warmer than the other
     "bowed_link": Family(
         "link",
@@ -131,30 +75,6 @@ FAMILIES: dict[str, Family] = {
         (3, 4),
         beside=("frame_offset",),
         warm=True,
-    ),
-    # a printed link gives way more and more to its load, and ever more slowly
-    "creeping_print": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: (
-            -np.expm1(-CREEP * s.time / fixed["span_s"]) * column(s.moment[..., 0], fixed) / fixed["moment_Nm"]
-        ),
-        ("span_s", "moment_Nm"),
-        together(TIME, own("gravity moment x of link")),
-        (3,),
-        beside=("link_compliance", "frame_offset"),
-        loaded=True,
-    ),
-    # a profile whose main axes lie oblique gives way to the side of its load
-    "oblique_profile": Family(
-        "link",
-        "turn_rad",
-        lambda fixed, s: column(s.moment[..., 0], fixed) / fixed["moment_Nm"],
-        ("moment_Nm",),
-        own("gravity moment x of link"),
-        (4,),
-        beside=("frame_offset",),
-        loaded=True,
     ),
     # the balls of a bearing are pressed into their races, ever less by more load (H. Hertz, 1881)
     "dented_bearing": Family(

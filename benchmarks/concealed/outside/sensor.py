@@ -4,14 +4,17 @@ import numpy as np
 
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
-    BY_JOINT,
     SPEED,
     TEMPERATURE,
     TIME,
     VELOCITY,
     Family,
+    X,
+    Y,
+    Z,
     column,
     either,
+    family,
     phrases,
     together,
 )
@@ -21,19 +24,19 @@ _CYCLE = 0.4
 _GLASS = 1.5
 """Refractive index."""
 
+
+def _cyclic(distance: Array) -> Array:
+    return np.sin(2 * np.pi * distance / _CYCLE) / distance
+
+
+def _refracted(cosine: Array) -> Array:
+    # along the normal of the pane (W. Snell, 1621); what is the same everywhere is the sensor's place
+    return cosine / np.sqrt(_GLASS**2 - 1 + cosine**2)
+
+
 FAMILIES: dict[str, Family] = {
-    "lens_distortion": Family(
-        "image",
-        "shift_m",
-        None,
-        (),
-        phrases("measured position"),
-        beside=("measurement_scale",),
-    ),
-    "skewed_axes": Family("image", "shift_m", None, (), phrases("measured position x", "measured position y")),
-    "stretched_axis": Family(
-        "image", "shift_m", None, (), phrases("measured position x"), beside=("measurement_scale",)
-    ),
+    "lens_distortion": family("image", "measured position", image=lambda p: p * (p**2).sum(0)),
+    "stretched_axis": family("image", "measured position x", image=lambda p: X * p[0]),
     "sensor_turn_by_time": Family(
         "sensor",
         "turn_rad",
@@ -65,10 +68,8 @@ FAMILIES: dict[str, Family] = {
         (0, 1, 2),
         beside=("sensor_drift", "base_drift"),
     ),
-    # an image taken aslant: what is higher in it is smaller
-    "keystone": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
     # air that is warmer on one side bends the sight, by the square of the distance
-    "bent_beam": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    "bent_beam": family("image", "measured position", image=lambda p: Z * (p**2).sum(0)),
     # a sensor stands on the arm's bench, which gives way as the arm leans over
     "shared_bench": Family(
         "sensor",
@@ -79,14 +80,12 @@ FAMILIES: dict[str, Family] = {
         (0, 1, 2),
         loaded=True,
     ),
-    # the circle on which a tracker reads its azimuth turns out of its centre
-    "eccentric_circle": Family(
-        "image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)
+    # the circle on which a tracker reads its azimuth turns out of its centre: by the sine, square to the sight
+    "eccentric_circle": family(
+        "image", "measured position", image=lambda p: (Y * p[0] - X * p[1]) * p[1] / np.hypot(p[0], p[1])
     ),
-    # one camera of a pair was knocked and squints: all that is far comes too near, along its sight
-    "squinting_pair": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
     # light that strays in a distance meter mixes with its signal, and the error comes round with the phase
-    "cyclic_ranger": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    "cyclic_ranger": family("image", "measured position", image=lambda p: p * _cyclic(np.linalg.norm(p, axis=0))),
     # the head of a sensor nods in its clamp while two joints shake the floor
     "shaken_tripod": Family(
         "sensor",
@@ -97,53 +96,8 @@ FAMILIES: dict[str, Family] = {
         (3, 4),
         moving=True,
     ),
-    # the axis about which a tracker raises its beam is not square to the one about which it turns
-    "tilted_trunnion": Family("image", "shift_m", None, (), phrases("measured position")),
     # a sensor looks through a pane of glass, which brings what is aslant behind it nearer than what is straight
-    "glass_pane": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
-    # a lead from the arm to a camera is wound up as a joint turns, either way, and tugs at its head
-    "wound_lead": Family(
-        "sensor",
-        "turn_rad",
-        lambda fixed, s: column(s.q, fixed, "by") ** 2,
-        ("by",),
-        BY_JOINT,
-        (3, 4, 5),
+    "glass_pane": family(
+        "image", "measured position", image=lambda p: Z * _refracted(p[2] / np.linalg.norm(p, axis=0))
     ),
 }
-
-
-def seen_shift(name: str, position: Array) -> Array:
-    """`(sample, 3)`: what an image shifts, of a number of 1, where the sensor has the point at `(sample, 3)` m."""
-    x, y, z = position.T
-    match name:
-        case "lens_distortion":
-            return position * (x**2 + y**2 + z**2)[:, None]
-        case "skewed_axes":
-            return np.column_stack([y, np.zeros((len(x), 2))])
-        case "stretched_axis":
-            return np.column_stack([x, np.zeros((len(x), 2))])
-        case "keystone":
-            return np.column_stack([x * y, y**2, np.zeros(len(x))])
-        case "bent_beam":
-            return np.column_stack([np.zeros((len(x), 2)), x**2 + y**2 + z**2])
-        case "eccentric_circle":
-            # off by the sine of the azimuth, square to the line of sight
-            sine = y / np.hypot(x, y)
-            return np.column_stack([-y * sine, x * sine, np.zeros(len(x))])
-        case "squinting_pair":
-            # an error of the disparity grows with the depth
-            return position * z[:, None]
-        case "cyclic_ranger":
-            # along the line of sight
-            distance = np.sqrt(x**2 + y**2 + z**2)
-            return position * (np.sin(2 * np.pi * distance / _CYCLE) / distance)[:, None]
-        case "tilted_trunnion":
-            # off in azimuth by the tangent of the elevation
-            tangent = z / np.hypot(x, y)
-            return np.column_stack([-y * tangent, x * tangent, np.zeros(len(x))])
-        case "glass_pane":
-            # along the normal of the pane (W. Snell, 1621); what is the same everywhere is the sensor's place
-            cosine = z / np.sqrt(x**2 + y**2 + z**2)
-            return np.column_stack([np.zeros((len(x), 2)), cosine / np.sqrt(_GLASS**2 - 1 + cosine**2)])
-    raise KeyError(name)

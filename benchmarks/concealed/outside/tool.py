@@ -6,7 +6,6 @@ from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
     BY_JOINT,
     CREEP,
-    DIRECTION,
     PRELOAD,
     SPEED,
     TEMPERATURE,
@@ -15,7 +14,6 @@ from benchmarks.concealed.outside.family import (
     Family,
     Fixed,
     Signals,
-    beyond,
     column,
     either,
     own,
@@ -50,9 +48,6 @@ FAMILIES: dict[str, Family] = {
     "tool_turn_by_joint": Family(
         "tool", "turn_rad", lambda fixed, s: column(s.q, fixed, "by"), ("by",), BY_JOINT, (3, 4)
     ),
-    "tool_shift_by_warmth": Family(
-        "tool", "shift_m", lambda fixed, s: s.warmth(), (), TEMPERATURE, (0, 1, 2), warm=True
-    ),
     # a clip of the target lets go
     "loose_clip": Family(
         "tool",
@@ -73,26 +68,6 @@ FAMILIES: dict[str, Family] = {
         (2,),
         beside=("tool_offset",),
     ),
-    # a cable tugs at the target as a joint turns, and its clamp works loose
-    "loosening_clamp": Family(
-        "tool",
-        "turn_rad",
-        lambda fixed, s: s.time / fixed["span_s"] * column(s.q, fixed, "by"),
-        ("span_s", "by"),
-        together(TIME, BY_JOINT),
-        (3, 4),
-        beside=("tool_offset",),
-    ),
-    # a cable pulls at the tool when a joint has taken up its slack
-    "taut_cable": Family(
-        "tool",
-        "turn_rad",
-        lambda fixed, s: beyond(column(s.q, fixed, "by"), fixed["slack"]),
-        ("by", "slack"),
-        BY_JOINT,
-        (3, 4),
-        beside=("tool_offset",),
-    ),
     # a detent holds a tool upright until the moment tips it against a stop
     "tipping_tool": Family(
         "tool",
@@ -102,28 +77,6 @@ FAMILIES: dict[str, Family] = {
         own("gravity moment x of link", "flange"),
         (3,),
         beside=("tool_compliance", "tool_offset"),
-        loaded=True,
-    ),
-    # a slender probe is flung outwards as the last joint spins it
-    "flung_probe": Family(
-        "tool",
-        "shift_m",
-        lambda fixed, s: column(s.dq, fixed, "flange") ** 2,
-        ("flange",),
-        either(VELOCITY, SPEED, key="flange"),
-        (0, 1),
-        beside=("tool_offset",),
-        moving=True,
-    ),
-    # a target slides aside in its magnetic nest by its weight
-    "sliding_nest": Family(
-        "tool",
-        "shift_m",
-        lambda fixed, s: column(s.moment[..., 1], fixed, "flange") / fixed["flange_moment_y_Nm"],
-        ("flange", "flange_moment_y_Nm"),
-        own("gravity moment y of link", "flange"),
-        (0,),
-        beside=("tool_offset",),
         loaded=True,
     ),
     # a ball that is loose in its cup lies at the rim, on the side to which its weight rolls it
@@ -169,16 +122,6 @@ FAMILIES: dict[str, Family] = {
         (0, 1),
         beside=("tool_offset",),
         warm=True,
-    ),
-    # a tool that is loose in its bayonet climbs the ramp as the last joint turns one way, and slides back the other way
-    "climbing_bayonet": Family(
-        "tool",
-        "shift_m",
-        lambda fixed, s: column(s.direction, fixed, "flange"),
-        ("flange",),
-        own(DIRECTION, "flange"),
-        (2,),
-        beside=("tool_offset",),
     ),
     # the jaws of a chuck are flung outwards as the last joint spins it, and what they hold sags
     "opening_chuck": Family(
