@@ -24,7 +24,6 @@ from lite6jax.domains.pose.screening.registry import price
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
-from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
@@ -92,8 +91,7 @@ class Explanation:
         """Log-likelihood in the noise that is left, less the description length of physics, noise model and faults."""
         fit = self.selection.state.fit
         model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
-        terms = description_length(self.problem, fit.terms.terms, self.readings, self.options.engine)
-        return float(fit.own_likelihood - model - terms - self.price)
+        return float(self.selection.state.evidence - model - self.price)
 
     @property
     def final_decisions(self) -> Decisions:
@@ -299,7 +297,7 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     To first order, in one noise model, with those of the effects beside it that are still needed; the standard
     deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
-    problem, fit, engine = best.problem, best.selection.state.fit, best.options.engine
+    problem, fit, tested = best.problem, best.selection.state.fit, best.selection.state.tested
     chain = case.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
@@ -318,7 +316,7 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
         eigenvalues, V = np.linalg.eigh(S[np.ix_(moved, moved)])
         ratio, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)
         gains = 0.5 * np.sum(_UNCERTAINTIES[:, None] ** 2 * pulled**2 / (1 + ratio) - np.log1p(ratio), 1)
-        length = description_length(best.problem, [terms[k] for k in kept], best.readings, engine)
+        length = sum(tested[k].cost + tested[k].volume for k in kept)
         plain = -0.5 * float(left @ S @ left) - length
         k = int(np.argmax(gains))
         return plain, plain + float(gains[k]) - 0.5 * float(np.log(best.readings)), float(_UNCERTAINTIES[k])

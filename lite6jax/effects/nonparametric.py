@@ -1,21 +1,19 @@
-"""Physics without a name: at one site, a function of one driver (spline, waves, hysteresis) or of several."""
+"""Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
 import re
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache, partial
-from itertools import chain, product
-from typing import ClassVar, NamedTuple, final
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.bases import Basis, Plays, Polynomial, Spline, Waves
+from lite6jax.effects import kernels
 from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
 from lite6jax.effects.drivers import Driver, driver_of
-from lite6jax.effects.effect import Bending, Coordinate, Part
+from lite6jax.effects.effect import Bending, Coordinate
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.polynomials import Products, Subset
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
 
@@ -26,52 +24,15 @@ SCALE = "scale"
 """The component of a sensor whose readings grow: what it shows moves away from its origin, in proportion."""
 
 _MOST = 0.5
-"""rad, m, or a share of the readings: the largest coefficient of splines, plays and polynomials that is possible."""
-_MOST_OF_WAVES = 2 * np.pi
-"""That of waves, which may nearly cancel over a part of a turn."""
+"""rad, m, or a share of the readings: the largest coefficient that is possible."""
 _MEASURES = {**dict.fromkeys("xyz", ("m", "_m")), SCALE: ("1", "")}
 """Unit of a component that is no rotation, and how the names of its coefficients end."""
-
-_TOGETHER = ("x y z", "rx ry rz", "rx ry")
-"""Components of a twist that are one displacement of their own: a shift, a turn, a tilt."""
-
-_NAMED_LINES = {"gravity torque", "velocity", "temperature"}
-"""Quantities of a joint to which an effect of the catalogue is proportional there: compliance, lag, thermal offset."""
-
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
-class Form(NamedTuple):
-    """A part of a function without a name.
-
-    Attributes:
-        component: one or several of the whole's.
-        functions: of the drivers, those that it has.
-        numbers: the coefficients of the whole that it has.
-    """
-
-    component: str
-    functions: Subset
-    numbers: tuple[int, ...]
-
-
-@cache
-def _forms(component: str, subsets: tuple[Subset, ...]) -> tuple[Form, ...]:
-    """Of all or some components, with all or some functions of each; all components with all functions are none."""
-    components, size = component.split(), max(len(functions.numbers) for functions in subsets)
-    together = [one for one in _TOGETHER if set(one.split()) < set(components)]
-    forms = []
-    for parts, functions in product(dict.fromkeys((component, *together, *components)), subsets):
-        blocks = [size * components.index(one) for one in parts.split()]
-        numbers = tuple(start + k for start in blocks for k in functions.numbers)
-        if len(numbers) < size * len(components):
-            forms.append(Form(parts, functions, numbers))
-    return tuple(forms)
-
-
-@lru_cache(maxsize=4096)  # thousands of functions have hundreds of drivers
-def _drivers_of(phrase: str) -> tuple[Driver, ...]:
-    """One driver, or several that are joined by " and "."""
+@lru_cache(maxsize=4096)
+def drivers_of(phrase: str) -> tuple[Driver, ...]:
+    """One driver, or two that are joined by " and "."""
     return tuple(map(driver_of, phrase.split(" and ")))
 
 
@@ -81,126 +42,83 @@ def place_of(where: str) -> tuple[str, int]:
     return where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
 
 
-@cache
-def _components_at(where: str, component: str) -> tuple[str, ...]:
-    """The components of a twist, one after another, that a function has at its site.
+def require_process(label: str, driver: str, kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...]) -> None:
+    """Refuses what is no Gaussian process of these drivers.
 
     Raises:
-        InputError: no such site, or a component that is not possible there.
+        InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
     """
-    if not _SITE.fullmatch(where):
-        raise InputError(f"unnamed: no site is called {where!r}; choose jointN, linkN, base, tool or sensor")
-    joint, components = where.startswith("joint"), tuple(component.split())
-    grows = where == "sensor" and component == SCALE
-    strange = not components or set(components) - set(COMPONENTS)
-    if (strange and not grows) or (joint and component != "rz"):
-        wanted = "rz" if joint else "one or several of " + " ".join(COMPONENTS)
-        wanted += f", or {SCALE}" if where == "sensor" else ""
-        raise InputError(f"unnamed:{where}: component {component!r} is not possible there; give {wanted}")
-    return components
+    count = len(drivers_of(driver))
+    if not kernels.is_kernel(kernel, count):
+        wanted = f"one of {', '.join(kernels.KERNELS)}" if count == 1 else "two that are joined by *, such as smooth*line"
+        raise InputError(f"{label}: kernel {kernel!r} is not possible with {count} drivers; give {wanted}")
+    if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
+        raise InputError(f"{label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each")
+    if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or kernel != "spectrum"):
+        raise InputError(f"{label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 
 
 @final
 @dataclass(frozen=True)
 class Unnamed(Bending):
-    """δ = Σ coefficient · B(driver): whatever one driver, or several, do at one site.
-
-    B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
-    follows the driver with so much play each; with `degree`, products of one or several drivers. Splines and waves of
-    two drivers are those of the first, multiplied by the second over its greatest size.
+    """δ = Σ coefficient · φ(drivers): a Gaussian process of one driver or of two, at one component of a site.
 
     Attributes:
-        where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (components of a twist).
-        driver: the phrase of a `Driver`, such as "position of joint 3"; of several, joined by " and ".
-        lower: of the first driver's range, in its unit; beyond it splines and polynomials are constant, waves zero.
+        where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (a component of a twist).
+        driver: the phrase of a `Driver`, such as "position of joint 3"; two are joined by " and ".
+        lower: of the first driver's range, in its unit; beyond it the process keeps its value there.
         upper: of the first driver's range.
-        pieces: the intervals of the spline; it has three more coefficients.
-        component: of the twist, one or several of x y z rx ry rz, separated by blanks, each with coefficients of its
-            own; at a joint it is rz. That of the sensor may be `scale` instead, by which its readings grow.
-        orders: of the waves, that are there instead of a spline.
-        trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
-            mean nothing where nothing was measured.
-        spread: one standard deviation of the coefficients, where that is known beforehand.
-        rolloff: corner c and slope s, by which the variance of waves of order k falls, as 1 / (1 + (k / c)ˢ); none
-            where it does not.
-        memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
-        degree: of polynomials, that are there instead of a spline; 0 for none.
-        power: highest power of each driver in these; 0 where the degree alone limits it.
-        further: lower and upper of each further driver.
-        tried_as_rare: whether a search that tries it takes it for less likely beforehand than others: no part of what
-            it is.
+        kernel: of `kernels`; for two drivers one of each, such as "smooth*line".
+        component: of the twist, x y z rx ry rz; at a joint it is rz. That of the sensor may be `scale`, by which its
+            readings grow.
+        further: lower and upper of the second driver.
+        spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
+        rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
+            spread² / (1 + (k / c)ˢ).
 
     Raises:
-        InputError: no such site, driver or component, or an empty range.
+        InputError: no such site, component, driver or kernel, or an empty range.
     """
 
     where: str
     driver: str
     lower: float
     upper: float
-    pieces: int = 8
+    kernel: str = "smooth"
     component: str = "rz"
-    orders: tuple[float, ...] = ()
-    trust: tuple[float, ...] = ()
-    spread: float | None = None
-    memory: tuple[float, ...] = ()
-    degree: int = 0
     further: tuple[float, ...] = ()
+    spread: float | None = None
     rolloff: tuple[float, ...] = ()
-    power: int = 0
-    tried_as_rare: bool = field(default=False, compare=False)
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
-    shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
-    counted = staticmethod(lambda effect: len(effect.components) * effect.functions)
-    contained_functions = staticmethod(
-        lambda effect: tuple(Part(form.numbers, partial(effect.of_form, form)) for form in effect.forms)
-    )
-    unlikely = staticmethod(lambda effect: effect.tried_as_rare)
-    finer_functions = staticmethod(lambda effect: effect.of_more_numbers)
+    counted = staticmethod(lambda effect: effect.functions)
 
     def __post_init__(self) -> None:
-        _components_at(self.where, self.component)
-        if mistake := self._contradiction or self.basis.mistake:
-            raise InputError(f"{self.label}: {mistake}")
+        if not _SITE.fullmatch(self.where):
+            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
+        joint, grows = self.where.startswith("joint"), self.where == "sensor" and self.component == SCALE
+        if (self.component not in COMPONENTS and not grows) or (joint and self.component != "rz"):
+            wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
+            wanted += f", or {SCALE}" if self.where == "sensor" else ""
+            raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
+        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
 
     @property
-    def _contradiction(self) -> str:
-        """Which fields do not fit each other, whatever the basis, and what to give instead; empty where all fit."""
-        if not self.lower < self.upper or self.pieces < 1:
-            return (
-                f"{self.pieces} pieces from {self.lower:g} to {self.upper:g} are no curve; give lower < upper and at "
-                "least one piece"
-            )
-        if self.memory and (self.orders or min(self.memory) < 0):
-            return f"memory {self.memory} is not possible; give widths from 0 on, and no orders"
-        if (self.degree or self.power) and (self.orders or self.memory):
-            return "a degree beside orders or memory; give one of them"
-        return ""
-
-    @cached_property
-    def basis(self) -> Basis:
-        """The functions of the drivers."""
-        over = self.drivers, (self.lower, self.upper, *self.further), self.spread
-        if self.orders or self.trust or self.rolloff:
-            return Waves(*over, self.orders, self.trust, self.rolloff)
-        if self.memory:
-            return Plays(*over, self.memory)
-        if self.degree or self.power:
-            return Polynomial(*over, self.degree, self.power)
-        return Spline(*over, self.pieces)
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """The components of the twist, one after another."""
-        return _components_at(self.where, self.component)
+    def bounds(self) -> tuple[float, ...]:
+        """Lower and upper of the first driver's range, and of the second's."""
+        return self.lower, self.upper, *self.further
 
     @property
     def site(self) -> str:
         """Where it acts."""
         return self.where
+
+    @property
+    def unit(self) -> str:
+        """Of what it adds."""
+        return _MEASURES.get(self.component, ("rad", ""))[0]
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -209,125 +127,65 @@ class Unnamed(Bending):
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
-        several, most = len(self.components) > 1, _MOST_OF_WAVES if self.orders else _MOST
+        unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
+        deviations = np.full(self.functions, np.inf if self.spread is None else self.spread)
         return tuple(
-            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -most, most)
-            for component in self.components
-            for unit, end in (_MEASURES.get(component, ("rad", "_rad")),)
-            for name, spread in zip(self.basis.names, self.basis.spreads, strict=True)
+            Coordinate(f"coefficient{k + 1}{end}", unit, 1e-4, float(deviation), -_MOST, _MOST)
+            for k, deviation in enumerate(deviations)
         )
 
-    @property
+    @cached_property
     def functions(self) -> int:
-        """How many functions of the drivers there are, and so coefficients of each component."""
-        return self.basis.size
+        """How many coefficients it has."""
+        return kernels.size_of(self.kernel, self.bounds)
 
     @property
-    def products(self) -> Products:
-        """Of the drivers; none where there is no degree."""
-        return self.basis.products
-
-    @property
-    def functions_alone(self) -> tuple[object, ...]:
-        """The same for all that have these functions, wherever they act and whatever is known of their coefficients."""
-        curve = self.pieces, self.orders, self.trust, self.memory, self.degree, self.power
-        return self.driver, self.lower, self.upper, self.further, *curve
-
-    @property
-    def forms(self) -> tuple[Form, ...]:
-        """Those with fewer numbers: of some components, of fewer of three drivers, of a lower degree, or no squares.
-
-        Lines of a joint are not among them where the catalogue has a name for one.
-        """
-        least = 2 if self.where.startswith("joint") and self._has_named_line else 1
-        return _forms(self.component, self.basis.subsets(least))
-
-    @property
-    def _has_named_line(self) -> bool:
-        """Whether the catalogue has a name for what is in proportion to one of the drivers, of an angle of a joint."""
-        own = {driver.generalised for driver in self.drivers if self.where == f"joint{driver.place}"}
-        turns = any(driver.quantity == "position" for driver in self.drivers)
-        warms = any(driver.quantity == "temperature rise" for driver in self.drivers)
-        return turns or warms or bool(own & _NAMED_LINES)
-
-    @property
-    def displacements(self) -> "tuple[Unnamed, ...]":
-        """Of a function that both shifts and turns, its shift, its turn and its tilt; of any other, itself."""
-        there = set(self.components)
-        if not {"x", "rx"} <= there:
-            return (self,)
-        return tuple(replace(self, component=one) for one in _TOGETHER if set(one.split()) <= there)
-
-    def of_form(self, form: Form) -> "Unnamed":
-        """The function of one of `forms`."""
-        which = form.functions.drivers
-        lower, upper, *further = chain.from_iterable(self.basis.bounds[2 * k : 2 * k + 2] for k in which)
-        return replace(
-            self,
-            driver=" and ".join(self.drivers[k].phrase for k in which),
-            lower=lower,
-            upper=upper,
-            component=form.component,
-            degree=form.functions.degree,
-            power=form.functions.power,
-            further=tuple(further),
-        )
-
-    @property
-    def of_more_numbers(self) -> "tuple[Unnamed, ...]":
-        """Those of the same drivers that have more numbers."""
-        return tuple(replace(self, **fields) for fields in self.basis.finer)
-
-    def part(self, component: int) -> slice:
-        """Where the coefficients of a component stand, counted from 0."""
-        return slice(component * self.functions, (component + 1) * self.functions)
+    def process(self) -> tuple[object, ...]:
+        """The same for all that have these functions, wherever they act and whatever their prior is."""
+        return self.driver, self.bounds, self.kernel, self.rolloff
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        """The driver, or several."""
-        return _drivers_of(self.driver)
+        """The driver, or two."""
+        return drivers_of(self.driver)
 
     @property
-    def of(self) -> tuple[Driver, ...]:
-        """What the functions run over: the drivers, but for a second one that multiplies splines or waves."""
-        return self.basis.of
+    def hysteretic(self) -> bool:
+        """Whether it depends on the way to a value of its driver."""
+        return self.kernel == "play"
 
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
-        """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
+        """The values of the drivers, `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]
-        return values[0] if len(values) == 1 else library_of(values[0]).stack(values)
+        return library_of(values[0]).stack(values)
 
-    def units(self, basis: NDArray[np.floating], motion: Motion) -> Deflection:
-        """The deflection by each coefficient, per unit of it, from `basis`; a leading axis `(coordinate, …)`."""
-        units = [(component, function) for component in self.components for function in basis]
-        parts = zip(*(self._at_site({c: shift}, motion) for c, shift in units), strict=True)  # type: ignore[arg-type]
+    def functions_at(self, values: Array, run: Array | None = None) -> Array:
+        """The functions `(function, sample)` at values `(driver, sample)` of the drivers; `run` as of a `Motion`."""
+        return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
+
+    def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
+        """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""
+        parts = zip(*(self._at_site(one, motion) for one in functions), strict=True)  # type: ignore[arg-type]
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
-    def curve(self, values: Array, driver: Array, run: Array | None = None) -> Array:
-        """The curve's value `(sample,)`, m or rad, at values of the drivers; `run` as in `Basis.at`.
-
-        Of several components it is `(component, sample)`.
-        """
-        curves = values.reshape(len(self.components), -1) @ self.basis.at(driver, run)
-        return curves[0] if len(self.components) == 1 else curves
-
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        """The curves at their site."""
-        return self.by_functions(jnp.asarray(values), self.basis.at(self.values_at(motion, loads), motion.run), motion)
+        """The process at its site."""
+        return self.by_functions(
+            jnp.asarray(values), self.functions_at(self.values_at(motion, loads), motion.run), motion
+        )
 
-    def by_functions(self, values: Array, basis: Array, motion: Motion) -> Deflection:
-        """The curves at their site, from the functions `(function, sample)` of `basis`."""
-        curves = values.reshape(len(self.components), -1) @ basis
-        return self._at_site(dict(zip(self.components, curves, strict=True)), motion)
+    def by_functions(self, values: Array, functions: Array, motion: Motion) -> Deflection:
+        """The process at its site, from its functions `(function, sample)`."""
+        return self._at_site(values @ functions, motion)
 
-    def _at_site(self, shifts: "dict[str, Array]", motion: Motion) -> Deflection:
-        """Curves `(sample,)` by component, where this effect is."""
+    def _at_site(self, moved: Array, motion: Motion) -> Deflection:
+        """What adds `(sample,)`, where this effect is."""
         kind, number = place_of(self.where)
         if kind == "joint":
-            return Deflection(joint=place_at_joint(motion.dof, number, shifts["rz"]))
-        if SCALE in shifts:
-            return Deflection(scale=library_of(shifts[SCALE]).broadcast_to(shifts[SCALE], (motion.samples,)))
-        displaced = twist(motion.samples, **shifts)
+            return Deflection(joint=place_at_joint(motion.dof, number, moved))
+        if self.component == SCALE:
+            return Deflection(scale=library_of(moved).broadcast_to(moved, (motion.samples,)))
+        displaced = twist(motion.samples, **{self.component: moved})
         if kind == "link":
             return Deflection(link=place_at_joint(motion.dof, number, displaced))
         return Deflection(**{kind: displaced})

@@ -9,31 +9,16 @@ orders that are the same wave at every sample, as 2 and 178 are at angles that a
 the lowest.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import PeriodicFamily, Problem, wave_of
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.problem import PeriodicFamily
 
 Array = NDArray[np.floating]
 
 _UNIFORM = 2 * np.pi / np.sqrt(12)
 """rad, the standard deviation of an angle that is spread evenly over a turn."""
-
-
-def searched_size(problem: Problem, options: EngineOptions) -> float:
-    """The effective number of candidates in a search: the factor of every p-value but that of a wave."""
-    single = len(problem.candidates) + len(problem.shaped) + problem.functions_tried
-    return single + len(problem.periodic) * options.searched_orders + len(problem.curves) * options.searched_curves
-
-
-def multiplicity(problem: Problem, term: Term, options: EngineOptions) -> float:
-    """The factor by which the p-value of a term becomes family-wise."""
-    searched, found = searched_size(problem, options) * np.exp(options.rare * term.rare), wave_of(problem, term)
-    return searched if found is None else searched * relative_multiplicity(log_orders_of(*found, options), options)
 
 
 def relative_multiplicity(log_order: ArrayLike, options: EngineOptions) -> float:
@@ -70,33 +55,3 @@ def log_orders(
         return between
     inverse = float(np.sum(1 / np.arange(1, highest + 0.5)))
     return np.where(order % 1 == 0, np.log(at * inverse / share), between)
-
-
-def description_length(problem: Problem, terms: Sequence[Term], n: float, options: EngineOptions) -> float:
-    """What a set of terms costs in log-likelihood: ½ log n a number, and the choice of an order or a shape among many.
-
-    Schwarz's approximation (Annals of Statistics 6, 1978). Orders that have names of their own, as 1 and 2 may have,
-    are not a choice.
-
-    Args:
-        problem: the data.
-        terms: of a model.
-        n: readings, or residual degrees of freedom.
-        options: thresholds.
-    """
-    waves = [wave_of(problem, term) for term in terms if term.chosen is not None]
-    orders = [found for found in waves if found is not None]
-    shapes = sum(term.chosen is not None for term in terms) - len(orders)
-    numbers = sum(term.size + (term.chosen is not None) for term in terms)
-    choices = sum(float(log_orders_of(*found, options)) for found in orders) + shapes * np.log(options.searched_shapes)
-    choices += sum(log_functions(problem, term, options) for term in terms if term.nonparametric)
-    return float(0.5 * numbers * np.log(n) + choices)
-
-
-def log_functions(problem: Problem, function: Term, options: EngineOptions) -> float:
-    """What the choice of a function without a name costs in log-likelihood: more for one that is rare.
-
-    That is the logarithm of the number of functions that it is chosen from, parts of them included.
-    """
-    number = max(options.searched_shapes, problem.functions_tried)
-    return float(np.log(number)) + options.rare * function.rare

@@ -143,6 +143,11 @@ class EngineOptions:
         "sum of the squared differences of residuals, in standard deviations, below which linearisations are the same",
         "a tenth of what each fitted number explains of noise",
     )
+    # selection by evidence
+    margin: float = option(3.0, "log evidence that a term must gain beyond the cost of its choice", "odds of twenty")
+    better: float = option(0.5, "log evidence by which another term must be likelier to be exchanged for", "a refit may differ")
+    exchanges: int = option(4, "most exchanges of terms", "two suffice mostly")
+    listed: int = option(6, "most alternatives of a term", "fits on a screen")
     # forward selection
     most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
     refitted: int = option(4, "candidates that are refitted before one is added", "score and refit rank nearly alike")

@@ -6,7 +6,7 @@ residuals and columns are divided by the declared standard deviation of the nois
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, Self, final
+from typing import Any, NamedTuple, Protocol, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,6 @@ from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
-
-LocalForm = Literal["step", "bump"]
-LOCAL_FORMS: tuple[LocalForm, ...] = ("step", "bump")
-"""What a curve may do at one place of its driver's range."""
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -33,10 +28,6 @@ class PeriodicFamily:
         angle: `(sample,)` rad.
         term: makes the term of one order.
         order: of one of its terms; None where the order is a number to be fitted.
-        curve: makes the nonparametric term of several orders. Its arguments are the orders, the mask `(sample,)` of
-            training samples, the prior of its coefficients, or None, and the range of the angle in rad within which it
-            fades out beyond the training samples. A prior is the standard deviation of coefficients of low order, and
-            the corner c and the slope s by which their variance falls, as 1 / (1 + (order / c)ˢ).
         waves: sine and cosine `(order, 2, sample)` of orders `(order,)`, where a filter changes them; else plain ones.
         whole: whether whole orders are the likelier ones, as of what repeats with a turn.
         highest: order that the data resolve; None for that of the options.
@@ -47,7 +38,6 @@ class PeriodicFamily:
     angle: Array
     term: Callable[[float], Term]
     order: Callable[[Term], float | None]
-    curve: Callable[[Sequence[float] | Array, Mask, tuple[float, float, float] | None, float], Term]
     waves: Callable[[Array], Array] | None = None
     whole: bool = True
     highest: float | None = None
@@ -64,43 +54,39 @@ class PeriodicFamily:
         return np.stack([np.sin(turned), np.cos(turned)], 1)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class CurveDriver:
-    """A quantity over which a curve of one site may run.
+class Component(NamedTuple):
+    """One way in which a site can move.
 
     Attributes:
-        values: `(sample,)`.
-        pieces: numbers of intervals of the splines to try.
-        local: which local forms, at some place of its range, are tried.
-        spline: makes the nonparametric term of a range (lower, upper) and a number of pieces.
-        play: applies play operators of half-widths `(width,)` to the values, `(width, sample)`; None where hysteresis
-            in this quantity is not considered.
-        hysteresis: makes the nonparametric term of play operators with these half-widths.
-    """
-
-    values: Array
-    pieces: tuple[int, ...]
-    local: tuple[LocalForm, ...]
-    spline: Callable[[float, float, int], Term]
-    play: Callable[[Array], Array] | None = None
-    hysteresis: Callable[[tuple[float, ...]], Term] | None = None
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class CurveFamily:
-    """Nonparametric terms of one site.
-
-    Attributes:
-        site: of its terms.
-        column: `(row, sample)`, how residuals change with the site's deflection.
-        drivers: what the curves run over.
+        site: where.
+        name: of the component; empty where a site has but one.
+        column: `(row, sample)`, how residuals change with it.
     """
 
     site: str
+    name: str
     column: Array
-    drivers: tuple[CurveDriver, ...]
+
+
+class Quantity(NamedTuple):
+    """A driver of nonparametric effects.
+
+    Attributes:
+        driver: which.
+        values: `(every sample,)`, before any filter.
+        own: the sites that it mostly acts at; all where "" is among them.
+        only: the one site where it can act; "" where that is any.
+    """
+
+    driver: Any
+    values: Array
+    own: frozenset[str]
+    only: str = ""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the greatest value."""
+        return float(self.values.min()), float(self.values.max())
 
 
 class LinearisedProblem(Protocol):
@@ -175,12 +161,10 @@ class Problem(LinearisedProblem, Protocol):
         declared: whether the noise that residuals are divided by is declared, and not assumed.
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
-        curves: families of nonparametric terms.
         shaped: named terms with a number in which they are not linear, each at a few of its values.
-        ladder: named terms of which most real problems have many; none where a domain knows of no such.
-        flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
-        functions_tried: how many functions without a name are tried: those of `flexible` that are not rare, and their
-            parts.
+        components: where nonparametric terms can act.
+        quantities: what they can depend on.
+        every_run: `(2, every sample)`, the first and the last sample of each one's run, before any filter.
     """
 
     @property
@@ -196,15 +180,36 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def periodic(self) -> tuple[PeriodicFamily, ...]: ...
     @property
-    def curves(self) -> tuple[CurveFamily, ...]: ...
-    @property
     def shaped(self) -> tuple[Term, ...]: ...
     @property
-    def ladder(self) -> tuple[Term, ...]: ...
+    def components(self) -> tuple[Component, ...]: ...
     @property
-    def flexible(self) -> tuple[Term, ...]: ...
+    def quantities(self) -> tuple[Quantity, ...]: ...
     @property
-    def functions_tried(self) -> int: ...
+    def every_run(self) -> NDArray[np.integer]: ...
+
+    def process(
+        self,
+        component: Component,
+        quantities: Sequence[Quantity],
+        kernel: str,
+        spread: float,
+        rolloff: tuple[float, ...] = (),
+    ) -> Term:
+        """The nonparametric term of a component, one quantity or two and a kernel of `effects.kernels`.
+
+        Args:
+            component: where.
+            quantities: on what it depends.
+            kernel: its name.
+            spread: the prior's standard deviation of a coefficient.
+            rolloff: corner and slope of a spectrum.
+        """
+        ...
+
+    def seen(self, functions: Array) -> Array:
+        """Functions `(…, every sample)` as they reach the samples of this problem: through its filter, if it has one."""
+        ...
 
     def limits(self, term: Term) -> Sequence[tuple[float, float]]:
         """The least and the most that each number of a term can be in these data."""
@@ -228,10 +233,6 @@ class Problem(LinearisedProblem, Protocol):
 
     def undetermined(self, term: Term) -> Mask:
         """`(sample,)` bool, the samples at which a term does not say what it does, as between two of its states."""
-        ...
-
-    def shrinkable(self, term: Term) -> bool:
-        """Whether a named term can be fitted beside all periodic ones, because none is nearly collinear with it."""
         ...
 
 

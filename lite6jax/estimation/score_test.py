@@ -101,7 +101,7 @@ class ScoreTest:
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
         projected = outside(flat, self.basis)
-        per_block = self._by_block(projected * self.residual)
+        per_block = self._by_block(projected * self.left)
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
@@ -122,7 +122,7 @@ class ScoreTest:
         for (at, _), members in alike.items():
             _, first = members[0]
             if at not in sums:
-                sums[at] = self._over_rows(first.site)
+                sums[at] = self.over_rows(first.site)
             at_once = max(_NUMBERS // max(first.functions.size, 1), 1)
             for part in (members[i : i + at_once] for i in range(0, len(members), at_once)):
                 functions = np.stack([one.functions for _, one in part])
@@ -159,7 +159,7 @@ class ScoreTest:
     def explained_by(self, column: Array, functions: Array) -> list[Explained]:
         """What each of such groups would explain; arguments as of `gains`."""
         if self.fit.noise.white:
-            equations = self._of_site(functions, self._over_rows(column[None]))
+            equations = self._of_site(functions, self.over_rows(column[None]))
         else:
             rows = np.flatnonzero(column.any(1))
             equations = self._of_groups(functions[:, :, None] * column[rows], rows)
@@ -173,7 +173,7 @@ class ScoreTest:
         """The equations of groups of columns `(group, number, row, sample)` that act on some rows."""
         shape = groups.shape[:2]
         flat = _white(self.fit, groups, self.scale, rows).reshape(shape[0] * shape[1], -1)
-        basis, residual = self._on(rows)
+        basis, residual = self.of_rows(rows)
         inside = (flat @ basis.T).reshape(*shape, -1)
         score = (flat @ residual).reshape(shape) - inside @ self._inside
         flat = flat.reshape(*shape, -1)
@@ -184,7 +184,7 @@ class ScoreTest:
 
         Args:
             functions: `(group, function, sample)`.
-            sums: of the site, as `_over_rows` gives them.
+            sums: of the site, as `over_rows` gives them.
         """
         weights, basis, residual = sums
         groups, n = functions.shape[:2]
@@ -201,7 +201,7 @@ class ScoreTest:
         score = np.concatenate([(flat @ one).reshape(groups, n) for one in residual], 1)
         return equations_of(score - inside @ self._inside, gram, inside)
 
-    def _over_rows(self, site: Array) -> tuple[Array, Array, Array]:
+    def over_rows(self, site: Array) -> tuple[Array, Array, Array]:
         """Sums over the rows of each sample of products of a site's whitened columns `(component, row, sample)`.
 
         With one another `(component, component, sample)`, with the basis `(component, k, sample)`, and with the
@@ -214,7 +214,7 @@ class ScoreTest:
         )
         return with_site, with_basis, with_residual
 
-    def _on(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
+    def of_rows(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
         """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
         basis, residual = self._measured
         if len(rows) == self.problem.rows:
@@ -241,6 +241,11 @@ class ScoreTest:
         """`(k,)`, the residual in the basis."""
         return self.basis @ self.residual
 
+    @cached_property
+    def left(self) -> Array:
+        """`(reading,)`, what the model, integrated over, leaves of the residual."""
+        return self.residual - self._inside @ self.basis
+
     def given(self, columns: Array) -> "ScoreTest":
         """The test with columns `(number, row, sample)` added to the model, to first order."""
         flat = self._flat(columns)
@@ -252,6 +257,10 @@ class ScoreTest:
     def with_time(self, time: float) -> "ScoreTest":
         """The same test in noise of another autocorrelation time, in samples, by which its blocks are chosen."""
         return replace(self, time=time, blocks=_blocks(self.problem.samples, time, self.options))
+
+    def whitened(self, columns: Array, rows: NDArray[np.integer] | None = None) -> Array:
+        """Columns `(…, row, sample)` of some rows whitened, of the training samples, in units of the first group's noise."""
+        return _white(self.fit, columns, self.scale, rows)
 
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:
         return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
@@ -367,16 +376,20 @@ def score_test(
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
     time = float(_times(winsorised, problem.groups).max()) if time is None else time
-    if within:
-        more, values = within.terms.part(within.values, [term not in fit.terms.terms for term in within.terms.terms])
-        added = np.tensordot(values, problem.columns(more.terms, values), 1)[None]
+    # the model is integrated over: what it explains under a prior is a part of what is to be explained
+    apart = [term not in fit.terms.terms or _has_prior(term) for term in best.terms.terms]
+    if any(apart):
+        more, values = best.terms.part(best.values, apart)
+        added = np.tensordot(values, problem.columns(more.terms, values, (best.terms, best.values)), 1)[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale).reshape(-1, training.size)
-    given = problem.precision > 0
-    stated = np.flatnonzero(given & problem.informative)
-    known = np.concatenate([stated, np.flatnonzero(given & ~problem.informative)])
+    precision = np.concatenate([problem.precision, fit.terms.precision])
+    given = precision > 0
+    informative = np.concatenate([problem.informative, np.zeros(fit.terms.size, bool)])
+    stated = np.flatnonzero(given & informative)
+    known = np.concatenate([stated, np.flatnonzero(given & ~informative)])
     prior = np.zeros((len(columns), len(known)))
-    prior[known, np.arange(len(known))] = np.sqrt(problem.precision[known]) * fit.scale[0]
+    prior[known, np.arange(len(known))] = np.sqrt(precision[known]) * fit.scale[0]
     measured = np.linalg.norm(columns, axis=1)
     rows = np.concatenate([columns, prior], 1)
     del columns  # with hundreds of terms these are half a gigabyte each
@@ -388,6 +401,10 @@ def score_test(
     return ScoreTest(problem, fit, options, basis, residual, blocks, n - fit.parameters, time, scale)
 
 
+def _has_prior(term: Term) -> bool:
+    return bool(np.isfinite([number.spread for number in term.coordinates]).any())
+
+
 def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) -> NoiseModel:
     """The noise model of a fit's residuals; noise is independent between runs, and across held-out samples."""
     training = fit.training
@@ -395,6 +412,7 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     run = np.cumsum(begins, dtype=int)
     prior = np.zeros(len(problem.precision) + fit.terms.size)
     prior[: len(problem.precision)] = np.sqrt(problem.precision)
+    prior[len(problem.precision) :] = np.sqrt(fit.terms.precision)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
     columns = linear_columns(problem, fit.terms, fit.values) / fit.scale[fit.residuals.groups, None]
     found = noise_model(rows[:, training], columns[..., training], prior, problem.groups, run[training], options)

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
-from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import longest_time
-from lite6jax.estimation.terms import Terms, join
-from lite6jax.search.state import State, added
+from lite6jax.estimation.terms import Term, Terms, join
+from lite6jax.search.state import State
 
 
 def final_estimates(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -43,7 +42,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
         for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)
     )
-    return State(state.baseline, fitted, tested)
+    return replace(state, fit=fitted, tested=tested)
 
 
 def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
@@ -71,12 +70,19 @@ def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.
         if _is_confounded(problem, other, options):
             continue
         difference = other.values[own] - fitted.values
-        gain = other.gain_over(fitted) / time - description_length(problem, [term], fitted.freedom, options)
+        gain = other.gain_over(fitted) / time - 0.5 * term.size * np.log(fitted.freedom)
         probability = options.wrong_input / (
             options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
         )
         gained += probability * (other.covariance[own, own] - fitted.covariance + np.outer(difference, difference))
     return gained
+
+
+def added(problem: Problem, fitted: Fit, term: Term, values: np.ndarray, options: EngineOptions) -> Fit:
+    """A fit with one more term, started from `values` `(term.size,)`."""
+    terms = Terms((*fitted.terms.terms, term))
+    start = np.concatenate([fitted.values, values])
+    return fit(problem, terms, options, start, fitted.nuisance, fitted.training, fitted.noise)
 
 
 def _is_confounded(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:

@@ -1,19 +1,15 @@
-"""The state of a search: the terms of the model with their fit, and the test of each."""
+"""The state of a search: the terms of the model, what each is worth, and their fit."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar, final
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
-from lite6jax.estimation.least_squares import Fit, fit, without
-from lite6jax.estimation.multiplicity import description_length, multiplicity
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Array, Mask, Problem
-from lite6jax.estimation.score_test import Score, score_test
-from lite6jax.estimation.terms import Term, Terms
-
-T = TypeVar("T")
+from lite6jax.estimation.terms import Term, Terms, join
 
 
 @final
@@ -23,8 +19,7 @@ class Alternative:
 
     Attributes:
         term: which.
-        gap: by which the log-likelihood of its refit is lower; beside a curve, and of another order of the same wave,
-            that of its score test.
+        gap: by which its log evidence, less the cost of its choice, is lower.
     """
 
     term: Term
@@ -34,35 +29,45 @@ class Alternative:
 @final
 @dataclass(frozen=True, eq=False)
 class SelectedTerm:
-    """A term of the model with its test.
+    """A term of the model, and what it is worth beside the others.
 
     Attributes:
         term: which.
+        gain: log evidence over its absence.
+        cost: −ln of its prior probability.
+        volume: by which the evidence is less than the gain of the likelihood.
         p_value: family-wise.
-        score: beside the other terms of the model at the time of the test.
-        alternatives: terms that it was preferred to.
+        alternatives: terms that may stand in its place.
         chosen_std: standard deviation of the number that was chosen for it; zero where that is exact, or not known yet.
         input_share: the share of the variance of its numbers, the greatest of them, that comes from inputs which may be
             wrong without being found so; zero where that is not known yet.
     """
 
     term: Term
-    p_value: float
-    score: Score
+    gain: float = 0.0
+    cost: float = 0.0
+    volume: float = 0.0
+    p_value: float = 1.0
     alternatives: tuple[Alternative, ...] = ()
     chosen_std: float = 0.0
     input_share: float = 0.0
+
+    @property
+    def net(self) -> float:
+        """Log posterior odds of its presence."""
+        return self.gain - self.cost
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class State:
-    """The terms of a model, their tests, and their fit.
+    """The terms of a model and their fit.
 
     Attributes:
         baseline: the fit of the nuisance alone.
         fit: of the nuisance and all terms.
         tested: one for each term of `fit`, in its order.
+        refused: names whose numbers were not possible.
 
     Raises:
         ValueError: the tests are not those of the terms that were fitted.
@@ -71,38 +76,36 @@ class State:
     baseline: Fit
     fit: Fit
     tested: tuple[SelectedTerm, ...] = ()
+    refused: frozenset[Term] = field(default_factory=frozenset)
 
     def __post_init__(self) -> None:
         if tuple(test.term for test in self.tested) != self.fit.terms.terms:
             raise ValueError("the tests are not those of the fitted terms; build both from one list")
 
-
-def extended(problem: Problem, state: State, tested: SelectedTerm, values: Array, options: EngineOptions) -> State:
-    """The state with one more term, refitted from `values` `(term.size,)`."""
-    return State(state.baseline, added(problem, state.fit, tested.term, values, options), (*state.tested, tested))
-
-
-def added(problem: Problem, fitted: Fit, term: Term, values: Array, options: EngineOptions) -> Fit:
-    """A fit with one more term, started from `values` `(term.size,)`."""
-    terms = Terms((*fitted.terms.terms, term))
-    start = np.concatenate([fitted.values, values])
-    return fit(problem, terms, options, start, fitted.nuisance, fitted.training, fitted.noise)
+    @property
+    def evidence(self) -> float:
+        """Log evidence in its own noise, less what the choice of its terms costs."""
+        return self.fit.own_likelihood - sum(one.volume + one.cost for one in self.tested)
 
 
-def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
-    """The state without its k-th term, refitted."""
-    rest, base, f = (*state.tested[:k], *state.tested[k + 1 :]), state.baseline, state.fit
-    if rest:
-        return State(base, without(problem, f, k, options), rest)
-    # from the nuisance that was fitted alone: from that beside a term, another, lower maximum may be reached
-    return State(base, fit(problem, Terms(), options, None, base.nuisance_about(problem), base.training, f.noise))
+def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], options: EngineOptions) -> State:
+    """The state with other terms, fitted from the numbers that it has of them, in its noise."""
+    f, terms = state.fit, Terms(tuple(one.term for one in tested))
+    if not tested:  # from the nuisance alone: from that beside a term, another, lower maximum may be reached
+        nuisance = state.baseline.nuisance_about(problem)
+        bare = fit(problem, terms, options, None, nuisance, f.training, f.noise)
+        return replace(state, fit=bare, tested=())
+    known = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    start = join([known.get(term, np.zeros(term.size)) for term in terms.terms])
+    return replace(state, fit=fit(problem, terms, options, start, f.nuisance, f.training, f.noise), tested=tuple(tested))
 
 
-def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], options: EngineOptions) -> State:
-    """The baseline with some of the state's terms, fitted from zero in the state's noise."""
-    model, base = Terms(tuple(test.term for test in terms)), state.baseline
-    nuisance, noise = base.nuisance_about(problem), state.fit.noise
-    return State(base, fit(problem, model, options, None, nuisance, base.training, noise), tuple(terms))
+def without(fitted: Fit, k: int) -> Fit:
+    """The fit with its k-th term left out, and nothing refitted: the rest of the model at which it is weighed."""
+    kept = [i != k for i in range(len(fitted.terms.terms))]
+    terms, values = fitted.terms.part(fitted.values, kept)
+    numbers = np.concatenate([np.zeros(0, int), *(np.arange(s.start, s.stop) for s, one in zip(fitted.terms.slices, kept, strict=True) if one)])
+    return replace(fitted, terms=terms, values=values, covariance=fitted.covariance[np.ix_(numbers, numbers)])
 
 
 def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:
@@ -117,69 +120,13 @@ def fitted_again(problem: Problem, reference: Problem, state: State, training: M
     """
     baseline, of = fit(reference, Terms(), options, training=training), state.fit
     again = fit(problem, of.terms, options, of.values, baseline.nuisance_about(problem), training, of.noise)
-    return State(baseline, again, state.tested)
+    return replace(state, baseline=baseline, fit=again)
 
 
-def retested(
-    problem: Problem, state: State, k: int, time: float, options: EngineOptions, rest: State | None = None
-) -> SelectedTerm:
-    """The k-th term tested beside all others, with the autocorrelation time of the residuals of the whole model.
+def beyond_limits(problem: Problem, fitted: Fit, k: int) -> float:
+    """By how many standard deviations a number of the k-th term is outside its bounds at most; negative within them."""
+    part = fitted.terms.slices[k]
+    values, std = fitted.values[part], np.maximum(np.sqrt(np.diagonal(fitted.covariance)[part]), 1e-300)
+    lower, upper = np.transpose(problem.limits(fitted.terms.terms[k]))
+    return float(np.max(np.maximum(lower - values, values - upper) / std))
 
-    Args:
-        problem: the data.
-        state: the model.
-        k: which of its terms.
-        time: in samples.
-        options: thresholds.
-        rest: the state without it, where it is known.
-    """
-    tested = state.tested[k]
-    if tested.term in problem.preset[0].terms:
-        return tested  # its estimate is too far from zero for the linearisation of a score test
-    rest = rest or reduced(problem, state, k, options)
-    score = score_test(problem, rest.fit, options, time).score([tested.term])[0]
-    return replace(tested, p_value=score.familywise(multiplicity(problem, tested.term, options)), score=score)
-
-
-def preferred(problem: Problem, ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
-    """Whether the penalised log-likelihood of a state exceeds that of another by more than `by`.
-
-    A model that leaves no degree of freedom is never preferred: it fits any readings, and says nothing of the noise.
-    """
-    return ours.fit.freedom > 0 and ours.fit.gain_over(theirs.fit) > longer(problem, ours, theirs, options) + by
-
-
-def longer(problem: Problem, ours: State, theirs: State, options: EngineOptions) -> float:
-    """By how much the description of a state's terms is longer than that of another's, a log-likelihood."""
-    n = ours.fit.freedom
-    length, other = (description_length(problem, one.fit.terms.terms, n, options) for one in (ours, theirs))
-    return length - other
-
-
-def listing(problem: Problem, named: State, rest: State, state: State, term: Term, options: EngineOptions) -> State:
-    """The `named` state that takes the place of one with a further `term` than `rest`.
-
-    Where that is a function, and the names at its site are not clearly likelier, these list it.
-    """
-    if not term.nonparametric or preferred(problem, named, state, options.close, options):
-        return named
-    return with_function_listed(named, rest, state, term)
-
-
-def with_function_listed(named: State, rest: State, state: State, function: Term) -> State:
-    """The `named` state, the names of which that `rest` lacks list the function at their site that `state` has."""
-    alternative = Alternative(function, max(named.fit.gain_over(state.fit), 0.0))
-    tested = [
-        replace(one, alternatives=(*one.alternatives, alternative))
-        if one.term not in rest.fit.terms.terms and one.term.site == function.site
-        else one
-        for one in named.tested
-    ]
-    return replace(named, tested=tuple(tested))
-
-
-def most_specific(choices: Sequence[T], judged: Callable[[T], float], term: Callable[[T], Term], close: float) -> T:
-    """Of the choices that the data do not distinguish from the best, the one whose term has the most specific name."""
-    most = max(map(judged, choices))
-    near = [choice for choice in choices if most - judged(choice) < close]
-    return min(near, key=lambda choice: (term(choice).specificity, -judged(choice)))

@@ -75,10 +75,10 @@ class EffectColumns:
         return Factored(self._of_site(effect), self.deflections.basis(effect))
 
     def _of_site(self, effect: Unnamed) -> Array:
-        """`(component, row, sample)`, the columns of an effect's site."""
+        """`(1, row, sample)`, the column of an effect's component."""
         key = effect.where, effect.component
         if key not in self._sites:
-            self._sites[key] = np.stack([self.sites[functions.site_of(effect.where, one)] for one in effect.components])
+            self._sites[key] = self.sites[functions.site_of(*key)][None]
         return self._sites[key]
 
     def by_masses(self, physics: Physics, values: Array) -> Array:
@@ -96,13 +96,8 @@ class EffectColumns:
     def _by_unit_masses(self, effect: Effect) -> Array:
         """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
         if effect not in self._by_mass:
-            if not Physics((effect,)).loaded:
+            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:  # of the loads as declared
                 found = np.zeros((effect.size, len(self.masses), 1, 1))
-            elif isinstance(effect, Unnamed):
-                slopes = self.deflections.basis_by_masses(self.masses, effect)
-                site = self._of_site(effect)
-                columns = site[:, None] * slopes[:, None, :, None]  # (mass, component, function, row, sample)
-                found = columns.reshape(len(slopes), effect.size, *self._shape).swapaxes(0, 1)
             else:
                 found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
             self._by_mass[effect] = found

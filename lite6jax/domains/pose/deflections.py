@@ -136,20 +136,14 @@ class Deflections:
 
     def basis(self, effect: Unnamed) -> Array:
         """The functions `(function, sample)` that coefficients of an effect without a name multiply; computed once."""
-        cache, key = self._cache(effect), effect.functions_alone
+        cache, key = self._cache(effect), effect.process
         if key not in cache:
             cache[key] = self._functions(effect, self.host_loads)
         return cache[key]
 
-    def basis_by_masses(self, masses: Sequence[Site], effect: Unnamed) -> Array:
-        """How these functions change with errors of masses, `(mass, function, sample)`, for masses `(mass,)`."""
-        pairs = self._heavier(tuple(masses))
-        slopes = ((self._functions(effect, b) - self._functions(effect, a)) / (2 * step) for a, b, step in pairs)
-        return np.stack(list(slopes))
-
     def _functions(self, effect: Unnamed, on_arm: Loads | None) -> Array:
         """The functions of an effect without a name under some loads, `(function, sample)`."""
-        return np.asarray(effect.basis.at(effect.values_at(self.host_motion, on_arm), self.host_motion.run))
+        return np.asarray(effect.functions_at(effect.values_at(self.host_motion, on_arm), self.host_motion.run))
 
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""

@@ -18,7 +18,6 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import with_alternative
 from lite6jax.search.search import Selection, at_estimate, search
-from lite6jax.search.state import preferred
 
 
 def search_load_model(
@@ -52,7 +51,7 @@ def search_load_model(
     other_problem, other_reference = _other(problem, reference)
     again = search(other_problem, options, training, other_reference, thorough)
     state = replace(selection.state, fit=other)
-    if gain > options.close or preferred(other_problem, again.state, state, 0.0, options):
+    if gain > options.close or again.state.evidence > state.evidence:
         return again
     assert isinstance(selection.problem, PoseProblem)
     assert isinstance(selection.reference, PoseProblem)

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.domains.pose import families
+from lite6jax.domains.pose import families, functions
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
-from lite6jax.domains.pose.functions import tried_functions
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Measured,
@@ -41,7 +40,7 @@ from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.factored import Factored
-from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import Geometry
 from lite6jax.model import ArmModel
@@ -233,33 +232,42 @@ class PoseProblem:
         return families.periodic(self.deflections.host_motion, self.sites)
 
     @lazy
-    def curves(self) -> tuple[CurveFamily, ...]:
-        """Curves of each joint over its position, torque, velocity and time."""
-        return families.curves(self.deflections, self.sites)
-
-    @lazy
     def shaped(self) -> tuple[Effect, ...]:
         """Named effects with a number that is tried at a few values, beside the candidates."""
         found = shaped(self.time_shifted, self.loads, self.motion.dof)
         return tuple(effect for effect in found if effect.label not in self.refused)
 
+    @lazy
+    def components(self) -> tuple[Component, ...]:
+        """Of every site, as far as the sensor sees them."""
+        return functions.components(self.sites, self.motion, self.rows)
+
+    @lazy
+    def quantities(self) -> tuple[Quantity, ...]:
+        """As far as they are known and vary."""
+        return functions.quantities(self.deflections.host_motion, self.deflections.host_loads)
+
     @property
-    def ladder(self) -> tuple[Effect, ...]:
-        """None: a calibrated arm has few effects."""
-        return ()
+    def every_run(self) -> NDArray[np.integer]:
+        """`(2, sample)`, the first and the last sample of each sample's run."""
+        return np.asarray(self.motion.run)
 
-    @lazy
-    def flexible(self) -> tuple[Unnamed, ...]:
-        """Functions without a name, of every site and driver."""
-        return tried_functions(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
+    def process(
+        self,
+        component: Component,
+        quantities: Sequence[Quantity],
+        kernel: str,
+        spread: float,
+        rolloff: tuple[float, ...] = (),
+    ) -> Unnamed:
+        """A nonparametric effect over the ranges of these rows."""
+        (lower, upper), *further = [(float(one.values.min()), float(one.values.max())) for one in quantities]
+        driver, others = " and ".join(one.driver.phrase for one in quantities), tuple(b for pair in further for b in pair)
+        return Unnamed(component.site, driver, lower, upper, kernel, component.name, others, spread, rolloff)
 
-    @lazy
-    def functions_tried(self) -> int:
-        """How many functions without a name there are, with those of fewer components, drivers or products in them.
-
-        Rare ones are not counted: what their choice costs is in proportion to the number of the others.
-        """
-        return sum(1 + len(function.forms) for function in self.flexible if not function.rare)
+    def seen(self, functions: Array) -> Array:
+        """The same: nothing filters poses."""
+        return functions
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
@@ -343,10 +351,6 @@ class PoseProblem:
             return np.zeros(self.samples, bool)
         return term.between_flanks(self.deflections.host_motion, self.deflections.host_loads)
 
-    def shrinkable(self, term: Term) -> bool:
-        """Whether an effect has drivers, none of which is a joint position."""
-        assert isinstance(term, Effect)
-        return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
@@ -360,7 +364,8 @@ class PoseProblem:
         if physics.loaded and (physics.altering or errors is not None):
             on_arm = self.deflections.loads_in(seen, physics, values, errors)
         for effect, part in zip(physics.effects, physics.slices, strict=True):
-            changed = physics.altering or (errors is not None and any(driver.loaded for driver in effect.drivers))
+            heavy = not effect.nonparametric and any(driver.loaded for driver in effect.drivers)
+            changed = physics.altering or (errors is not None and heavy)
             if effect.linear and not changed:
                 bent = bent + self.deflections.by_linear(effect, values[part])
             elif isinstance(effect, Bending):

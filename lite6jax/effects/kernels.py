@@ -1,0 +1,202 @@
+"""Kernels: Gaussian processes of one driver or of two, of low rank, that nonparametric effects are made of.
+
+f(x) = Σ wᵢ φᵢ(x) with independent normal wᵢ is a Gaussian process of the covariance Σ φᵢ(x) φᵢ(y) (C. Rasmussen and
+C. Williams, Gaussian Processes for Machine Learning, 2006, 2.2). Every process here has a constant of unit variance
+beside its own; a product of two processes therefore contains each of them alone.
+
+| kernel | covariance of a driver u that is scaled to [-1, 1] | describes |
+|---|---|---|
+| line | u v | what is in proportion |
+| cubic | 4 exp(-d² / 8) | what is nearly a cubic |
+| smooth, medium, fine | exp(-d² / 2 l²), l = 0.7, 0.3, 0.13 | curves, one finer than the other |
+| rough | exp(-d) | steps and kinks |
+| wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
+| spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
+| play | Σ of play operators of five widths | hysteresis |
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.deferred import Array, jit, jnp, lax
+from lite6jax.effects.deflection import library_of
+
+PIECES = 24
+"""Intervals of the splines in which kernels of a scaled driver are expressed: three to the length of the finest."""
+_HIGHEST = 60.0
+"""Highest order of a spectrum: above it, coefficients of real gears are noise."""
+_PERIOD = 1.25
+"""Ranges of the angle in the period of a spectrum's lowest order, at least: errors need not repeat after a turn."""
+_WAVES = np.array([1.0, 2.0, 3.0])
+_PLAYS = np.array([0.05, 0.1, 0.2, 0.4, 0.7])
+"""Half-widths of play operators over half the range of their driver."""
+
+
+class Kernel(NamedTuple):
+    """A kernel of a scaled driver.
+
+    Attributes:
+        covariance: of two values and their distance.
+        rank: of its features, the constant not counted.
+        rank_in_product: the same where it is a factor.
+    """
+
+    covariance: Callable[[NDArray, NDArray, NDArray], NDArray]
+    rank: int
+    rank_in_product: int
+
+
+def _squared_exponential(length: float, variance: float = 1.0) -> Callable[[NDArray, NDArray, NDArray], NDArray]:
+    return lambda u, v, d: variance * np.exp(-0.5 * (d / length) ** 2)
+
+
+SCALED: dict[str, Kernel] = {
+    "line": Kernel(lambda u, v, d: u * v, 1, 1),
+    "cubic": Kernel(_squared_exponential(2.0, 4.0), 6, 3),
+    "smooth": Kernel(_squared_exponential(0.7), 10, 5),
+    "medium": Kernel(_squared_exponential(0.3), 14, 10),
+    "fine": Kernel(_squared_exponential(0.13), 26, 16),
+    "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
+}
+OF_ANGLES = ("wave", "spectrum")
+KERNELS = (*SCALED, *OF_ANGLES, "play")
+
+
+def factors_of(kernel: str) -> list[str]:
+    """The kernels of each driver: one, or two that are joined by `*`."""
+    return kernel.split("*")
+
+
+def is_kernel(kernel: str, drivers: int) -> bool:
+    """Whether a kernel of so many drivers has this name; spectra and plays are of one driver."""
+    factors = factors_of(kernel)
+    known = set(factors) <= set(KERNELS) and (len(factors) == 1 or set(factors) <= {*SCALED, "wave"})
+    return known and len(factors) == drivers
+
+
+def features(
+    kernel: str, values: Array, bounds: Sequence[float], run: Array | None = None, rolloff: Sequence[float] = ()
+) -> Array:
+    """The functions φ `(feature, sample)` of a kernel. Of NumPy values on the host.
+
+    Args:
+        kernel: its name.
+        values: `(driver, sample)`.
+        bounds: lower and upper of each driver, in its unit; beyond them a scaled driver keeps its value there.
+        run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
+        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance.
+    """
+    xp, names = library_of(values), factors_of(kernel)
+    if kernel == "play":
+        return _play_features(values[0], bounds, run)
+    if kernel == "spectrum":
+        turned = orders_of(bounds)[:, None] * values[0]
+        both = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
+        return both * spectrum_deviations(bounds, rolloff)[:, None]
+    each = [_factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names)) for k, name in enumerate(names)]
+    if len(each) == 1:
+        return each[0]
+    return (each[0][:, None] * each[1][None]).reshape(-1, each[0].shape[-1])
+
+
+def size_of(kernel: str, bounds: Sequence[float]) -> int:
+    """How many features a kernel has."""
+    if kernel == "play":
+        return len(_PLAYS) + 1
+    if kernel == "spectrum":
+        return 2 * len(orders_of(bounds))
+    names = factors_of(kernel)
+    sizes = [7 if name == "wave" else root(name, len(names) > 1).shape[1] for name in names]
+    return int(np.prod(sizes))
+
+
+def orders_of(bounds: Sequence[float]) -> NDArray:
+    """The orders of a spectrum: whole ones; so fine that the range of an angle that turns far is within one period."""
+    lowest = float(np.clip(2 * np.pi / (_PERIOD * max(bounds[1] - bounds[0], 1e-3)), 0.25, 1.0))
+    return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+
+
+def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:
+    """`(feature,)`, the prior's standard deviation of sine and cosine of each order: 1 at low ones."""
+    orders = orders_of(bounds)
+    corner, slope = rolloff or (1.0, 0.0)
+    return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
+
+
+@cache
+def root(name: str, in_product: bool = False) -> NDArray:
+    """`(spline, feature)`, by which the splines of a scaled driver become the features of a kernel.
+
+    The coefficients of the splines are the process at their centres; of these the largest principal components over an
+    even grid are kept.
+    """
+    kernel = SCALED[name]
+    rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
+    centres = np.linspace(-1 - 2 / PIECES, 1 + 2 / PIECES, PIECES + 3)
+    if name == "line":
+        return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
+    covariance = kernel.covariance(centres[:, None], centres, np.abs(centres[:, None] - centres)) + 1.0
+    eigenvalues, V = np.linalg.eigh(covariance)
+    L = V * np.sqrt(np.maximum(eigenvalues, 0.0))
+    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0, PIECES).T
+    return L @ np.linalg.svd(grid @ L, full_matrices=False)[2][:rank].T
+
+
+def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES) -> Array:
+    """The cubic B-splines on `pieces` equal intervals from `lower` to `upper`, `(pieces + 3, sample)`.
+
+    They add up to 1; before `lower` and beyond `upper` they keep their values there. Of NumPy values on the host.
+    """
+    xp = library_of(values)
+    u = xp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
+    t = xp.abs(u - np.arange(-1.0, pieces + 2.0)[:, None])
+    near, far = xp.maximum(1 - t, 0.0), xp.maximum(2 - t, 0.0)
+    return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
+
+
+def wave_features(values: Array) -> Array:
+    """A constant, and sine and cosine of the first orders of an angle, each over its order, `(7, sample)`."""
+    xp = library_of(values)
+    turned = _WAVES[:, None] * values
+    return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / _WAVES[:, None], xp.cos(turned) / _WAVES[:, None]])
+
+
+def _factor(name: str, values: Array, lower: float, upper: float, drivers: int) -> Array:
+    if name == "wave":
+        return wave_features(values)
+    return root(name, drivers > 1).T @ spline_basis(values, lower, upper)
+
+
+def _play_features(values: Array, bounds: Sequence[float], run: Array | None) -> Array:
+    xp, half = library_of(values), 0.5 * (bounds[1] - bounds[0])
+    run = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)]) if run is None else run
+    centred = values - 0.5 * (bounds[0] + bounds[1])
+    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), run)
+    behind = np.asarray(behind) if xp is np else behind
+    return xp.concatenate([xp.ones_like(centred)[None], behind / half])
+
+
+@jit
+def plays(values: Array, widths: Array, run: Array) -> Array:
+    """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
+
+    Sums of such plays are all hysteresis whose loops close and do not depend on speed (I. Mayergoyz, Mathematical
+    Models of Hysteresis, 1991, ch. 1; of L. Prandtl and A. Ishlinskii). Each run begins at 0, as nearly as it can.
+
+    Args:
+        values: `(sample,)`, of the driver.
+        widths: `(width,)` in its unit, from 0.
+        run: `(2, sample)`, the first and the last sample of the run of each.
+    """
+
+    def pushed(left: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, begins = now
+        left = jnp.clip(jnp.where(begins, 0.0, left), value - widths, value + widths)
+        return left, left
+
+    begins = run[0] == jnp.arange(run.shape[1])
+    return lax.scan(pushed, jnp.zeros_like(widths), (values, begins))[1].T

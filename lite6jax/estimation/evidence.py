@@ -1,0 +1,191 @@
+"""The evidence of a term: by how much its presence makes the residuals likelier, all else integrated over.
+
+Columns X of a term, projected outside what the model explains, have the eigenvalues λ and, along their directions, the
+squared pulls z² of the residuals. Under the prior N(0, τ²) of each coefficient the residuals are likelier by
+
+    ΔL(τ) = ½ Σ [z² τ²λ / (1 + τ²λ) − ln(1 + τ²λ)],
+
+which is at its largest where τ is as the data say (M. Tipping and A. Faul, Fast Marginal Likelihood Maximisation for
+Sparse Bayesian Models, 2003, in block form). Of K directions of equal information that is ½ (T − K − K ln(T / K)), T
+their χ² statistic. The scale of the noise is not known: integrated over, it makes ½ Σ z² … a Student's form,
+−½ ν ln(1 − q / S), of ν degrees of freedom and the sum of squares S that is left without the term.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.estimation.score_test import ScoreTest
+
+Array = NDArray[np.floating]
+
+_RATIOS = np.geomspace(1e-2, 1e7, 28)
+"""Of the prior's variance to that of the best determined direction, that are tried."""
+_DECLARED = 4.0
+"""Degrees of freedom that a declared noise counts as: it is known to a factor of two."""
+
+
+class Evidence(NamedTuple):
+    """Of some terms, each array `(…,)`.
+
+    Attributes:
+        gain: log evidence over their absence.
+        variance: τ², of the coefficients.
+        volume: ½ Σ ln(1 + τ²λ), by which the evidence is less than the likelihood's gain.
+    """
+
+    gain: Array
+    variance: Array
+    volume: Array
+
+
+class Sums(NamedTuple):
+    """A site's column summed over the rows of each sample.
+
+    Attributes:
+        weight: `(sample,)`, its square.
+        pull: `(sample,)`, its product with what the model leaves.
+        inside: `(k, sample)`, with each direction of the model.
+        left: the sum of squares that is left in the groups of rows on which it acts.
+        freedom: their degrees of freedom.
+    """
+
+    weight: Array
+    pull: Array
+    inside: Array
+    left: float
+    freedom: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """What a model leaves, the model integrated over, ready to weigh terms.
+
+    Attributes:
+        test: the score test of that model; its basis spans the nuisance and the terms, under their priors.
+    """
+
+    test: ScoreTest
+
+    @cached_property
+    def _by_group(self) -> tuple[Array, Array]:
+        """The sum of squares that is left in each group of rows, and its degrees of freedom, with the declared noise."""
+        problem, fit = self.test.problem, self.test.fit
+        measured = problem.rows * problem.samples
+        products = self.test.left * self.test.residual
+        by_row = np.sum(products[:measured].reshape(problem.rows, problem.samples), 1)
+        counts = np.bincount(problem.groups)
+        # after the measurements come the readings of priors, which all groups share
+        squares = np.maximum(np.bincount(problem.groups, by_row) + products[measured:].sum(), 1e-300)
+        freedom = counts * fit.training.sum() * self.test.freedom / max(problem.rows * fit.training.sum(), 1)
+        known = _DECLARED * problem.declared
+        return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
+
+    def _of_groups(self, rows: Array) -> tuple[float, float]:
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool."""
+        squares, freedom = self._by_group
+        groups = np.unique(self.test.problem.groups[rows])
+        return float(squares[groups].sum()), float(freedom[groups].sum())
+
+    def sums(self, column: Array) -> Sums:
+        """Of a site's column `(row, sample)`; in autocorrelated noise, of functions that vary slowly beside it."""
+        test = self.test
+        (weight,), (inside,), (pull,) = test.over_rows(column[None])
+        unit = 1 / test.scale[0]
+        pull = pull - (test.basis @ test.residual) @ inside
+        left, freedom = self._of_groups(np.any(column, 1))
+        return Sums(weight[0] * unit**2, pull * unit, inside * unit, left, freedom)
+
+    def equations(self, sums: Sums, functions: Array) -> tuple[Array, Array]:
+        """Pull `(…, number)` and information `(…, number, number)` of functions `(…, number, sample)` at a site."""
+        flat = functions.reshape(-1, functions.shape[-1])
+        inside = (flat @ sums.inside.T).reshape(*functions.shape[:-1], -1)
+        own = (functions * sums.weight) @ functions.swapaxes(-1, -2)
+        return functions @ sums.pull, own - inside @ inside.swapaxes(-1, -2)
+
+    def dense(self, columns: Array) -> tuple[Array, Array, float, float]:
+        """Pull, information, sum of squares and freedom of columns `(number, row, sample)`, in any noise."""
+        test, rows = self.test, np.flatnonzero(np.any(columns, (0, 2)))
+        if not rows.size:
+            return np.zeros(len(columns)), np.zeros((len(columns),) * 2), 1.0, 1.0
+        white = test.whitened(columns[:, rows], rows).reshape(len(columns), -1) / test.scale[0]
+        basis, _ = test.of_rows(rows)
+        left = self.test.left[: test.problem.rows * test.problem.samples].reshape(test.problem.rows, -1)[rows].ravel()
+        inside = white @ basis.T
+        acting = np.zeros(test.problem.rows, bool)
+        acting[rows] = True
+        return white @ left, white @ white.T - inside @ inside.T, *self._of_groups(acting)
+
+    def of_columns(self, columns: Array) -> tuple[Evidence, Array]:
+        """The evidence of a named term, and the `(number,)` estimates: all directions are determined equally well.
+
+        Args:
+            columns: `(number, row, sample)`.
+        """
+        pull, information, left, freedom = self.dense(columns)
+        length = np.sqrt(np.maximum(self._lengths(columns), 1e-300))
+        eigenvalues, V = np.linalg.eigh(information / np.outer(length, length))
+        kept = eigenvalues > self.test.options.confounded
+        none = np.zeros(())
+        if not kept.any():
+            return Evidence(none, none, none), np.zeros(len(columns))
+        T = V[:, kept] / np.sqrt(eigenvalues[kept]) / length[:, None]
+        squares = (T.T @ pull) ** 2
+        found = best_amplitude(np.ones(int(kept.sum())), squares, left, freedom)
+        likelihood = -0.5 * freedom * np.log1p(-min(squares.sum() / left, 1 - 1e-12))
+        return found._replace(volume=np.maximum(likelihood - found.gain, 0.0)), -T @ (T.T @ pull)
+
+    def _lengths(self, columns: Array) -> Array:
+        rows = np.flatnonzero(np.any(columns, (0, 2)))
+        return np.sum((self.test.whitened(columns[:, rows], rows) / self.test.scale[0]) ** 2, (1, 2))
+
+
+def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, freedom: Array | float) -> Evidence:
+    """The evidence at the likeliest variance of the coefficients.
+
+    Args:
+        eigenvalues: `(…, direction)` λ.
+        squares: `(…, direction)` z² λ, of pulls that are not divided by √λ.
+        left: S, `(…, 1, 1)` or one for all.
+        freedom: ν, likewise.
+    """
+    left, freedom = (np.asarray(each)[..., 0] if np.ndim(each) else each for each in (left, freedom))
+    top = np.maximum(eigenvalues.max(-1, keepdims=True), 1e-300)
+    s = _RATIOS / top
+    grown = s[..., None] * eigenvalues[..., None, :]
+    q = np.sum(s[..., None] * squares[..., None, :] / (1 + grown), -1)
+    volume = 0.5 * np.sum(np.log1p(grown), -1)
+    gains = -0.5 * freedom * np.log(np.maximum(1 - q / left, 1e-12)) - volume
+    best = np.argmax(gains, -1)[..., None]
+    return Evidence(*(np.take_along_axis(each, best, -1)[..., 0] for each in (gains, s, volume)))
+
+
+def of_process(pull: Array, information: Array, left: float, freedom: float, confounded: float) -> Evidence:
+    """The evidence of processes whose coefficients have the same variance.
+
+    Args:
+        pull: `(…, number)`.
+        information: `(…, number, number)`.
+        left: S.
+        freedom: ν.
+        confounded: eigenvalue over the largest below which a direction is in the model's span.
+    """
+    eigenvalues, V = np.linalg.eigh(information)
+    eigenvalues = np.maximum(eigenvalues, 0.0)
+    squares = np.einsum("...ij,...i->...j", V, pull) ** 2
+    squares = np.where(eigenvalues > confounded * eigenvalues[..., -1:], squares, 0.0)
+    return best_amplitude(eigenvalues, squares, left, freedom)
+
+
+def bound(pull: Array, information: Array, left: float, freedom: float, confounded: float) -> Array:
+    """What no process of these functions can exceed, `(…,)`: the likelihood's gain."""
+    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    C = information / (size[..., None] * size[..., None, :]) + confounded * np.eye(information.shape[-1])
+    z = pull / size
+    q = np.sum(z * np.linalg.solve(C, z[..., None])[..., 0], -1)
+    return -0.5 * freedom * np.log(np.maximum(1 - q / left, 1e-12))

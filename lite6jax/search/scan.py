@@ -1,0 +1,450 @@
+"""Everything that may explain what a model leaves, each with its evidence and what its choice costs.
+
+Tried are the names of the catalogue, waves of every order, and Gaussian processes of every quantity, and of pairs of
+them, at every component of every site. The cost is −ln of the prior probability:
+
+| | cost |
+|---|---|
+| a kind: name, process of one quantity, process of two | ln 3 |
+| a name | ln of their number |
+| a wave | that, and ln of the orders that it is the best of |
+| a process | ln of the components, −ln p of each quantity, ln of the kernels |
+
+A site's own quantities have 0.6 of the probability together, all of them 0.4.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.effects import kernels
+from lite6jax.estimation.evidence import Evidence, Marginal, Sums, best_amplitude, bound, of_process
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Component, Problem, Quantity
+from lite6jax.estimation.score_test import ScoreTest
+from lite6jax.estimation.terms import Term
+from lite6jax.search.spectrum import lines
+
+Array = NDArray[np.floating]
+
+_OWN = 0.6
+"""Prior probability that a driver is one of a site's own."""
+_SINGLE = (*kernels.SCALED, "wave", "play")
+_PAIRS = (
+    *("line*line", "cubic*cubic", "smooth*smooth", "rough*rough", "wave*wave"),
+    *(f"{a}*{b}" for pair in (("line", "smooth"), ("line", "medium"), ("line", "fine"), ("line", "rough"),
+                              ("line", "wave"), ("cubic", "wave")) for a, b in (pair, pair[::-1])),
+)  # fmt: skip
+_SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
+"""Corner and slope of the spectra that are tried."""
+_KINDS = np.log(3.0)
+_ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
+_HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
+_AT_ONCE = 100
+"""Processes that are weighed in one call."""
+_EXACT = 60
+"""Terms, the likeliest, that are weighed exactly in autocorrelated noise."""
+_SHORTLIST, _REFINED, _BESIDE = 120, 24, 8
+"""Pairs of quantities that are weighed as cubics, those of them as every kernel, and the singles that others join."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A term that may be added, and what it is worth.
+
+    Attributes:
+        gain: log evidence over its absence.
+        cost: −ln of its prior probability.
+        volume: by which the evidence is less than the likelihood's gain.
+        site: where it acts.
+        cause: what it is: the label of a name, the phrases of the quantities of a process.
+        place: the component of a process.
+        make: makes the term.
+        process: of a process, component, quantities, kernel and rolloff.
+    """
+
+    gain: float
+    cost: float
+    volume: float
+    site: str
+    cause: tuple[str, ...]
+    place: str
+    make: Callable[[], Term]
+    process: tuple[Any, ...] = ()
+
+    @property
+    def net(self) -> float:
+        """Log posterior odds of its presence."""
+        return self.gain - self.cost
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The same for processes of the same quantities at the same component, whatever their kernel."""
+        return self.site, self.place, self.cause
+
+
+@final
+class Scan:
+    """What is tried in one problem; the features of its quantities are computed once."""
+
+    def __init__(self, problem: Problem, options: EngineOptions) -> None:
+        self.problem, self.options = problem, options
+        self.quantities = list(problem.quantities)
+        self.names = [*problem.candidates, *problem.shaped]
+        self._features: dict[tuple[Any, ...], Array] = {}
+        self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
+        self.discrete = [_is_discrete(one) for one in self.quantities]
+        sites = {component.site for component in problem.components}
+        self._own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
+
+    # -------------------------------------------------------------- costs
+
+    def cost_of_name(self) -> float:
+        """Of one of the catalogue's names at one site."""
+        return float(_KINDS + np.log(max(len(self.names), 1)))
+
+    def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
+        """Of a process of one quantity or of two, any kernel, any component."""
+        if (site, which) in self._costs:
+            return self._costs[site, which]
+        cost = _KINDS + np.log(max(len(self.problem.components), 1))
+        cost += sum(self._cost_of_quantity(site, k) for k in which)
+        cost += np.log(len(_SINGLE)) if len(which) == 1 else np.log(len(_PAIRS) / 2)
+        return self._costs.setdefault((site, which), float(cost))
+
+    def _cost_of_quantity(self, site: str, k: int) -> float:
+        own = self._own[site]
+        return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / len(self.quantities))
+
+    def may_act(self, site: str, *which: int) -> bool:
+        """Whether these quantities can act at a site."""
+        return all(self.quantities[k].only in ("", site) for k in which)
+
+    # -------------------------------------------------------------- features
+
+    def features(self, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = ()) -> Array:
+        """The functions `(feature, sample)` of a kernel of some quantities, as they reach the samples."""
+        key = which, kernel, rolloff
+        if key not in self._features:
+            found = self._product(which, kernel) if len(which) == 2 else self.problem.seen(self._factor(*key))
+            if len(which) == 2:
+                return found  # of thousands of pairs each is looked at once or twice
+            self._features[key] = found
+        return self._features[key]
+
+    def _product(self, which: tuple[int, ...], kernel: str) -> Array:
+        one, other = (
+            self._factor((k,), name, in_product=True)
+            for k, name in zip(which, kernels.factors_of(kernel), strict=True)
+        )
+        return self.problem.seen((one[:, None] * other).reshape(-1, one.shape[-1]))
+
+    def _factor(
+        self, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = (), in_product: bool = False
+    ) -> Array:
+        """The functions of a kernel of one quantity at every sample, before any filter."""
+        key = which, kernel, rolloff, in_product
+        if key not in self._features:
+            (k,) = which
+            if kernel in kernels.SCALED:
+                self._features[key] = kernels.root(kernel, in_product).T @ self._every_spline(k)
+            else:
+                values, bounds = self.quantities[k].values[None], self.quantities[k].bounds
+                found = kernels.features(kernel, values, bounds, self.problem.every_run, rolloff)
+                self._features[key] = np.asarray(found)
+        return self._features[key]
+
+    def _every_spline(self, k: int) -> Array:
+        key = (k,), "spline"
+        if key not in self._features:
+            self._features[key] = kernels.spline_basis(self.quantities[k].values, *self.quantities[k].bounds)
+        return self._features[key]
+
+    @cached_property
+    def splines(self) -> tuple[list[int], Array]:
+        """The quantities of many values, and the splines `(quantity, spline, sample)` that express all their kernels."""
+        many = [k for k, discrete in enumerate(self.discrete) if not discrete]
+        none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
+        return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
+
+    @cached_property
+    def _few(self) -> tuple[Array, NDArray[np.integer], Array]:
+        """A few functions `(function, sample)` of each quantity of unit size, where each begins, and their weights."""
+        parts = []
+        for k, one in enumerate(self.quantities):
+            kernel = "line" if self.discrete[k] else "smooth"
+            own = self.features((k,), kernel)[1:4]
+            if _is_angle(one):
+                own = np.concatenate([own, self.features((k,), "wave")[[2, 3, 5, 6]]])
+            own = own - own.mean(1, keepdims=True)
+            parts.append(own / (np.sqrt(np.mean(own**2, 1, keepdims=True)) + 1e-12))
+        start = np.cumsum([0, *map(len, parts[:-1])])
+        weights = np.concatenate([0.6 ** np.minimum(np.arange(len(part)), 3) for part in parts])
+        return np.concatenate(parts), start, weights
+
+    # -------------------------------------------------------------- what is likeliest
+
+    def ranked(self, test: ScoreTest, pairs: bool = True) -> list[Ranked]:
+        """All that is worth its cost, and the best that is not, the likeliest first."""
+        weighed = _Weighed(self, test)
+        found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
+        singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
+        found += singles
+        if pairs:
+            found += weighed.pairs(singles)
+        found.sort(key=lambda one: -one.net)
+        if test.fit.noise.white:
+            return found
+        exact = [weighed.exact(one) for one in found[:_EXACT]]
+        return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
+
+    def named(self, test: ScoreTest) -> list[Ranked]:
+        """The names alone."""
+        return _Weighed(self, test).named()
+
+    def alike(self, test: ScoreTest, component: Component, which: tuple[int, ...]) -> Ranked | None:
+        """The likeliest kernel of given quantities at a component; None where they say nothing there."""
+        weighed = _Weighed(self, test)
+        found = weighed.kernels_of(component, which)
+        if not test.fit.noise.white:
+            found = [weighed.exact(one) for one in found]
+        return max(found, key=lambda one: one.net, default=None)
+
+
+class _Weighed:
+    """A scan beside one model."""
+
+    def __init__(self, scan: Scan, test: ScoreTest) -> None:
+        self._scan, self._test, self._marginal = scan, test, Marginal(test)
+        self._problem, self._options = scan.problem, scan.options
+        self._known: dict[int, Sums] = {}
+
+    def named(self) -> list[Ranked]:
+        """Names that are not there yet; of those with a number that is tried the likeliest."""
+        test = self._test
+        there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
+        terms = [term for term in self._scan.names if term not in there and not term.periodic]
+        best: dict[str, Ranked] = {}
+        for term in terms:
+            columns = self._problem.columns([term], beside=(test.fit.terms, test.fit.values))
+            evidence, _ = self._marginal.of_columns(columns)
+            one = self._ranked(evidence, self._scan.cost_of_name(), term.site, (term.label,), "", lambda term=term: term)
+            if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
+                best[term.label] = one
+        return list(best.values())
+
+    def waves(self) -> list[Ranked]:
+        """The likeliest order of each angle."""
+        found, cost = [], self._scan.cost_of_name()
+        families = max(len(self._problem.periodic), 1)
+        for line in lines(self._test):
+            column = line.family.column
+            columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
+            evidence, _ = self._marginal.of_columns(columns)
+            named = line.term in self._scan.names  # the lowest orders are candidates of their own
+            own = cost if named else _KINDS + np.log(families) + line.searched
+            order = f"{line.term.label} {line.order:.3g}"
+            found.append(self._ranked(evidence, float(own), line.term.site, (order,), "", lambda line=line: line.term))
+        return [one for one in found if one.gain > 0]
+
+    def singles(self, least: float) -> list[Ranked]:
+        """Processes of one quantity that may exceed `least`, each as its likeliest kernel.
+
+        No kernel explains more than all splines of its quantity without a prior: what is less is not looked at closer.
+        """
+        many, splines = self._scan.splines
+        found: list[Ranked] = []
+        at, pulls, informations, limits = [], [], [], []
+        for component in self._problem.components:
+            pull, information, left, freedom = self._equations(component, splines)
+            most = bound(pull, information, left, freedom, self._options.confounded)
+            costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in many])
+            for i in np.flatnonzero(most > costs):
+                if self._scan.may_act(component.site, many[i]):
+                    at.append((component, many[i], left, freedom))
+                    limits.append(most[i] - costs[i])
+                    pulls.append(pull[i])
+                    informations.append(information[i])
+            for k in set(range(len(self._scan.quantities))) - set(many):
+                if self._scan.may_act(component.site, k):
+                    found.append(self._of_kernel(component, (k,), "line"))
+        order = np.argsort(limits)[::-1]
+        while order.size and limits[order[0]] > least:
+            some, order = order[:_AT_ONCE], order[_AT_ONCE:]
+            pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
+            left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
+            for name in kernels.SCALED:
+                R = kernels.root(name)
+                each = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
+                for i, *one in zip(some, *each, strict=True):
+                    found.append(self._process(Evidence(*one), *at[i][:1], (at[i][1],), name))
+            for i in some:
+                component, k = at[i][:2]
+                for name in ("wave", "play"):
+                    if self._suits(name, (k,)):
+                        found.append(self._of_kernel(component, (k,), name))
+            least = max(least, max(one.net for one in found) - self._options.close)
+        return _best_of_each(found)
+
+    def spectra(self) -> list[Ranked]:
+        """Spectra of the positions of joints at these joints."""
+        found = []
+        for component in self._problem.components:
+            for k, one in enumerate(self._scan.quantities):
+                if one.driver.quantity == "position" and component.site == f"joint{one.driver.place}":
+                    found += [self._of_kernel(component, (k,), "spectrum", rolloff) for rolloff in _SPECTRA]
+        return _best_of_each(found)
+
+    def pairs(self, singles: Sequence[Ranked]) -> list[Ranked]:
+        """Processes of two quantities: of a short list, the likeliest as every kernel."""
+        plain = ["line" if discrete else "cubic" for discrete in self._scan.discrete]
+        alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
+        components = {id(one): one for one in self._problem.components}
+        for component, *which in self._shortlist(singles):
+            alike.setdefault((id(component), "*".join(plain[k] for k in which)), []).append(tuple(which))
+        first = [
+            (found, components[at], which)
+            for (at, kernel), members in alike.items()
+            for found, which in zip(self._of_kernels(components[at], members, kernel), members, strict=True)
+        ]
+        first.sort(key=lambda item: -item[0].net)
+        return _best_of_each(
+            [one for _, component, which in first[:_REFINED] for one in self.kernels_of(component, which)]
+        )
+
+    def kernels_of(self, component: Component, which: tuple[int, ...]) -> list[Ranked]:
+        """Every kernel of given quantities at a component."""
+        own = [self._scan.quantities[k] for k in which]
+        names = [name for name in (_SINGLE if len(which) == 1 else _PAIRS) if self._suits(name, which)]
+        found = [self._of_kernel(component, which, name) for name in names]
+        if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
+            found += [self._of_kernel(component, which, "spectrum", rolloff) for rolloff in _SPECTRA]
+        return found
+
+    def _suits(self, kernel: str, which: tuple[int, ...]) -> bool:
+        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
+            quantity = self._scan.quantities[k]
+            if self._scan.discrete[k] and name != "line":
+                return False
+            if (name == "wave" and not _is_angle(quantity)) or (name == "play" and not self._is_hysteretic(quantity)):
+                return False
+        return True
+
+    def _is_hysteretic(self, quantity: Quantity) -> bool:
+        return quantity.driver.generalised in _HYSTERETIC
+
+    def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
+        """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
+        functions, start, weights = self._scan._few
+        i, j = np.triu_indices(len(self._scan.quantities), 1)
+        squared, scored = functions**2, []
+        components = {(one.site, one.name): one for one in self._problem.components}
+        for component in self._problem.components:
+            sums = self._sums(component)
+            score = (functions * sums.pull) @ functions.T
+            size = (squared * sums.weight) @ squared.T
+            z = score**2 / np.maximum(size, 1e-12 * size.max()) * weights[:, None] * weights
+            of_pairs = np.add.reduceat(np.add.reduceat(z, start, 0), start, 1)[i, j]
+            for at in np.argpartition(-of_pairs, min(40, len(of_pairs) - 1))[:40]:
+                if self._scan.may_act(component.site, int(i[at]), int(j[at])):
+                    scored.append((float(of_pairs[at]), component, int(i[at]), int(j[at])))
+        scored.sort(key=lambda item: -item[0])
+        found = {(component.site, component.name, a, b) for _, component, a, b in scored[:_SHORTLIST]}
+        place = {one.driver.phrase: k for k, one in enumerate(self._scan.quantities)}
+        for one in sorted(singles, key=lambda one: -one.net)[:_BESIDE]:
+            a = place[one.cause[0]]
+            others = (b for b in range(len(self._scan.quantities)) if b != a and self._scan.may_act(one.site, a, b))
+            found |= {(one.site, one.place, min(a, b), max(a, b)) for b in others}
+        return [(components[site, name], a, b) for site, name, a, b in sorted(found)]
+
+    def _sums(self, component: Component) -> Sums:
+        if id(component) not in self._known:
+            self._known[id(component)] = self._marginal.sums(component.column)
+        return self._known[id(component)]
+
+    def exact(self, ranked: Ranked) -> Ranked:
+        """A process in autocorrelated noise, where all others are weighed as if it varied slowly."""
+        if not ranked.process:
+            return ranked
+        component, which, kernel, rolloff = ranked.process
+        columns = self._scan.features(which, kernel, rolloff)[:, None] * component.column
+        found = of_process(*self._marginal.dense(columns), self._options.confounded)
+        return self._process(found, component, which, kernel, rolloff)
+
+    def _equations(self, component: Component, functions: Array) -> tuple[Array, Array, float, float]:
+        """Pull and information of groups of functions `(group, function, sample)`, sum of squares and freedom."""
+        sums = self._sums(component)
+        return *self._marginal.equations(sums, functions), sums.left, sums.freedom
+
+    def _of_kernel(
+        self, component: Component, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = ()
+    ) -> Ranked:
+        return self._of_kernels(component, [which], kernel, rolloff)[0]
+
+    def _of_kernels(
+        self,
+        component: Component,
+        members: Sequence[tuple[int, ...]],
+        kernel: str,
+        rolloff: tuple[float, ...] = (),
+    ) -> list[Ranked]:
+        """The same kernel of several sets of quantities."""
+        functions = np.stack([self._scan.features(which, kernel, rolloff) for which in members])
+        pull, information, left, freedom = self._equations(component, functions)
+        found = of_process(pull, information, left, freedom, self._options.confounded)
+        each = zip(members, zip(*found, strict=True), strict=True)
+        return [self._process(Evidence(*one), component, which, kernel, rolloff) for which, one in each]
+
+    def _process(
+        self,
+        evidence: Evidence,
+        component: Component,
+        which: tuple[int, ...],
+        kernel: str,
+        rolloff: tuple[float, ...] = (),
+    ) -> Ranked:
+        own = [self._scan.quantities[k] for k in which]
+        spread = float(f"{np.sqrt(evidence.variance):.4g}")
+        make = lambda: self._problem.process(component, own, kernel, spread, rolloff)  # noqa: E731
+        cost, cause = self._scan.cost_of_process(component.site, which), tuple(one.driver.phrase for one in own)
+        process = component, which, kernel, rolloff
+        return self._ranked(evidence, cost, component.site, cause, component.name, make, process)
+
+    @staticmethod
+    def _ranked(
+        evidence: Evidence,
+        cost: float,
+        site: str,
+        cause: tuple[str, ...],
+        place: str,
+        make: Callable[[], Term],
+        process: tuple[Any, ...] = (),
+    ) -> Ranked:
+        return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+
+
+def _best_of_each(found: Sequence[Ranked]) -> list[Ranked]:
+    """Of processes that differ in their kernel alone, the likeliest; none that are not likely at all."""
+    best: dict[Any, Ranked] = {}
+    for one in found:
+        if one.gain > 0 and (one.key not in best or one.gain > best[one.key].gain):
+            best[one.key] = one
+    return list(best.values())
+
+
+def _is_own(quantity: Quantity, site: str) -> bool:
+    return site in quantity.own or "" in quantity.own
+
+
+def _is_discrete(quantity: Quantity) -> bool:
+    return bool(quantity.driver.discrete) or len(np.unique(np.round(quantity.values[:200], 6))) <= 3
+
+
+def _is_angle(quantity: Quantity) -> bool:
+    return quantity.driver.quantity in _ANGLES
