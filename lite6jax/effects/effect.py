@@ -143,20 +143,6 @@ UNINFORMED_PHASE = np.pi / np.sqrt(3)
 """The standard deviation of an angle of which nothing is known."""
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A function without a name that another one contains.
-
-    Attributes:
-        numbers: the coefficients of the whole that it has.
-        made: makes it; there are thousands, of which few are likely.
-    """
-
-    numbers: tuple[int, ...]
-    made: "Callable[[], Effect]"
-
-
 @dataclass(frozen=True)
 class Effect(ABC):
     """Something a rigid arm with perfect encoders does not show. Frozen and hashable: a static argument of `jax.jit`.
@@ -171,11 +157,9 @@ class Effect(ABC):
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
     usual: ClassVar[bool] = False
-    """Whether nearly every arm has it: that it is there together with others is no coincidence."""
+    """Whether nearly every arm has it: its choice costs nothing."""
     nonparametric: ClassVar[bool] = False
-    """Whether it is a flexible curve rather than a named effect."""
-    shrinking: ClassVar[bool] = False
-    """Whether a prior of its coefficients is that of harmonic shrinkage."""
+    """Whether it is a Gaussian process rather than a named effect."""
     choice: ClassVar[Choice | None] = None
     reporting: ClassVar[Reporting] = DIRECT
     special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
@@ -183,15 +167,6 @@ class Effect(ABC):
 
     counted: "ClassVar[Callable[[Any], int] | None]" = None
     """How many numbers it has, where thousands of such effects are counted; None to count its coordinates."""
-
-    contained_functions: "ClassVar[Callable[[Any], tuple[Part, ...]] | None]" = None
-    """Of a function without a name, those of fewer numbers that it contains."""
-
-    unlikely: "ClassVar[Callable[[Any], bool] | None]" = None
-    """Of a function without a name, whether it is less likely beforehand than others; None where it is not."""
-
-    finer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
-    """Of a function without a name, those of the same drivers that have more numbers."""
 
     @property
     @abstractmethod
@@ -207,11 +182,6 @@ class Effect(ABC):
     @abstractmethod
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
-
-    @property
-    def rare(self) -> bool:
-        """Whether it is a function without a name that is less likely beforehand than others."""
-        return self.unlikely is not None and self.unlikely(self)
 
     @final
     def own(self, name: str) -> str:
@@ -242,12 +212,6 @@ class Effect(ABC):
 
     @property
     @final
-    def shrunk(self) -> bool:
-        """Whether it is a curve with the prior of harmonic shrinkage."""
-        return self.shrinking and any(np.isfinite(number.spread) for number in self.coordinates)
-
-    @property
-    @final
     def chosen(self) -> float | None:
         """The number that a search chose from many instead of fitting it, or None."""
         return self.choice.number(self) if self.choice is not None and self.choice.searched(self) else None
@@ -257,18 +221,6 @@ class Effect(ABC):
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero."""
         return () if self.special_cases is None else self.special_cases(self)
-
-    @property
-    @final
-    def parts(self) -> tuple[Part, ...]:
-        """Of a function without a name, those of fewer numbers that it contains; none of a named effect."""
-        return () if self.contained_functions is None else self.contained_functions(self)
-
-    @property
-    @final
-    def finer(self) -> "tuple[Effect, ...]":
-        """Of a function without a name, those of the same drivers that have more numbers; none of a named effect."""
-        return () if self.finer_functions is None else self.finer_functions(self)
 
     @final
     def released(self) -> "Effect":

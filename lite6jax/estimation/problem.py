@@ -215,10 +215,6 @@ class Problem(LinearisedProblem, Protocol):
         """The least and the most that each number of a term can be in these data."""
         ...
 
-    def without_candidates(self, terms: Sequence[Term]) -> "Problem":
-        """The same problem in which these terms, with any number of those that are tried, are no candidates."""
-        ...
-
     def thinned(self, every: int) -> "Problem":
         """One in `every` samples."""
         ...
@@ -231,9 +227,6 @@ class Problem(LinearisedProblem, Protocol):
         """The candidates that say that an input on which these terms depend is wrong, such as a load."""
         ...
 
-    def undetermined(self, term: Term) -> Mask:
-        """`(sample,)` bool, the samples at which a term does not say what it does, as between two of its states."""
-        ...
 
 
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:

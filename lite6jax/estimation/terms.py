@@ -1,6 +1,6 @@
 """Terms of a model: what a search adds, and several of them with their numbers in one vector."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -32,20 +32,6 @@ class Number(Protocol):
     def upper(self) -> float: ...
 
 
-class Contained(Protocol):
-    """A function that another one contains.
-
-    Attributes:
-        numbers: those of the whole that it has.
-        made: makes it; there are thousands, of which few are likely.
-    """
-
-    @property
-    def numbers(self) -> Sequence[int]: ...
-    @property
-    def made(self) -> "Callable[[], Term]": ...
-
-
 class Term(Protocol):
     """A candidate term. Hashable; at zero it changes nothing.
 
@@ -56,16 +42,11 @@ class Term(Protocol):
         coordinates: these numbers.
         specificity: rank of its name among terms that the data do not distinguish; the least is reported.
         periodic: whether it is found by the spectrum of a periodic family.
-        usual: whether nearly every problem has it, so that it is no coincidence beside others.
-        nonparametric: whether it is a flexible curve rather than a named term.
-        shrunk: whether it is a curve with the prior of harmonic shrinkage, which absorbs what resembles autocorrelated
-            noise.
+        usual: whether nearly every problem has it, so that its choice costs nothing.
+        nonparametric: whether it is a Gaussian process rather than a named term.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
-        parts: of a function without a name, those of fewer numbers that it contains.
-        finer: of a function without a name, those of the same drivers that have more numbers.
         drivers: the quantities that it is a function of.
-        rare: whether it is a function without a name that is less likely beforehand than others.
     """
 
     specificity: ClassVar[int]
@@ -83,19 +64,11 @@ class Term(Protocol):
     @property
     def periodic(self) -> bool: ...
     @property
-    def shrunk(self) -> bool: ...
-    @property
     def chosen(self) -> float | None: ...
     @property
     def includes(self) -> "Sequence[Term]": ...
     @property
-    def parts(self) -> Sequence[Contained]: ...
-    @property
-    def finer(self) -> "Sequence[Term]": ...
-    @property
     def drivers(self) -> "Sequence[Any]": ...
-    @property
-    def rare(self) -> bool: ...
 
     def released(self) -> "Term":
         """The same term with its chosen number as its last free coordinate."""

@@ -105,9 +105,9 @@ class Scan:
 
     # -------------------------------------------------------------- costs
 
-    def cost_of_name(self) -> float:
-        """Of one of the catalogue's names at one site."""
-        return float(_KINDS + np.log(max(len(self.names), 1)))
+    def cost_of_name(self, term: Term) -> float:
+        """Of one of the catalogue's names at one site; even odds where nearly every arm has it."""
+        return float(np.log(2.0) if term.usual else _KINDS + np.log(max(len(self.names), 1)))
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
@@ -234,21 +234,21 @@ class _Weighed:
         for term in terms:
             columns = self._problem.columns([term], beside=(test.fit.terms, test.fit.values))
             evidence, _ = self._marginal.of_columns(columns)
-            one = self._ranked(evidence, self._scan.cost_of_name(), term.site, (term.label,), "", lambda term=term: term)
+            one = self._ranked(evidence, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term)
             if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
                 best[term.label] = one
         return list(best.values())
 
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
-        found, cost = [], self._scan.cost_of_name()
+        found = []
         families = max(len(self._problem.periodic), 1)
         for line in lines(self._test):
             column = line.family.column
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             evidence, _ = self._marginal.of_columns(columns)
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
-            own = cost if named else _KINDS + np.log(families) + line.searched
+            own = self._scan.cost_of_name(line.term) if named else _KINDS + np.log(families) + line.searched
             order = f"{line.term.label} {line.order:.3g}"
             found.append(self._ranked(evidence, float(own), line.term.site, (order,), "", lambda line=line: line.term))
         return [one for one in found if one.gain > 0]

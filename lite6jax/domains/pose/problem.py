@@ -83,7 +83,6 @@ class PoseProblem:
         thinned_from: of a thinned problem, the motion that its rows are taken from, and their indices there: a clock
             offset interpolates between neighbouring rows.
         units: unit deflections and bases that depend on the motion alone, shared between linearisations.
-        refused: labels of shaped effects that are no candidates.
         after: `(jump, sample)` bool, the samples after each frame jump.
     """
 
@@ -104,7 +103,6 @@ class PoseProblem:
     clock_offset: float
     thinned_from: tuple[Motion, NDArray[np.integer]] | None
     units: dict[Hashable, Any]
-    refused: frozenset[str] = frozenset()
     after: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     @property
@@ -234,8 +232,7 @@ class PoseProblem:
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
         """Named effects with a number that is tried at a few values, beside the candidates."""
-        found = shaped(self.time_shifted, self.loads, self.motion.dof)
-        return tuple(effect for effect in found if effect.label not in self.refused)
+        return shaped(self.time_shifted, self.loads, self.motion.dof)
 
     @lazy
     def components(self) -> tuple[Component, ...]:
@@ -315,12 +312,6 @@ class PoseProblem:
             return [(-float(np.min(self.motion.payload)), term.coordinates[0].upper)]
         return [(number.lower, number.upper) for number in term.coordinates]
 
-    def without_candidates(self, terms: Sequence[Term]) -> "PoseProblem":
-        """The same problem in which these effects are no candidates."""
-        refused = self.refused | {term.label for term in terms if term.chosen is not None}
-        candidates = tuple(effect for effect in self.candidates if effect not in terms)
-        return replace(self, candidates=candidates, refused=refused)
-
     def thinned(self, every: int) -> "PoseProblem":
         """One in `every` rows."""
         return self if every == 1 else self.selected(np.arange(self.samples)[::every])
@@ -344,13 +335,6 @@ class PoseProblem:
         else:
             motion = self.motion._replace(joint_acceleration=None)
         return None if self.inertia is None or motion is self.motion else replace(self, motion=motion, units={})
-
-    def undetermined(self, term: Term) -> Mask:
-        """Those of a gear that may be between its flanks."""
-        if not isinstance(term, JointBacklash):
-            return np.zeros(self.samples, bool)
-        return term.between_flanks(self.deflections.host_motion, self.deflections.host_loads)
-
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
