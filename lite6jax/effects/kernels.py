@@ -162,7 +162,9 @@ def wave_features(values: Array) -> Array:
     """A constant, and sine and cosine of the first orders of an angle, each over its order, `(7, sample)`."""
     xp = library_of(values)
     turned = _WAVES[:, None] * values
-    return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / _WAVES[:, None], xp.cos(turned) / _WAVES[:, None]])
+    return xp.concatenate(
+        [xp.ones_like(turned[:1]), xp.sin(turned) / _WAVES[:, None], xp.cos(turned) / _WAVES[:, None]]
+    )
 
 
 def _factor(name: str, values: Array, lower: float, upper: float, drivers: int) -> Array:

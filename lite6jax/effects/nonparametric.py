@@ -42,7 +42,9 @@ def place_of(where: str) -> tuple[str, int]:
     return where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
 
 
-def require_process(label: str, driver: str, kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...]) -> None:
+def require_process(
+    label: str, driver: str, kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...]
+) -> None:
     """Refuses what is no Gaussian process of these drivers.
 
     Raises:
@@ -50,7 +52,9 @@ def require_process(label: str, driver: str, kernel: str, bounds: tuple[float, .
     """
     count = len(drivers_of(driver))
     if not kernels.is_kernel(kernel, count):
-        wanted = f"one of {', '.join(kernels.KERNELS)}" if count == 1 else "two that are joined by *, such as smooth*line"
+        wanted = (
+            f"one of {', '.join(kernels.KERNELS)}" if count == 1 else "two that are joined by *, such as smooth*line"
+        )
         raise InputError(f"{label}: kernel {kernel!r} is not possible with {count} drivers; give {wanted}")
     if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
         raise InputError(f"{label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each")

@@ -42,11 +42,6 @@ class Equations(NamedTuple):
     score: Array
     gram: Array
 
-    def part(self, numbers: Sequence[int]) -> "Equations":
-        """Those of some of the numbers."""
-        at = np.asarray(numbers)
-        return Equations(self.score[..., at], self.gram[..., at[:, None], at])
-
     def each(self) -> "list[Equations]":
         """Those of each candidate alone."""
         return list(map(Equations, self.score, self.gram))

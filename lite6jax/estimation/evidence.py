@@ -11,7 +11,6 @@ their χ² statistic. The scale of the noise is not known: integrated over, it m
 −½ ν ln(1 − q / S), of ν degrees of freedom and the sum of squares S that is left without the term.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final

@@ -145,7 +145,9 @@ class EngineOptions:
     )
     # selection by evidence
     margin: float = option(3.0, "log evidence that a term must gain beyond the cost of its choice", "odds of twenty")
-    better: float = option(0.5, "log evidence by which another term must be likelier to be exchanged for", "a refit may differ")
+    better: float = option(
+        0.5, "log evidence by which another term must be likelier to be exchanged for", "a refit may differ"
+    )
     exchanges: int = option(4, "most exchanges of terms", "two suffice mostly")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
     # forward selection

@@ -17,6 +17,7 @@ from lite6jax.estimation.terms import Term, Terms
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
+
 @final
 @dataclass(frozen=True, eq=False)
 class PeriodicFamily:
@@ -226,7 +227,6 @@ class Problem(LinearisedProblem, Protocol):
     def inputs(self, terms: Terms) -> "Sequence[Term]":
         """The candidates that say that an input on which these terms depend is wrong, such as a load."""
         ...
-
 
 
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:

@@ -22,7 +22,7 @@ from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_mo
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
-from lite6jax.estimation.terms import Contained, Term
+from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
 
@@ -164,10 +164,6 @@ class ScoreTest:
             rows = np.flatnonzero(column.any(1))
             equations = self._of_groups(functions[:, :, None] * column[rows], rows)
         return equations.explained(self.options.confounded)
-
-    def explained_parts(self, whole: Equations, parts: Sequence[Contained]) -> list[Explained]:
-        """What parts of a function explain, from the equations of the whole."""
-        return explained_by([whole.part(part.numbers) for part in parts], self.options.confounded)
 
     def _of_groups(self, groups: Array, rows: NDArray[np.integer]) -> Equations:
         """The equations of groups of columns `(group, number, row, sample)` that act on some rows."""

@@ -16,14 +16,14 @@ A site's own quantities have 0.6 of the probability together, all of them 0.4.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
+from itertools import product
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.evidence import Evidence, Marginal, Sums, best_amplitude, bound, of_process
+from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Problem, Quantity
 from lite6jax.estimation.score_test import ScoreTest
@@ -140,8 +140,7 @@ class Scan:
 
     def _product(self, which: tuple[int, ...], kernel: str) -> Array:
         one, other = (
-            self._factor((k,), name, in_product=True)
-            for k, name in zip(which, kernels.factors_of(kernel), strict=True)
+            self._factor((k,), name, in_product=True) for k, name in zip(which, kernels.factors_of(kernel), strict=True)
         )
         return self.problem.seen((one[:, None] * other).reshape(-1, one.shape[-1]))
 
@@ -234,7 +233,9 @@ class _Weighed:
         for term in terms:
             columns = self._problem.columns([term], beside=(test.fit.terms, test.fit.values))
             evidence, _ = self._marginal.of_columns(columns)
-            one = self._ranked(evidence, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term)
+            one = self._ranked(
+                evidence, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term
+            )
             if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
                 best[term.label] = one
         return list(best.values())

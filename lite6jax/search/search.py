@@ -138,7 +138,9 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
             tested.append(replace(one, p_value=p_value))
         k = int(np.argmax([one.p_value for one in tested]))
         if tested[k].p_value < options.level:
-            state = refitted(problem, replace(state, tested=tuple(tested)), tested, replace(options, relinearisations=0))
+            state = refitted(
+                problem, replace(state, tested=tuple(tested)), tested, replace(options, relinearisations=0)
+            )
             break
         state = refitted(problem, state, [*tested[:k], *tested[k + 1 :]], options)
     return replace(selection, state=state)
@@ -157,4 +159,3 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)
-

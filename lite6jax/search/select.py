@@ -56,7 +56,9 @@ class Selector:
         tried = set[object]()
         while len(state.tested) < self.options.most_terms:
             test = score_test(self.problem, state.fit, self.options)
-            worth = [one for one in self._ranked(test, state) if one.net >= self.options.margin and one.key not in tried]
+            worth = [
+                one for one in self._ranked(test, state) if one.net >= self.options.margin and one.key not in tried
+            ]
             if not worth:
                 break
             tried.add(worth[0].key)
@@ -110,7 +112,9 @@ class Selector:
         return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
 
     def _process_of(self, term: Term):  # type: ignore[no-untyped-def]
-        component = next(c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", "")))
+        component = next(
+            c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", ""))
+        )
         phrases = [driver.phrase for driver in term.drivers]
         place = {one.driver.phrase: k for k, one in enumerate(self.scan.quantities)}
         return component, tuple(place[phrase] for phrase in phrases)
@@ -207,4 +211,3 @@ class Selector:
         if noise.white and fitted.noise.white:
             return fitted
         return fit(self.problem, fitted.terms, self.options, fitted.values, fitted.nuisance, fitted.training, noise)
-

@@ -8,7 +8,7 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Array, Mask, Problem
+from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.terms import Term, Terms, join
 
 
@@ -97,14 +97,21 @@ def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], opt
         return replace(state, fit=bare, tested=())
     known = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
     start = join([known.get(term, np.zeros(term.size)) for term in terms.terms])
-    return replace(state, fit=fit(problem, terms, options, start, f.nuisance, f.training, f.noise), tested=tuple(tested))
+    return replace(
+        state, fit=fit(problem, terms, options, start, f.nuisance, f.training, f.noise), tested=tuple(tested)
+    )
 
 
 def without(fitted: Fit, k: int) -> Fit:
     """The fit with its k-th term left out, and nothing refitted: the rest of the model at which it is weighed."""
     kept = [i != k for i in range(len(fitted.terms.terms))]
     terms, values = fitted.terms.part(fitted.values, kept)
-    numbers = np.concatenate([np.zeros(0, int), *(np.arange(s.start, s.stop) for s, one in zip(fitted.terms.slices, kept, strict=True) if one)])
+    numbers = np.concatenate(
+        [
+            np.zeros(0, int),
+            *(np.arange(s.start, s.stop) for s, one in zip(fitted.terms.slices, kept, strict=True) if one),
+        ]
+    )
     return replace(fitted, terms=terms, values=values, covariance=fitted.covariance[np.ix_(numbers, numbers)])
 
 
@@ -129,4 +136,3 @@ def beyond_limits(problem: Problem, fitted: Fit, k: int) -> float:
     values, std = fitted.values[part], np.maximum(np.sqrt(np.diagonal(fitted.covariance)[part]), 1e-300)
     lower, upper = np.transpose(problem.limits(fitted.terms.terms[k]))
     return float(np.max(np.maximum(lower - values, values - upper) / std))
-

@@ -35,7 +35,9 @@ def components(sites: dict[Site, Array], motion: Motion, rows: int) -> tuple[Com
     dof = motion.dof
     found = [(f"joint{j + 1}", "rz") for j in range(dof) if not motion.sliding.mask(dof)[j]]
     found += [(f"link{j + 1}", one) for j in range(dof) if dof > 1 for one in COMPONENTS[:5]]
-    found += [(where, one) for where in ("base", "tool", "sensor") for one in COMPONENTS[: rows if where == "tool" else 6]]
+    found += [
+        (where, one) for where in ("base", "tool", "sensor") for one in COMPONENTS[: rows if where == "tool" else 6]
+    ]
     found += [("sensor", SCALE)]
     columns = ((where, one, sites[site_of(where, one)]) for where, one in found)
     return tuple(Component(where, one, column) for where, one, column in columns if column.any())

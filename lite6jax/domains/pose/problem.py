@@ -33,7 +33,6 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect
-from lite6jax.effects.kinematic.gears import JointBacklash
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
@@ -259,7 +258,10 @@ class PoseProblem:
     ) -> Unnamed:
         """A nonparametric effect over the ranges of these rows."""
         (lower, upper), *further = [(float(one.values.min()), float(one.values.max())) for one in quantities]
-        driver, others = " and ".join(one.driver.phrase for one in quantities), tuple(b for pair in further for b in pair)
+        driver, others = (
+            " and ".join(one.driver.phrase for one in quantities),
+            tuple(b for pair in further for b in pair),
+        )
         return Unnamed(component.site, driver, lower, upper, kernel, component.name, others, spread, rolloff)
 
     def seen(self, functions: Array) -> Array:
