@@ -95,8 +95,7 @@ def diagnose_torques(
         count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
         folds = contiguous_blocks(problem.samples, count)
         whole = replace(whole, valid=problem.valid)
-        # whether terms are selected forward or from the saturated model is decided once, in all samples
-        errors = errors_of_folds(errors_of_search, (whole, options, selection.saturated), folds)
+        errors = errors_of_folds(errors_of_search, (whole, options), folds)
         state = selection.state
 
         def refitted(spread: Sequence[Mask]) -> HeldOutTorques:
@@ -153,18 +152,17 @@ class HeldOutTorques(NamedTuple):
         return float(np.exp(np.mean(ratios)))
 
 
-def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> HeldOutTorques:
+def errors_of_search(held: Mask, problem: TorqueProblem, options: Options) -> HeldOutTorques:
     """The errors on the samples of a fold, with the model that a search of the others selects.
 
     Args:
         held: `(sample,)`, the fold.
         problem: not linearised.
         options: thresholds.
-        saturated: whether terms are selected from the saturated model.
     """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
-        return search(there, options.engine, training, thorough=False, saturated=saturated)
+        return search(there, options.engine, training, thorough=False)
 
     return _errors_without(held, problem, options, searched)
 
@@ -340,8 +338,8 @@ def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
     """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
     data, dynamics = result.problem.data, result.problem.dynamics
-    values = [row for driver in effect.of if (row := driver_values(driver, dynamics)) is not None]
-    if len(values) < len(effect.of):
+    values = [row for driver in effect.drivers if (row := driver_values(driver, dynamics)) is not None]
+    if len(values) < len(effect.drivers):
         return None
     return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
 
