@@ -96,7 +96,7 @@ def reduced(names, place, command):
     import numpy as np
 
     from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import row_of, with_reduced
+    from lite6jax.folders.diagnoses import row_of
     from lite6jax.populations.files import to_bytes
     from lite6jax.populations.reduced import PooledTerm
     from tests.populations.linear_arms import arm
@@ -105,8 +105,8 @@ def reduced(names, place, command):
     for name in names:
         with place.local_folder([name]) as here:
             rng = np.random.default_rng(int((here / name).read_text()))
-        row = row_of(name, document_of("consistent"), f"document of {name}")
-        rows.append(with_reduced(row, to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))))
+        made = to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))
+        rows.append(row_of(name, document_of("consistent"), f"document of {name}", made))
     return concatenate(rows)
 
 

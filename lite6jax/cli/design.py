@@ -1,43 +1,42 @@
 """The command that designs poses to record or a motion to make, to identify parameters or to separate effects."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import (
+from lite6jax.cli.command import (
     Folder,
+    Force,
+    Json,
     Processes,
     Scheduler,
-    arm_reference,
+    Seed,
+    check_figures,
+    check_outputs,
     check_processes,
     check_seed,
-    refuse_inputs,
+    metres,
+    name_arm,
+    present,
+    save_figures,
 )
-from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup, TorqueSetup
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rich.console import RenderableType
 
     from lite6jax.arms.arm import Arm
     from lite6jax.design.candidates import Filter
-    from lite6jax.design.poses import DiscriminationPlan, Plan
-    from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
     from lite6jax.recordings import Recording
 
-
-class _Designed(NamedTuple):
+    Designed = tuple[Any, Recording, Iterable[RenderableType]]
     """A design, what is written of it, and its report."""
-
-    found: "Plan | DiscriminationPlan | TorquePlan | TorqueDiscrimination"
-    recording: "Recording"
-    report: "Iterable[RenderableType]"
 
 
 @final
@@ -90,8 +89,7 @@ class Design:
     """A function of yours from (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
     refine: bool = True
     """Move the chosen poses on by gradient, between the candidates."""
-    seed: int = 0
-    """Seed of the random numbers."""
+    seed: Seed = 0
     processes: Processes = None
     """With --torque: so many processes of this machine compute, each with one thread; this one alone where not
     given."""
@@ -100,46 +98,35 @@ class Design:
     (tcp://HOST:8786)."""
     figures: Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace files that exist."""
+    json: Json = False
+    force: Force = False
 
     def run(self) -> int:
         """Draws candidates or motions, chooses, writes, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.recordings import sidecar_path, write_recording
-        from lite6jax.report import screen
 
         sidecar = sidecar_path(self.out)
-        check_writable(self.out, self.force)
-        check_writable(sidecar, self.force)
         filters = (reference.rpartition(":")[0] for reference in self.filter)
-        refuse_inputs([self.out, sidecar], [self.source, self.recorded, self.collision_geometry, *filters])
+        inputs = [self.source, self.recorded, self.collision_geometry, *filters]
+        check_outputs([(self.out, ""), (sidecar, "")], inputs, self.force)
         check_seed(self.seed)
         check_processes(self.processes, self.scheduler)
         self._check_options()
         of_motion = self.torque.torque
         name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, [name], self.force)
-        found, recording, report = (self._design_motion if of_motion else self._design_poses)(read_arm(self.source))
+        check_figures(self.figures, [name], self.force)
+        design = self._design_motion if of_motion else self._design_poses
+        found, recording, report = design(read_arm(self.source))
         written = [write_recording(recording, self.out, self.force), sidecar]
-        if self.figures:
-            from lite6jax.report import canvas, figures
 
-            draw = figures.designed_motion if of_motion else figures.accuracy_by_count
-            written += canvas.save({name: draw(found, self.source)}, self.figures, self.force)  # type: ignore[arg-type]
-        if self.json:
-            from lite6jax.report import documents
+        def draw():
+            from lite6jax.report import figures
 
-            print(documents.text(documents.document(found), written))
-        else:
-            screen.show(report)
-            screen.written(written)
-        return DONE
+            yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(found, self.source)
+
+        written += save_figures(self.figures, [name], draw, self.force)
+        return present(self.json, found, report, written)
 
     def _check_options(self) -> None:
         if self.torque.torque:
@@ -163,7 +150,7 @@ class Design:
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
 
-    def _design_poses(self, arm: "Arm") -> _Designed:
+    def _design_poses(self, arm: "Arm") -> "Designed":
         from lite6jax.design.candidates import all_pass, candidates, inside_limits
         from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
         from lite6jax.effects.serialization import parse_effect
@@ -197,12 +184,12 @@ class Design:
             rivals = (parse_effect(one), parse_effect(other, neutral=True))
             found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[shortest_round(found.joint_position)]
-        settings = RecordingSettings(arm=arm_reference(self.source, self.out), motion="static")
+        settings = RecordingSettings(arm=name_arm(self.source, self.out), motion="static")
         planned = Recording.assembled(q, settings=settings, sliding=arm.sliding)
         report = study.design_report(found, drawn, disabled, self.source, accuracy)
-        return _Designed(found, planned, report)
+        return found, planned, report
 
-    def _design_motion(self, arm: "Arm") -> _Designed:
+    def _design_motion(self, arm: "Arm") -> "Designed":
         from lite6jax.design.motions import MotionSearch
         from lite6jax.design.torques import GRAVITY, plan_motion, plan_torque_discrimination
         from lite6jax.effects.dynamic.catalogue import BUILT_IN
@@ -224,7 +211,7 @@ class Design:
             report = study.torque_discrimination_report(found, disabled, self.source)
         time, motion = found.trajectory.time, found.trajectory.motion
         settings = RecordingSettings(
-            arm=arm_reference(self.source, self.out),
+            arm=name_arm(self.source, self.out),
             motion="trajectory",
             gravity_m_per_s2=self.torque.gravity or GRAVITY,
         )
@@ -236,19 +223,18 @@ class Design:
             settings=settings,
             sliding=arm.sliding,
         )
-        return _Designed(found, recording, report)
+        return found, recording, report
 
     def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
         from lite6jax.design import candidates, clearance
 
         if self.floor is not None and not math.isfinite(self.floor):
             raise InputError(f"--floor {self.floor}: give a height in mm")
-        at = [value / 1e3 for value in self.setup.tool_at]
+        at = metres(self.setup.tool_at)
         filters: list[Filter] = []
         disabled: tuple[tuple[str, str], ...] = ()
         if self.box is not None:
-            low, high = ([value / 1e3 for value in corner] for corner in (self.box[:3], self.box[3:]))
-            filters.append(candidates.inside_box(arm, low, high, at))
+            filters.append(candidates.inside_box(arm, metres(self.box[:3]), metres(self.box[3:]), at))
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.collision_geometry is not None:

@@ -1,7 +1,6 @@
 """The command that simulates: a recording of an arm with chosen effects, as a sensor measures it."""
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import refuse_inputs
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.command import (
+    DONE,
+    Force,
+    Triple,
+    check_outputs,
+    list_effects,
+    load_own_effects,
+    metres,
+    name_arm,
+    relative_path,
+)
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,10 +28,9 @@ if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.effects.composition import Physics
     from lite6jax.recordings import RecordingSettings
-    from lite6jax.simulation import Instrument, Measured
+    from lite6jax.simulation import Instrument, Measured, UndeclaredNoise
 
 Known = Literal["known", "unknown"]
-Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,40 @@ class Noise:
     """Undeclared: share of the rows that are outliers, 0 to 1."""
     outlier_size: Annotated[float, arg(metavar="MM")] = 5.0
     """Displacement of an outlier, mm; each is 0.5 to 2 times this."""
+
+    def instrument(self, sensor: str) -> "Instrument":
+        """The sensor with the declared noise."""
+        from lite6jax.simulation import INSTRUMENTS
+
+        position = None if self.position_noise is None else self.position_noise / 1e3
+        orientation = None if self.orientation_noise is None else math.radians(self.orientation_noise)
+        chosen = INSTRUMENTS[sensor]
+        noisy = chosen.sensor.with_noise(position, orientation, math.radians(self.joint_noise))
+        return chosen._replace(sensor=noisy)
+
+    def undeclared(self) -> "UndeclaredNoise":
+        """How the noise differs from the declared one."""
+        from lite6jax.simulation import UndeclaredNoise
+
+        return UndeclaredNoise(
+            factor=self.noise_factor,
+            correlation=self.noise_correlation,
+            growth_per_m=self.noise_growth,
+            joint_noise=math.radians(self.undeclared_joint_noise),
+            outlier_share=self.outliers,
+            outlier_size=self.outlier_size / 1e3,
+        )
+
+    def describe_undeclared(self) -> str:
+        """The same as phrases; empty where it does not differ."""
+        parts = [
+            (self.noise_factor != 1, f"{self.noise_factor:g} times as large"),
+            (self.noise_correlation, f"with autocorrelation {self.noise_correlation:g} from row to row"),
+            (self.noise_growth, f"growing by {100 * self.noise_growth:g} % per m from the base"),
+            (self.undeclared_joint_noise, f"joints' read-outs {self.undeclared_joint_noise:g} deg"),
+            (self.outliers, f"{100 * self.outliers:g} % outliers"),
+        ]
+        return ", ".join(text for given, text in parts if given)
 
 
 @dataclass(frozen=True)
@@ -107,8 +147,7 @@ class Simulate:
     noise: Noise = Noise()
     seed: int = 0
     """Of the random numbers."""
-    force: bool = False
-    """Replace files that exist."""
+    force: Force = False
 
     def run(self) -> int:
         """Draws, measures, writes, prints."""
@@ -116,28 +155,16 @@ class Simulate:
         from lite6jax.arms.files import read_arm
         from lite6jax.recordings import sidecar_path, write_recording
         from lite6jax.report import screen
-        from lite6jax.simulation import UndeclaredNoise, draw_motion, draw_sensor_frame, measure
+        from lite6jax.simulation import draw_motion, draw_sensor_frame, measure
 
         if self.out.suffix.lower() not in (".csv", ".parquet"):
             raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
-        written = [self.out, sidecar_path(self.out)]
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
-        written += [calibration] if self.tolerance else []
-        for path in written:
-            check_writable(path, self.force)
-        refuse_inputs(written, [self.source, self.factory, self.effects])
-        arm = read_arm(self.source)
-        physics, values = self._physics()
+        written = [self.out, sidecar_path(self.out), *([calibration] if self.tolerance else [])]
+        inputs = [self.source, self.factory, self.effects]
+        check_outputs([(path, "") for path in written], inputs, self.force)
+        arm, (physics, values) = read_arm(self.source), self._physics()
         declared, kinematics = self._geometry(arm)
-        noise = self.noise
-        undeclared = UndeclaredNoise(
-            factor=noise.noise_factor,
-            correlation=noise.noise_correlation,
-            growth_per_m=noise.noise_growth,
-            joint_noise=math.radians(noise.undeclared_joint_noise),
-            outlier_share=noise.outliers,
-            outlier_size=noise.outlier_size / 1e3,
-        )
         motion = draw_motion(
             arm,
             self.motion,
@@ -156,10 +183,10 @@ class Simulate:
             physics,
             values,
             kinematics=kinematics,
-            sensor=self._instrument(),
-            undeclared=undeclared,
+            sensor=self.noise.instrument(self.sensor),
+            undeclared=self.noise.undeclared(),
             T_sensor_base=draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
-            tool=[*(value / 1e3 for value in self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
+            tool=[*metres(self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
             tool_known=self.tool == "known",
             seed=self.seed,
         )
@@ -180,10 +207,9 @@ class Simulate:
         from lite6jax.effects.catalogue import kinds_of
         from lite6jax.effects.composition import Physics
         from lite6jax.effects.serialization import parse_effect
-        from lite6jax.effects.user_effects import load_effects
 
-        own = () if self.effects is None else load_effects(self.effects)
-        parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
+        kinds = kinds_of(load_own_effects(self.effects))
+        parsed = [parse_effect(text, kinds) for text in self.effect]
         for effect, _ in parsed:
             if self.warm_up is None and any(d.quantity.startswith("temperature") for d in effect.drivers):
                 raise InputError(f"{effect.label}: depends on temperatures that rise; add --warm-up 15")
@@ -221,37 +247,19 @@ class Simulate:
         return declared, perturbed(declared, length / 1e3, math.radians(angle), self.seed)
 
     def _settings(self, calibration: Path) -> "RecordingSettings":
-        from lite6jax.arms.bundled import bundled_arms
         from lite6jax.recordings import FactoryUncertainty, RecordingSettings
 
-        def from_sidecar(path: str | Path) -> str:
-            return Path(os.path.relpath(Path(path).resolve(), self.out.resolve().parent)).as_posix()
-
-        factory = calibration if self.tolerance else self.factory
+        factory, uncertainty = calibration if self.tolerance else self.factory, None
         if self.geometry == "unknown":
             factory = None
-        uncertainty = None
         if self.factory_uncertainty is not None:
             length, angle = self.factory_uncertainty
             uncertainty = FactoryUncertainty(length / 1e3, math.radians(angle))
-        x, y, z = self.payload_at
         return RecordingSettings(
-            arm=self.source if self.source in bundled_arms() else from_sidecar(self.source),
-            factory_calibration=None if factory is None else from_sidecar(factory),
+            arm=name_arm(self.source, self.out),
+            factory_calibration=None if factory is None else relative_path(factory, self.out),
             factory_uncertainty=uncertainty,
-            payload_com_m=(x / 1e3, y / 1e3, z / 1e3),
-        )
-
-    def _instrument(self) -> "Instrument":
-        from lite6jax.simulation import INSTRUMENTS
-
-        instrument, noise = INSTRUMENTS[self.sensor], self.noise
-        return instrument._replace(
-            sensor=instrument.sensor.with_noise(
-                None if noise.position_noise is None else noise.position_noise / 1e3,
-                None if noise.orientation_noise is None else math.radians(noise.orientation_noise),
-                math.radians(noise.joint_noise),
-            )
+            payload_com_m=metres(self.payload_at),
         )
 
     def _page(
@@ -283,7 +291,7 @@ class Simulate:
             said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
         said += [f"joints {self.noise.joint_noise:.3g} deg"] if self.noise.joint_noise else []
         yield Text(f"Noise, as declared: {', '.join(said)}.")
-        if hidden := self._undeclared():
+        if hidden := self.noise.describe_undeclared():
             yield Text(f"Noise, not declared: {hidden}.")
         yield from screen.notes(recording.notes)
         yield ""
@@ -291,22 +299,9 @@ class Simulate:
             yield Text("No effects: the arm is rigid.")
             return
         yield Text("Effects beyond the rigid model")
-        for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
-            numbers = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in parameters.items())
-            yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+        yield from list_effects(zip(physics.effects, physics.reported(values), strict=True))
         (distance, turn), largest = measured.rms, float(measured.displacement.max())
         yield Text(
             f"The effects displace the measured point by {number(1e3 * distance)} mm RMS ({number(1e3 * largest)} mm "
             f"at most) and rotate it by {fixed(math.degrees(turn))} deg RMS."
         )
-
-    def _undeclared(self) -> str:
-        noise = self.noise
-        parts = [
-            (noise.noise_factor != 1, f"{noise.noise_factor:g} times as large"),
-            (noise.noise_correlation, f"with autocorrelation {noise.noise_correlation:g} from row to row"),
-            (noise.noise_growth, f"growing by {100 * noise.noise_growth:g} % per m from the base"),
-            (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g} deg"),
-            (noise.outliers, f"{100 * noise.outliers:g} % outliers"),
-        ]
-        return ", ".join(text for given, text in parts if given)

@@ -1,23 +1,35 @@
 """Commands that study an arm: what poses or torques determine of it, and which parameters its error comes from."""
 
-import json
 import math
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, Processes, Scheduler, check_processes, check_seed, stem
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.command import (
+    ArmName,
+    AssumeDegrees,
+    AssumeMillimetres,
+    Folder,
+    Force,
+    Json,
+    Processes,
+    Scheduler,
+    Seed,
+    Triple,
+    check_figures,
+    check_processes,
+    check_seed,
+    metres,
+    present,
+    save_figures,
+    stem,
+)
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-    from rich.console import RenderableType
+    from collections.abc import Sequence
 
     from lite6jax.arms.arm import Arm
     from lite6jax.design.candidates import Filter
@@ -43,11 +55,11 @@ class Setup:
     """Whether the sensor's frame is known."""
     tool: Known = "known"
     """Whether the measured point's place on the flange is known."""
-    tool_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    tool_at: Triple = (0.0, 0.0, 0.0)
     """The nominal place of the measured point, mm in the flange's frame."""
-    axis: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 1.0)
+    axis: Triple = (0.0, 0.0, 1.0)
     """The dial gauge's direction, in the sensor's frame."""
-    center: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (300.0, 0.0, 0.0)
+    center: Triple = (300.0, 0.0, 0.0)
     """The ball bar's other end, mm in the sensor's frame."""
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
     """One standard deviation per axis, mm, in place of the sensor's."""
@@ -81,14 +93,13 @@ class Setup:
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        center, tool_at = (tuple(value / 1e3 for value in numbers) for numbers in (self.center, self.tool_at))
         setup = plan_experiment(
             arm,
-            replace(sensor, direction=self.axis, center=center),
+            replace(sensor, direction=self.axis, center=metres(self.center)),
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
-            tool_at=tool_at,  # type: ignore[arg-type]
+            tool_at=metres(self.tool_at),
         )
         if not self.effect:
             return setup
@@ -154,9 +165,16 @@ class TorqueSetup:
         Raises:
             InputError: as `motion_limits` and `MotionRoom`.
         """
-        from lite6jax.design.motions import MotionRoom, motion_limits
+        import numpy as np
 
-        limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
+        from lite6jax.design.motions import MotionRoom, motion_limits
+        from lite6jax.report.words import joint_units
+
+        def scale(numbers: tuple[float, ...]):  # one in degrees, or one per joint in degrees and mm
+            scales, _ = joint_units(arm.sliding, arm.dof)
+            return np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
+
+        limits = motion_limits(arm, scale(self.velocity), scale(self.acceleration), margin)
         return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
 
     def refuse_unused(self) -> None:
@@ -168,16 +186,6 @@ class TorqueSetup:
         given = [field.name for field in fields(self) if getattr(self, field.name) != field.default]
         if given:
             raise InputError(f"--{given[0].replace('_', '-')}: is for torques; add --torque")
-
-
-def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
-    """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
-    import numpy as np
-
-    from lite6jax.report.words import joint_units
-
-    scales, _ = joint_units(arm.sliding, arm.dof)
-    return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
 
 
 @final
@@ -207,7 +215,6 @@ class Identify:
     processes: Processes = None
     """Processes of this machine that fit them, each with one thread; none but this one where not given."""
     scheduler: Scheduler = None
-    """In place of processes of this machine: the Dask cluster of the scheduler at this address (tcp://HOST:8786)."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
@@ -215,14 +222,10 @@ class Identify:
     """The nominal arm of a recording; from the sidecar where not given."""
     figures: Folder = None
     """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-    json: bool = False
-    """Print one JSON object (SI units) instead of sentences and tables."""
-    assume_degrees: bool = False
-    """Take joint columns that say rad as degrees."""
-    assume_millimetres: bool = False
-    """Take position columns that say m as millimetres."""
+    force: Force = False
+    json: Json = False
+    assume_degrees: AssumeDegrees = False
+    assume_millimetres: AssumeMillimetres = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
@@ -234,10 +237,7 @@ class Identify:
         if not self.refits and (self.processes is not None or self.scheduler is not None):
             raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
         names = [f"{stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, names, self.force)
+        check_figures(self.figures, names, self.force)
         nominal = recording = None
         if recording_file(self.source) is not None:
             nominal = load_nominal(self.arm)
@@ -276,14 +276,9 @@ class Identify:
                 )
             effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
             found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
-        written = []
-        if self.figures:
-            from lite6jax.report import canvas
-
-            drawn = found.plot(self.source).values()
-            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        written = save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         report = study.identification_report(found, self.source, drawn=recording is None)
-        return self._present(found, report, written)
+        return present(self.json, found, report, written)
 
     def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
         from lite6jax.design.motions import random_motions, read_motion
@@ -314,30 +309,17 @@ class Identify:
                 notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
         found = identify_torques(model, motion, notes=tuple(notes))
         report = study.torque_identification_report(found, self.source, phrase)
-        return self._present(found, report)
-
-    def _present(self, found: Any, report: "Iterable[RenderableType]", written: "Iterable[Path]" = ()) -> int:
-        from lite6jax.report import screen
-
-        if self.json:
-            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
-        else:
-            screen.show(report)
-            screen.written(written)
-        return DONE
+        return present(self.json, lambda documents: found.to_dict(), report)
 
     def _read_arm(self, recording: "Recording | None", nominal: "Arm | None") -> "Arm":
         """The arm itself, or that of a recording."""
         from lite6jax.arms.files import read_arm
-        from lite6jax.recordings import recording_file
 
         if nominal is not None or recording is None:
             return nominal or read_arm(self.source)
-        file = recording_file(self.source)
-        assert file is not None
         if recording.settings.arm is None:
             raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-        return read_arm(recording.settings.arm_reference(file.parent))
+        return read_arm(recording.settings.arm_reference(Path(recording.source).parent))
 
 
 @final
@@ -362,47 +344,30 @@ class Sensitivity:
     """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
     arms: int = 1024
     """Number of arms for Sobol's indices, a power of 2."""
-    seed: int = 0
-    """Seed of the random numbers."""
+    seed: Seed = 0
     figures: Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace files that exist."""
+    json: Json = False
+    force: Force = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.design.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import screen, study
+        from lite6jax.report import study
 
         check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
         names = [f"{stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, names, self.force)
+        check_figures(self.figures, names, self.force)
         arm = read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
         found = sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
         over_arms = None
         if self.global_indices:
             over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
-        written = []
-        if self.figures:
-            from lite6jax.report import canvas
-
-            drawn = found.plot(self.source).values()
-            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
-        if self.json:
-            from lite6jax.report import documents
-
-            print(documents.text(documents.of_sensitivity(found, over_arms), written))
-        else:
-            screen.show(study.sensitivity_report(found, over_arms, self.source))
-            screen.written(written)
-        return DONE
+        written = save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
+        report = study.sensitivity_report(found, over_arms, self.source)
+        return present(self.json, lambda documents: documents.of_sensitivity(found, over_arms), report, written)

@@ -10,7 +10,7 @@ import pyarrow as pa
 from lite6jax import storage
 from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place, recording_names, sha256_of
+from lite6jax.folders.place import DIED, Place, list_recordings, sha256_of
 
 if TYPE_CHECKING:  # imported where recordings are pooled
     from lite6jax.populations.candidate import Candidate
@@ -79,12 +79,12 @@ def diagnose_folder(
         overwrite: whether a table and documents that are there may be replaced.
 
     Raises:
-        InputError: as `Place.of`, `recording_names` and `run_batches`; `out` is no folder, or that of the
+        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the
             recordings.
     """
     place = Place.of(folder)
-    names = recording_names(place)
-    table = _folder_for(out, place) / TABLE
+    names = list_recordings(place)
+    table = _make_folder(out, place) / TABLE
     storage.check_writable(table, overwrite)
     # a document has the stem of its recording, or the whole name where another has the same stem
     stems = [Path(name).stem for name in names]
@@ -100,9 +100,8 @@ def diagnose_folder(
         (row,) = rows.to_pylist()
         for what, suffix in (("document", ".json"), ("reduced", ".npz")):
             if (content := row.get(_CONTENT[what])) is not None:
-                path = storage.write_atomically(
-                    (out / documents[inputs[0]]).with_suffix(suffix), content, overwrite=True
-                )
+                path = (out / documents[inputs[0]]).with_suffix(suffix)
+                storage.write_atomically(path, content, overwrite=True)
                 row |= {what: path.name, f"{what}_sha256": sha256_of([path]).hex()}
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
@@ -119,9 +118,7 @@ def diagnose_folder(
         (place, *given),
         out=table,
         content=lambda inputs: place.content(inputs) + also_read,
-        died=lambda name: refusal(
-            name, f"{name}: the process that read it was ended; the file is damaged or too large for this machine"
-        ),
+        died=lambda name: refusal(name, f"{name}: {DIED}"),
         store=write_files,
         is_intact=files_intact,
         scheduler=scheduler,
@@ -131,13 +128,16 @@ def diagnose_folder(
     )
 
 
-def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "") -> pa.Table:
+def row_of(
+    name: str, document: Mapping[str, Any], text: str, reduced: bytes | None = None, message: str = ""
+) -> pa.Table:
     """The row of a recording and its document.
 
     Args:
         name: of the recording in its folder.
         document: as `diagnose` writes it.
         text: of its file.
+        reduced: the file of its reduced recording, of a fleet.
         message: what was remarked on the way.
     """
     of_torques = document.get("domain") == "torque"
@@ -159,25 +159,24 @@ def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "")
     if torques is not None:
         row["torque_verdict"] = torques["verdict"]
         row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}
-    return _table(row | {"data_faults": list(dict.fromkeys(faults)), "findings": findings}, text.encode())
+    row |= {"data_faults": list(dict.fromkeys(faults)), "findings": findings}
+    contents = {"document": text.encode()} | ({} if reduced is None else {"reduced": reduced})
+    return _table(row, contents)
 
 
 def refusal(name: str, message: str) -> pa.Table:
     """The row of a recording that was not diagnosed, and why."""
-    return _table({"file": name, "result": UNREADABLE, "message": message}, None)
+    return _table({"file": name, "result": UNREADABLE, "message": message}, {"document": None})
 
 
-def with_reduced(row: pa.Table, reduced: bytes) -> pa.Table:
-    """A row with the bytes of the file of its reduced recording."""
-    return row.append_column(_CONTENT["reduced"], pa.array([reduced], pa.binary()))
-
-
-def _table(row: Mapping[str, Any], content: bytes | None) -> pa.Table:
+def _table(row: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> pa.Table:
     table = pa.Table.from_pylist([row], SCHEMA)
-    return table.append_column(_CONTENT["document"], pa.array([content], pa.binary()))
+    for what, content in contents.items():
+        table = table.append_column(_CONTENT[what], pa.array([content], pa.binary()))
+    return table
 
 
-def _folder_for(out: Path, place: Place) -> Path:
+def _make_folder(out: Path, place: Place) -> Path:
     if not place.remote and out.exists() and out.samefile(place.root):
         raise InputError(f"{out}: is the folder of the recordings; write to another")
     try:

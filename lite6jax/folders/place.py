@@ -3,15 +3,16 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, TypeVar, final
 
 from lite6jax import storage
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")
@@ -20,8 +21,10 @@ LOGS = (".mcap", ".bag")
 BATCH = 128
 """Calibrations fitted together, as a whole: so their numbers do not depend on what was done before. A run that is
 killed loses so many for each of its workers."""
+DIED = "the process that read it was ended; the file is damaged or too large for this machine"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 """Of a path made of a URL, which has lost a slash; one letter before the colon is a drive of Windows."""
+T = TypeVar("T")
 
 
 def kind_of(name: str | Path) -> Literal["calibration", "recording"]:
@@ -38,7 +41,7 @@ def url_of(path: str | Path) -> str | None:
     return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
 
 
-def sha256_of(paths: Sequence[str | Path]) -> bytes:
+def sha256_of(paths: Iterable[str | Path]) -> bytes:
     """The SHA-256 of each file, one after the other; of one that cannot be read, as many zeros."""
     found = []
     for path in paths:
@@ -51,6 +54,21 @@ def sha256_of(paths: Sequence[str | Path]) -> bytes:
         except OSError:
             found.append(bytes(32))
     return b"".join(found)
+
+
+def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
+    """What comes of work on one file, and the warnings of its input; None where nothing does, and why."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", InputWarning)
+            done = work()
+    except InputError as error:
+        return None, str(error)
+    except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
+        found = " ".join(f"{type(error).__name__}: {error}".split())
+        return None, f"{path}: unexpected {found}; please report it with this file"
+    said = (str(each.message) for each in caught if issubclass(each.category, InputWarning))
+    return done, "; ".join(dict.fromkeys(said))
 
 
 @final
@@ -113,17 +131,13 @@ class Place:
         """
         if self.remote:
             store, root = _store(self.root)
-            paths = (f"{root}/{part}" for name in names for part in _file_and_sidecar(name))
+            paths = (f"{root}/{part}" for name in names for part in _add_sidecar(name))
             return "\0".join((*names, *(_stamp(store, path) for path in paths))).encode(errors="surrogateescape")
         found = []
         for name in names:
-            files: list[str | Path] = [os.path.join(self.root, name)]
-            if kind_of(name) == "recording":
-                path = Path(files[0])
-                if path.is_dir():
-                    files = [*sorted(part for part in path.rglob("*") if part.is_file())]
-                files += settings_files(path)
-            found += [os.fsencode(name), b"\0", sha256_of(files)]
+            path = Path(self.root, name)
+            files = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
+            found += [os.fsencode(name), b"\0", sha256_of([*files, *_sidecar_files(path)])]
         return b"".join(found)
 
     @contextmanager
@@ -143,9 +157,9 @@ class Place:
                     (folder / part).parent.mkdir(parents=True, exist_ok=True)
                     store.get_file(f"{root}/{part}", str(folder / part))
 
-            for part in dict.fromkeys(part for name in names for part in _file_and_sidecar(name)):
+            for part in dict.fromkeys(part for name in names for part in _add_sidecar(name)):
                 copy(part)
-            for path in (path for name in names for path in settings_files(folder / name)):
+            for path in (path for name in names for path in _sidecar_files(folder / name)):
                 part = os.path.relpath(path, folder)
                 if not part.startswith("..") and not path.exists():
                     copy(Path(part).as_posix())
@@ -157,7 +171,7 @@ class Place:
         return message.replace(f"{folder}{os.sep}", before)
 
 
-def fleet_names(place: Place, out: Path) -> list[str]:
+def list_fleet(place: Place, out: Path) -> list[str]:
     """The calibrations and recordings of a folder; a recording's sidecar belongs to it and is not listed.
 
     Args:
@@ -180,7 +194,7 @@ def fleet_names(place: Place, out: Path) -> list[str]:
     return names
 
 
-def recording_names(place: Place) -> list[str]:
+def list_recordings(place: Place) -> list[str]:
     """The recordings of a folder: files, and folders that hold one.
 
     Raises:
@@ -201,7 +215,7 @@ def recording_names(place: Place) -> list[str]:
     return names
 
 
-def batches_of(names: Sequence[str]) -> list[list[str]]:
+def divide(names: Sequence[str]) -> list[list[str]]:
     """The files in their order: calibrations that follow each other `BATCH` by `BATCH`, recordings one by one."""
     batches: list[list[str]] = []
     for kind, group in groupby(names, kind_of):
@@ -211,29 +225,25 @@ def batches_of(names: Sequence[str]) -> list[list[str]]:
     return batches
 
 
-def settings_files(path: Path) -> list[Path]:
-    """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
-    if kind_of(path) == "calibration":
-        return []
-    from lite6jax.recordings import read_settings, sidecar_path
-
-    sidecar = sidecar_path(path)
-    if not storage.exists(sidecar):
-        return []
-    try:
-        settings = read_settings(sidecar)
-    except InputError:  # the row will say it, and it follows from the sidecar's content
-        return [sidecar]
-    arm = str(settings.arm_reference(path.parent)).partition("#")[0] if settings.arm_is_file else None
-    return [sidecar, *(Path(part) for part in (arm, settings.factory_path(path.parent)) if part is not None)]
-
-
 def _suffix(name: str | Path) -> str:
     return os.path.splitext(name)[1].lower()
 
 
-def _file_and_sidecar(name: str) -> list[str]:
+def _add_sidecar(name: str) -> list[str]:
     return [name] if kind_of(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+
+
+def _sidecar_files(path: Path) -> list[Path]:
+    """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
+    if kind_of(path) == "calibration":
+        return []
+    from lite6jax.recordings.sidecar import list_sidecar_files
+
+    found = []
+    with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
+        for _, file in list_sidecar_files(path):
+            found.append(file)
+    return found
 
 
 def _holds_rows(path: Path) -> bool:

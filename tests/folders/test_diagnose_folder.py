@@ -7,7 +7,6 @@ import pyarrow.parquet as pq
 import pytest
 from typed import flat
 
-from lite6jax.cli import diagnose_folder as command
 from lite6jax.cli import main
 from lite6jax.errors import InputError
 from lite6jax.folders.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, row_of
@@ -159,7 +158,7 @@ def test_the_command_writes_of_each_what_it_writes_of_one(corpus, tmp_path, caps
     assert main(["diagnose", str(folder / made.path.name), "--out", str(alone), *options]) == 0
     capsys.readouterr()
     monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
-    monkeypatch.setattr(command, "check_processes", lambda processes, scheduler: None)
+    monkeypatch.setattr("lite6jax.cli.diagnose.check_processes", lambda processes, scheduler: None)
     results = tmp_path / "results"
     assert main(["diagnose", str(folder), "--out", str(results), *options, "--processes", "0"]) == 0
     said = capsys.readouterr().out

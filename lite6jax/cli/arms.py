@@ -1,16 +1,15 @@
-"""Commands on files as they are: write an arm in another form, rule out the easy causes of a mismatch."""
+"""Commands on arms and effects as such: write an arm in another form, list bundled arms, an arm's joints, effects."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, refuse_inputs
-from lite6jax.cli.exit_codes import DONE
-from lite6jax.cli.inputs import diagnosed_nominal
+from lite6jax.cli.command import DONE, ArmName, Force, Json, OwnEffects, check_outputs, load_own_effects, present
+from lite6jax.cli.inputs import find_nominal
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
@@ -51,18 +50,14 @@ class Convert:
     """The nominal arm of a calibration: that of --into, or recognised, where not given. Of a diagnosis, where the
     inertia is from that it does not say: by default the bundled arm of its name, or the file that the recording's
     sidecar names."""
-    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
-    """Effects of your own that a diagnosis has. Runs the file."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace the file if it exists."""
+    effects: OwnEffects = None
+    json: Json = False
+    force: Force = False
 
     def run(self) -> int:
         """Converts and reads back."""
-        check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
-        refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
+        check_outputs([(self.target, "")], [self.source, self.arm, into, self.effects], self.force)
         from lite6jax.arms.files import convert_file, name_chain
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import listings, screen
@@ -72,31 +67,26 @@ class Convert:
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
-            arm, left_out, nominal = self._diagnosed(source, nominal)
+            arm, left_out, nominal = self._read_diagnosis(source, nominal)
         done = convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
-            from lite6jax.report import documents
-
-            print(documents.text(documents.document(done), [done.path]))
-            return DONE
+            return present(True, done, (), [done.path])
         screen.written([done.path])
         screen.show(listings.conversion_report(done))
         return DONE
 
-    def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
+    def _read_diagnosis(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
         from lite6jax.arms.bundled import bundled_arms, load_bundled
         from lite6jax.arms.files import form_of
         from lite6jax.diagnosis.document import parsed_document
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
-        from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal
 
         if not is_diagnosis(source):
             return None, (), nominal
-        effects = load_effects(self.effects) if self.effects else ()
-        nominal = nominal or load_nominal(diagnosed_nominal(parsed_document(source), Path(source)))
-        arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+        nominal = nominal or load_nominal(find_nominal(parsed_document(source), Path(source)))
+        arm, left_out = read_diagnosed_arm(source, nominal, load_own_effects(self.effects), alone=self.into is None)
         if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
             raise InputError(
                 f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
@@ -107,44 +97,68 @@ class Convert:
 
 @final
 @dataclass(frozen=True)
-class Check:
-    """Rule out the easy causes of a mismatch first: nominal table, tool offset, smooth or jumping error.
+class Effects:
+    """List the effects that a diagnosis searches for: site, driver, unit and formula of each.
 
     For example:
 
-        lite6jax check arm.yaml run7.csv
+        lite6jax effects
+        lite6jax effects --domain dynamic --json
     """
 
-    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
-    """Calibrations (.yaml, .json, .conf) and recordings (.csv, .parquet)."""
-    arm: ArmName = None
-    """The nominal arm; recognised, or from the sidecar, where not given."""
-    assume_degrees: bool = False
-    """Take joint columns that say rad as degrees."""
-    assume_millimetres: bool = False
-    """Take position columns that say m as millimetres."""
-    json: bool = False
-    """Print a JSON object for each file, a line each, instead of the report."""
+    domain: Literal["kinematic", "dynamic"] | None = None
+    """Only those on poses (kinematic) or on torques (dynamic)."""
+    json: Json = False
 
     def run(self) -> int:
-        """Reads, checks, prints."""
-        if not self.files:
-            raise InputError("check needs a file or more; name them")
-        from lite6jax.domains.pose.check import check_calibration, check_recording
-        from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.recordings import Recording
-        from lite6jax.report import data_faults, screen
+        """Prints."""
+        from lite6jax.effects.listing import listed
+        from lite6jax.report import screen
+        from lite6jax.report.listings import effects_report
 
-        nominal = load_nominal(self.arm)
-        for path in self.files:
-            source = read_source(
-                path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
-            found = check_recording(source, nominal) if isinstance(source, Recording) else check_calibration(source)
-            if self.json:
-                from lite6jax.report import documents
-
-                print(documents.line({"file": str(path), **documents.document(found)}))
-            else:
-                screen.show(data_faults.check_report(path, found))
+        found = [effect for effect in listed() if self.domain in (None, effect.domain)]
+        if self.json:
+            _print_json([effect.to_dict() for effect in found])
+        else:
+            screen.show(effects_report(found, screen.console().width))
         return DONE
+
+
+@final
+@dataclass(frozen=True)
+class Arms:
+    """List the bundled arms: name, maker, joints, reach, whether inertia is known, and the source of the numbers; or
+    show how one arm is read: from which link to which, and its joints.
+
+    For example:
+
+        lite6jax arms
+        lite6jax arms robot.urdf#tool0
+    """
+
+    arm: Annotated[Positional[str | None], arg(metavar="ARM")] = None
+    """A bundled arm, or the file of an arm: a description, URDF, MJCF, calibration or table."""
+    json: Json = False
+
+    def run(self) -> int:
+        """Prints."""
+        from lite6jax.arms.bundled import bundled_arms, load_bundled
+        from lite6jax.arms.files import read_arm
+        from lite6jax.report import screen
+        from lite6jax.report.listings import arm_entry, arm_report, arms_report, joint_entries
+
+        if self.arm is not None:
+            arm = read_arm(self.arm)
+            found, report = arm_entry(arm).to_dict() | {"joint_list": joint_entries(arm)}, arm_report(arm)
+        else:
+            entries = [arm_entry(load_bundled(name)) for name in bundled_arms()]
+            found, report = [entry.to_dict() for entry in entries], arms_report(entries, screen.console().width)
+        if self.json:
+            _print_json(found)
+        else:
+            screen.show(report)
+        return DONE
+
+
+def _print_json(content: object) -> None:
+    print(json.dumps(content, indent=1, ensure_ascii=False))
