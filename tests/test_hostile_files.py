@@ -146,8 +146,8 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
     for source in ("run7.arrows", "run7.ARROWS", "run7.mcap#/joint_states"):
         for output in (sidecar, arm):
             with pytest.raises(InputError, match="is read by this command and would be replaced"):
-                check_outputs([(output, "")], [str(tmp_path / source)], True)
-    check_outputs([(sidecar, ""), (arm, "")], [tmp_path / "run7.doc"], True)
+                check_outputs([output], [str(tmp_path / source)], True)
+    check_outputs([sidecar, arm], [tmp_path / "run7.doc"], True)
 
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):

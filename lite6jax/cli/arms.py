@@ -3,16 +3,24 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, final
+from typing import Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.command import DONE, ArmName, Force, Json, OwnEffects, check_outputs, load_own_effects, present
+from lite6jax.cli import command
 from lite6jax.cli.inputs import find_nominal
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 
-if TYPE_CHECKING:
-    from lite6jax.arms.arm import Arm
+with import_lazily():
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import bundled
+    from lite6jax.arms import files as arm_files
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.diagnosis import export
+    from lite6jax.effects import listing
+    from lite6jax.fitting import source as sources
+    from lite6jax.report import listings, screen
 
 
 @final
@@ -46,53 +54,48 @@ class Convert:
     """Of a URDF or MJCF, the link or body that is the arm's base; the root where not given."""
     tip: str | None = None
     """Likewise the one that is the flange; the end of the only chain where not given."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm of a calibration: that of --into, or recognised, where not given. Of a diagnosis, where the
     inertia is from that it does not say: by default the bundled arm of its name, or the file that the recording's
     sidecar names."""
-    effects: OwnEffects = None
-    json: Json = False
-    force: Force = False
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Converts and reads back."""
         into = self.into.partition("#")[0] if self.into else None
-        check_outputs([(self.target, "")], [self.source, self.arm, into, self.effects], self.force)
-        from lite6jax.arms.files import convert_file, name_chain
-        from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import listings, screen
-
-        source = name_chain(self.source, self.base, self.tip)
-        nominal, arm, left_out = load_nominal(self.arm), None, ()
+        command.check_outputs([self.target], [self.source, self.arm, into, self.effects], self.force)
+        source = arm_files.name_chain(self.source, self.base, self.tip)
+        nominal, arm, left_out = sources.load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             arm, left_out, nominal = self._read_diagnosis(source, nominal)
-        done = convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
+        done = arm_files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
-            return present(True, done, (), [done.path])
+            return command.present(True, done, (), [done.path])
         screen.written([done.path])
         screen.show(listings.conversion_report(done))
-        return DONE
+        return command.DONE
 
-    def _read_diagnosis(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
+    def _read_diagnosis(
+        self, source: str, nominal: "arms.Arm | None"
+    ) -> "tuple[arms.Arm | None, tuple[str, ...], arms.Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
-        from lite6jax.arms.bundled import bundled_arms, load_bundled
-        from lite6jax.arms.files import form_of
-        from lite6jax.diagnosis.document import parsed_document
-        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
-        from lite6jax.fitting.source import load_nominal
-
-        if not is_diagnosis(source):
+        if not export.is_diagnosis(source):
             return None, (), nominal
-        nominal = nominal or load_nominal(find_nominal(parsed_document(source), Path(source)))
-        arm, left_out = read_diagnosed_arm(source, nominal, load_own_effects(self.effects), alone=self.into is None)
-        if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
+        effects, alone = command.load_own_effects(self.effects), self.into is None
+        nominal = nominal or sources.load_nominal(find_nominal(diagnosis_file.parsed_document(source), Path(source)))
+        arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
+        if arm.inertia is None and alone and (self.to or arm_files.form_of(self.target, False)) == "mjcf":
             raise InputError(
                 f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
                 f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
             )
-        return arm, left_out, nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
+        if nominal is None and arm.name in bundled.bundled_arms():
+            nominal = bundled.load_bundled(arm.name)
+        return arm, left_out, nominal
 
 
 @final
@@ -108,20 +111,16 @@ class Effects:
 
     domain: Literal["kinematic", "dynamic"] | None = None
     """Only those on poses (kinematic) or on torques (dynamic)."""
-    json: Json = False
+    json: command.Json = False
 
     def run(self) -> int:
         """Prints."""
-        from lite6jax.effects.listing import listed
-        from lite6jax.report import screen
-        from lite6jax.report.listings import effects_report
-
-        found = [effect for effect in listed() if self.domain in (None, effect.domain)]
+        found = [effect for effect in listing.listed() if self.domain in (None, effect.domain)]
         if self.json:
             _print_json([effect.to_dict() for effect in found])
         else:
-            screen.show(effects_report(found, screen.console().width))
-        return DONE
+            screen.show(listings.effects_report(found, screen.console().width))
+        return command.DONE
 
 
 @final
@@ -138,26 +137,23 @@ class Arms:
 
     arm: Annotated[Positional[str | None], arg(metavar="ARM")] = None
     """A bundled arm, or the file of an arm: a description, URDF, MJCF, calibration or table."""
-    json: Json = False
+    json: command.Json = False
 
     def run(self) -> int:
         """Prints."""
-        from lite6jax.arms.bundled import bundled_arms, load_bundled
-        from lite6jax.arms.files import read_arm
-        from lite6jax.report import screen
-        from lite6jax.report.listings import arm_entry, arm_report, arms_report, joint_entries
-
         if self.arm is not None:
-            arm = read_arm(self.arm)
-            found, report = arm_entry(arm).to_dict() | {"joint_list": joint_entries(arm)}, arm_report(arm)
+            arm = arm_files.read_arm(self.arm)
+            found = listings.arm_entry(arm).to_dict() | {"joint_list": listings.joint_entries(arm)}
+            report = listings.arm_report(arm)
         else:
-            entries = [arm_entry(load_bundled(name)) for name in bundled_arms()]
-            found, report = [entry.to_dict() for entry in entries], arms_report(entries, screen.console().width)
+            entries = [listings.arm_entry(bundled.load_bundled(name)) for name in bundled.bundled_arms()]
+            found = [entry.to_dict() for entry in entries]
+            report = listings.arms_report(entries, screen.console().width)
         if self.json:
             _print_json(found)
         else:
             screen.show(report)
-        return DONE
+        return command.DONE
 
 
 def _print_json(content: object) -> None:

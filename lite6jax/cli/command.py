@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import bundled
+    from lite6jax.effects import user_effects
+    from lite6jax.recordings import sidecar
+    from lite6jax.report import canvas, documents, screen
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,11 +98,7 @@ def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> d
 
 def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":
     """The effects in a user's file; none where none is given."""
-    if file is None:
-        return ()
-    from lite6jax.effects.user_effects import load_effects
-
-    return load_effects(file)
+    return () if file is None else user_effects.load_effects(file)
 
 
 def name_arm(arm: str, file: Path) -> str:
@@ -104,9 +108,7 @@ def name_arm(arm: str, file: Path) -> str:
         arm: as it was given.
         file: the sidecar, or what stands in the same folder.
     """
-    from lite6jax.arms.bundled import bundled_arms
-
-    return arm if arm in bundled_arms() else relative_path(arm, file)
+    return arm if arm in bundled.bundled_arms() else relative_path(arm, file)
 
 
 def relative_path(path: str | Path, file: Path) -> str:
@@ -129,38 +131,38 @@ def metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def check_outputs(
-    outputs: Iterable[tuple[Path | None, str]], inputs: Iterable[str | Path | None], overwrite: bool
+    outputs: Sequence[Path | None],
+    inputs: Iterable[str | Path | None],
+    overwrite: bool,
+    suffixes: Sequence[str] = (),
 ) -> None:
     """Refuses outputs before long work; one that is an input is not replaced, which --force does not ask for.
 
     Args:
-        outputs: each file to be written, if any, and its suffix, empty for any.
+        outputs: the files to be written, as far as they are given.
         inputs: files or names of bundled arms, as given; of a recording the sidecar and the files that it names too.
         overwrite: whether files that exist may be replaced.
+        suffixes: of the outputs; any where there are none.
 
     Raises:
         InputError: another suffix, a file that exists or cannot be written, an input, or a sidecar cannot be read.
     """
-    files = [(path, suffix) for path, suffix in outputs if path is not None]
-    for path, suffix in files:
-        if suffix and path.suffix.lower() != suffix:
+    for path, suffix in zip(outputs, suffixes, strict=False):
+        if path is not None and path.suffix.lower() != suffix:
             raise InputError(f"{path}: what is written here is {suffix[1:]}; let the name end in {suffix}")
-        check_writable(path, overwrite)
+    files = [check_writable(path, overwrite) for path in outputs if path is not None]
     read = [file for source in inputs if source is not None for file in _files_read(source) if os.path.exists(file)]
-    for path, _ in files:
+    for path in files:
         if os.path.exists(path) and any(os.path.samefile(path, file) for file in read):
             raise InputError(f"{path}: is read by this command and would be replaced; choose another name to write to")
 
 
 def _files_read(source: str | Path) -> Iterator[Path]:
-    from lite6jax.recordings import recording_file
-    from lite6jax.recordings.sidecar import list_sidecar_files
-
     yield Path(source)
     yield Path(str(source).partition("#")[0])
-    file = recording_file(source)
+    file = recordings.recording_file(source)
     if file is not None:
-        yield from (path for _, path in list_sidecar_files(file))
+        yield from (path for _, path in sidecar.list_sidecar_files(file))
 
 
 def check_seed(seed: int) -> None:
@@ -186,8 +188,6 @@ def check_processes(processes: int | None, scheduler: str | None) -> None:
 def check_figures(folder: Path | None, names: Sequence[str], overwrite: bool) -> None:
     """Refuses figures that cannot be written where they are asked for, if they are."""
     if folder is not None:
-        from lite6jax.report import canvas
-
         canvas.check_names(folder, names, overwrite)
 
 
@@ -202,11 +202,7 @@ def save_figures(
     Returns:
         the files.
     """
-    if folder is None:
-        return []
-    from lite6jax.report import canvas
-
-    return canvas.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
+    return [] if folder is None else canvas.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
 
 
 def present(
@@ -217,19 +213,15 @@ def present(
 
     Args:
         as_json: which of the two.
-        result: has a document, or is a function of the module `lite6jax.report.documents` that returns one.
+        result: a document, a result that has one, or what returns a document.
         report: parts of it, below each other.
         written: files.
         code: the exit code, which is returned.
     """
     if as_json:
-        from lite6jax.report import documents
-
-        document: Any = result(documents) if callable(result) else documents.document(result)
-        print(documents.text(document, written))
+        found = result() if callable(result) else result
+        print(documents.text(found if isinstance(found, Mapping) else documents.document(found), written))
         return code
-    from lite6jax.report import screen
-
     screen.show(report)
     screen.written(written)
     return code

@@ -7,35 +7,27 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.command import (
-    Folder,
-    Force,
-    Json,
-    Processes,
-    Scheduler,
-    Seed,
-    check_figures,
-    check_outputs,
-    check_processes,
-    check_seed,
-    metres,
-    name_arm,
-    present,
-    save_figures,
-)
+from lite6jax.cli import command
 from lite6jax.cli.study import Setup, TorqueSetup
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import files as arm_files
+    from lite6jax.design import candidates, clearance, motions, poses, torques
+    from lite6jax.effects import serialization
+    from lite6jax.effects.dynamic import catalogue as torque_catalogue
+    from lite6jax.fitting import source as sources
+    from lite6jax.report import figures, study
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rich.console import RenderableType
 
-    from lite6jax.arms.arm import Arm
-    from lite6jax.design.candidates import Filter
-    from lite6jax.recordings import Recording
-
-    Designed = tuple[Any, Recording, Iterable[RenderableType]]
+    Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
     """A design, what is written of it, and its report."""
 
 
@@ -89,44 +81,39 @@ class Design:
     """A function of yours from (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
     refine: bool = True
     """Move the chosen poses on by gradient, between the candidates."""
-    seed: Seed = 0
-    processes: Processes = None
+    seed: command.Seed = 0
+    processes: command.Processes = None
     """With --torque: so many processes of this machine compute, each with one thread; this one alone where not
     given."""
-    scheduler: Scheduler = None
+    scheduler: command.Scheduler = None
     """With --torque, in place of processes of this machine: the Dask cluster of the scheduler at this address
     (tcp://HOST:8786)."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
-    json: Json = False
-    force: Force = False
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Draws candidates or motions, chooses, writes, prints."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.recordings import sidecar_path, write_recording
-
-        sidecar = sidecar_path(self.out)
+        sidecar = recordings.sidecar_path(self.out)
         filters = (reference.rpartition(":")[0] for reference in self.filter)
         inputs = [self.source, self.recorded, self.collision_geometry, *filters]
-        check_outputs([(self.out, ""), (sidecar, "")], inputs, self.force)
-        check_seed(self.seed)
-        check_processes(self.processes, self.scheduler)
+        command.check_outputs([self.out, sidecar], inputs, self.force)
+        command.check_seed(self.seed)
+        command.check_processes(self.processes, self.scheduler)
         self._check_options()
         of_motion = self.torque.torque
         name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
-        check_figures(self.figures, [name], self.force)
+        command.check_figures(self.figures, [name], self.force)
         design = self._design_motion if of_motion else self._design_poses
-        found, recording, report = design(read_arm(self.source))
-        written = [write_recording(recording, self.out, self.force), sidecar]
+        found, recording, report = design(arm_files.read_arm(self.source))
+        written = [recordings.write_recording(recording, self.out, self.force), sidecar]
 
         def draw():
-            from lite6jax.report import figures
-
             yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(found, self.source)
 
-        written += save_figures(self.figures, [name], draw, self.force)
-        return present(self.json, found, report, written)
+        written += command.save_figures(self.figures, [name], draw, self.force)
+        return command.present(self.json, found, report, written)
 
     def _check_options(self) -> None:
         if self.torque.torque:
@@ -150,72 +137,61 @@ class Design:
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
 
-    def _design_poses(self, arm: "Arm") -> "Designed":
-        from lite6jax.design.candidates import all_pass, candidates, inside_limits
-        from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.fitting.source import read_source
-        from lite6jax.recordings import Recording, RecordingSettings
-        from lite6jax.report import study
-
+    def _design_poses(self, arm: "arms.Arm") -> "Designed":
         experiment = self.setup.experiment(arm)
         recorded = None
         if self.recorded is not None:
-            recorded = read_source(self.recorded, arm)
-            if not isinstance(recorded, Recording):
+            recorded = sources.read_source(self.recorded, arm)
+            if not isinstance(recorded, recordings.Recording):
                 raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
             recorded = recorded.joint_position
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
-        drawn = candidates(arm, self.candidates, self.seed, filters, margin)
+        drawn = candidates.candidates(arm, self.candidates, self.seed, filters, margin)
         options = {
             "recorded": recorded,
             "refined": self.refine,
-            "limits": inside_limits(arm, margin),
-            "feasible": lambda q: all_pass(filters, q),
+            "limits": candidates.inside_limits(arm, margin),
+            "feasible": lambda q: candidates.all_pass(filters, q),
             "seed": self.seed,
         }
         accuracy = None if self.accuracy is None else self.accuracy / 1e3
         if self.discriminate is None:
             options |= {"criterion": self.criterion, "accuracy": accuracy}
-            found = plan_poses(experiment, drawn.joint_position, self.poses, **options)
+            found = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
             one, other = self.discriminate
-            rivals = (parse_effect(one), parse_effect(other, neutral=True))
-            found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
-        q = found.joint_position[shortest_round(found.joint_position)]
-        settings = RecordingSettings(arm=name_arm(self.source, self.out), motion="static")
-        planned = Recording.assembled(q, settings=settings, sliding=arm.sliding)
+            rivals = (serialization.parse_effect(one), serialization.parse_effect(other, neutral=True))
+            found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
+        q = found.joint_position[poses.shortest_round(found.joint_position)]
+        settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
+        planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding)
         report = study.design_report(found, drawn, disabled, self.source, accuracy)
         return found, planned, report
 
-    def _design_motion(self, arm: "Arm") -> "Designed":
-        from lite6jax.design.motions import MotionSearch
-        from lite6jax.design.torques import GRAVITY, plan_motion, plan_torque_discrimination
-        from lite6jax.effects.dynamic.catalogue import BUILT_IN
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.recordings import Recording, RecordingSettings
-        from lite6jax.report import study
-
+    def _design_motion(self, arm: "arms.Arm") -> "Designed":
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
-        search = MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
+        search = motions.MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
         if self.discriminate is None:
-            found = plan_motion(self.torque.model(arm), room, search)
+            found = torques.plan_motion(self.torque.model(arm), room, search)
             report = study.torque_plan_report(found, disabled, self.source)
         else:
             model = self.torque.model(arm, unknown=False)
             one, other = self.discriminate
-            rivals = [parse_effect(one, BUILT_IN, False, arm.sliding), parse_effect(other, BUILT_IN, True, arm.sliding)]
-            found = plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
+            rivals = [
+                serialization.parse_effect(one, torque_catalogue.BUILT_IN, False, arm.sliding),
+                serialization.parse_effect(other, torque_catalogue.BUILT_IN, True, arm.sliding),
+            ]
+            found = torques.plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
             report = study.torque_discrimination_report(found, disabled, self.source)
         time, motion = found.trajectory.time, found.trajectory.motion
-        settings = RecordingSettings(
-            arm=name_arm(self.source, self.out),
+        settings = recordings.RecordingSettings(
+            arm=command.name_arm(self.source, self.out),
             motion="trajectory",
-            gravity_m_per_s2=self.torque.gravity or GRAVITY,
+            gravity_m_per_s2=self.torque.gravity or torques.GRAVITY,
         )
-        recording = Recording.assembled(
+        recording = recordings.Recording.assembled(
             motion.q.T,
             time=time,
             joint_velocity=motion.dq.T,
@@ -225,16 +201,14 @@ class Design:
         )
         return found, recording, report
 
-    def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
-        from lite6jax.design import candidates, clearance
-
+    def _filters(self, arm: "arms.Arm") -> "tuple[list[candidates.Filter], tuple[tuple[str, str], ...]]":
         if self.floor is not None and not math.isfinite(self.floor):
             raise InputError(f"--floor {self.floor}: give a height in mm")
-        at = metres(self.setup.tool_at)
-        filters: list[Filter] = []
+        at = command.metres(self.setup.tool_at)
+        filters: list[candidates.Filter] = []
         disabled: tuple[tuple[str, str], ...] = ()
         if self.box is not None:
-            filters.append(candidates.inside_box(arm, metres(self.box[:3]), metres(self.box[3:]), at))
+            filters.append(candidates.inside_box(arm, command.metres(self.box[:3]), command.metres(self.box[3:]), at))
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.collision_geometry is not None:

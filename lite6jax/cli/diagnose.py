@@ -12,35 +12,47 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.command import (
-    BAD_FIT,
-    DONE,
-    ArmName,
-    AssumeDegrees,
-    AssumeMillimetres,
-    Folder,
-    Force,
-    Json,
-    OutFile,
-    Processes,
-    Scheduler,
-    check_figures,
-    check_outputs,
-    check_processes,
-    load_own_effects,
-    present,
-)
+from lite6jax.cli import command
 from lite6jax.cli.inputs import list_inputs
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.folders.place import Place, attempt, list_recordings, sha256_of, url_of
 from lite6jax.storage import write_atomically
 
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.diagnosis import (
+        combined,
+        diagnose,
+        fold_processes,
+        torque_diagnosis,
+    )
+    from lite6jax.diagnosis import (
+        document as diagnosis_file,
+    )
+    from lite6jax.diagnosis import (
+        options as diagnosis_options,
+    )
+    from lite6jax.distribution import batches
+    from lite6jax.effects import user_effects
+    from lite6jax.fitting import source as sources
+    from lite6jax.folders import diagnoses
+    from lite6jax.populations import files as population_files
+    from lite6jax.populations import options, reduction
+    from lite6jax.report import (
+        canvas,
+        diagnosis_figures,
+        documents,
+        fleets,
+        pages,
+        ranking,
+        screen,
+        sections,
+        statements,
+    )
+
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from lite6jax.distribution.batches import Run
-    from lite6jax.recordings import Recording
-    from lite6jax.report.ranking import Files
 
 Domain = Literal["poses", "torques", "both"]
 
@@ -62,14 +74,14 @@ class Diagnose:
     """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
     rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
     recordings, or a URL that fsspec reads: each recording is diagnosed."""
-    out: OutFile = None
+    out: command.OutFile = None
     """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without. Of a folder
     of recordings: a folder, for a document of each and the table summary.parquet."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
     """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
     earlier. The report first states whether the model reproduces it, and the differences if not. Of torques in another
     motion, what each recording shows is compared."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """What is known of its geometry: as the sidecar declares; exactly the factory calibration; near it; nothing."""
@@ -84,23 +96,23 @@ class Diagnose:
     rows is the same; the errors after are rather too large."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
-    json: Json = False
-    report: OutFile = None
+    json: command.Json = False
+    report: command.OutFile = None
     """Write a self-contained page with the findings and their figures here (.html)."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw the figures into this folder (PNG and SVG)."""
-    force: Force = False
-    assume_degrees: AssumeDegrees = False
-    assume_millimetres: AssumeMillimetres = False
+    force: command.Force = False
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
     fleet: bool = False
     """Of a folder of recordings of many arms of one type: also pool them, to find what the type shares and no recording
     shows alone, and which arms differ. Writes fleet.json beside the table."""
     over: Literal["date"] | None = None
     """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
-    processes: Processes = None
+    processes: command.Processes = None
     """So many processes of this machine, each with one thread; one a core where not given. Of one recording they work
     on the held-out blocks, and are five at most; with --effects threads of one do."""
-    scheduler: Scheduler = None
+    scheduler: command.Scheduler = None
     """Of a folder: the Dask cluster of the scheduler at this address (tcp://HOST:8786), in place of processes here."""
 
     def run(self) -> int:
@@ -114,37 +126,31 @@ class Diagnose:
         for option in ("fleet", "scheduler"):
             if getattr(self, option):
                 raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
-        check_processes(self.processes, None)
-        inputs = [self.source, self.reference, self.arm, self.effects]
-        check_outputs([(self.out, ".json"), (self.report, ".html")], inputs, self.force)
+        command.check_processes(self.processes, None)
+        read = [self.source, self.reference, self.arm, self.effects]
+        command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         self._check_figures("poses")
-        from lite6jax.diagnosis.document import document_text, write_document
-        from lite6jax.diagnosis.fold_processes import fold_processes
-        from lite6jax.report import screen
-        from lite6jax.report.ranking import Files
-        from lite6jax.report.sections import diagnosis_report
-
         # other processes cannot import classes that this one reads from a file
-        with contextlib.nullcontext() if self.effects else fold_processes(self.processes):
+        with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
             recording, domain, search = self._prepare(both=True)
             if domain != "poses":
                 self._check_figures(domain)
             with screen.stages() as follow:
                 found: Any = search(progress=follow)
-        document, files = self._document(found, domain), Files(self.source, self.out, self.effects)
-        written = [write_document(document, self.out, self.force)] if self.out else []
+        document, files = self._document(found, domain), ranking.Files(self.source, self.out, self.effects)
+        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if self.report or self.figures:
             written += self._draw(found, domain, document, files)
         if self.json:
-            print(document_text(document))
+            print(diagnosis_file.document_text(document))
         else:
-            screen.show(diagnosis_report(document, str(self.source), files, self.details))
+            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
             screen.show(screen.notes(recording.notes))
             screen.written(written)
         poses = found.poses if domain == "both" else found
-        return BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else DONE
+        return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
 
-    def _prepare(self, both: bool) -> "tuple[Recording, Domain, Callable[..., Any]]":
+    def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
         """Reads what is to be diagnosed.
 
         Args:
@@ -153,25 +159,20 @@ class Diagnose:
         Returns:
             the recording, what of it is diagnosed, and the search, which takes `progress`.
         """
-        from lite6jax.diagnosis import diagnose, torque_diagnosis
-        from lite6jax.diagnosis.options import QUICK
-        from lite6jax.effects.user_effects import by_domain
-        from lite6jax.fitting.source import arm_of, load_nominal, load_recording
-
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        arm = load_nominal(self.arm)
-        recording = load_recording(self.source, arm, **assumed)
-        effects = load_own_effects(self.effects)
-        kinematic, dynamic = by_domain(effects)
+        arm = sources.load_nominal(self.arm)
+        recording = sources.load_recording(self.source, arm, **assumed)
+        effects = command.load_own_effects(self.effects)
+        kinematic, dynamic = user_effects.by_domain(effects)
         domain: Domain = "poses"
         if self.torques or (recording.position is None and recording.has_torques):
             domain = "torques"
         elif both and recording.has_torques and recording.position is not None and not self.poses:
             domain = "both"
         if domain != "torques":
-            arm = arm or arm_of(recording)
-        other = load_recording(self.reference, arm, **assumed) if self.reference else None
-        given: dict[str, Any] = {"options": QUICK if self.quick else None}
+            arm = arm or sources.arm_of(recording)
+        other = sources.load_recording(self.reference, arm, **assumed) if self.reference else None
+        given: dict[str, Any] = {"options": diagnosis_options.QUICK if self.quick else None}
         if domain == "torques":
             given |= {"effects": dynamic}
             alone, against = torque_diagnosis.diagnose_torques, torque_diagnosis.diagnose_torques_against
@@ -179,28 +180,25 @@ class Diagnose:
             given |= {"effects": kinematic, "geometry": self.geometry}
             alone, against = diagnose.diagnose, diagnose.diagnose_against
         if domain == "both":
-            from lite6jax.diagnosis.combined import diagnose_combined
-
             given |= {"effects": effects, "reference": other}
-            return recording, domain, partial(diagnose_combined, recording, arm, **given)
+            return recording, domain, partial(combined.diagnose_combined, recording, arm, **given)
         compared = [] if other is None else [other]
         return recording, domain, partial(against if compared else alone, recording, *compared, arm, **given)
 
     def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
-        from lite6jax.report.statements import with_statements
-
         document = found.to_dict() if domain == "both" else found.document()
         document |= {"inputs": list_inputs(self.source, self.arm, self.reference, self.effects)}
         if domain != "both" and found.against is not None:
             document["against"] = found.against.to_dict()
-        return with_statements(document)
+        return statements.with_statements(document)
 
     def _check_figures(self, domain: Domain) -> None:
         if self.figures:
-            check_figures(self.figures, [f"{self.source.stem}_{name}" for name in _name_figures(domain)], self.force)
+            names = [f"{self.source.stem}_{name}" for name in _name_figures(domain)]
+            command.check_figures(self.figures, names, self.force)
 
-    def _draw(self, found: Any, domain: Domain, document: Any, files: "Files") -> list[Path]:
+    def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
         """Writes the figures and the page where there are places for them.
 
         Args:
@@ -209,8 +207,6 @@ class Diagnose:
             document: as in the JSON file, with statements.
             files: for commands to copy.
         """
-        from lite6jax.report import canvas, diagnosis_figures, pages, screen
-
         against = self.reference if domain == "both" else found.against and found.against.file
         sides = f"{self.source} against {against}" if against else str(self.source)
         written, drawn, most = [], {}, len(_name_figures(domain))
@@ -241,31 +237,22 @@ class Diagnose:
             raise InputError(
                 f"{self.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
             )
-        check_processes(self.processes, self.scheduler)
+        command.check_processes(self.processes, self.scheduler)
         # what the diagnoses depend on, and the checksums of the files that they all read
         alike = {"source": Path(), "out": None, "force": True}
         alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
         files = [Path(file.partition("#")[0]) for file in (self.arm, self.effects and str(self.effects)) if file]
         asked, also_read = replace(self, **alike), sha256_of(files)
-        from lite6jax.report import fleets
-
         if self.fleet:
             return self._diagnose_fleet(self.out, asked, also_read)
         run = self._diagnose_each(self.out, asked, also_read)
         rows = fleets.read_diagnoses(run.path)
-        return present(
-            self.json,
-            lambda documents: documents.of_diagnoses(rows),
-            fleets.diagnoses_report(rows, run.kept),
-            [run.path],
-        )
+        report = fleets.diagnoses_report(rows, run.kept)
+        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [run.path])
 
-    def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "Run":
-        from lite6jax.folders.diagnoses import diagnose_folder
-        from lite6jax.report import screen
-
+    def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "batches.Run":
         with screen.progress_of_many("diagnosing") as advance:
-            return diagnose_folder(
+            return diagnoses.diagnose_folder(
                 self.source,
                 out,
                 diagnose_names,
@@ -280,16 +267,10 @@ class Diagnose:
     def _diagnose_fleet(self, out: Path, asked: "Diagnose", also_read: bytes) -> int:
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import document_text
-        from lite6jax.distribution.batches import Parts
-        from lite6jax.folders import diagnoses
-        from lite6jax.populations.options import DEFAULTS
-        from lite6jax.report import fleets, screen
-
         place, path = Place.of(self.source), out / diagnoses.POOLED
         names = list_recordings(place)
         diagnoses.check_pooled(out, names, self.force)
-        parts = Parts(path, asked)
+        parts = batches.Parts(path, asked)
         key = parts.key(place.content(names) + also_read)
         if parts.find(key) is None:  # a run that was ended while it pooled has them all
             run = self._diagnose_each(out, asked, also_read)
@@ -299,71 +280,65 @@ class Diagnose:
             document = diagnoses.pool_folder(
                 str(self.source),
                 out,
-                DEFAULTS,
+                options.DEFAULTS,
                 self.over,
                 self.scheduler,
                 self.processes,
                 lambda count: effects.__setitem__(0, count),
             ).to_dict()
-        write_atomically(path, document_text(document), overwrite=self.force)
+        write_atomically(path, diagnosis_file.document_text(document), overwrite=self.force)
         parts.remove()
         if self.json:
-            print(document_text(document))
+            print(diagnosis_file.document_text(document))
         else:
             screen.show(fleets.population_report(document))
             screen.written([out / diagnoses.TABLE, path])
-        return DONE
+        return command.DONE
 
     def diagnose(self) -> tuple[str, bytes | None]:
         """The document of the recording, as `run` writes it, and with `fleet` the reduced recording.
 
         A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        from lite6jax.diagnosis.document import document_text
-
         _, domain, search = self._prepare(both=not self.fleet)
         found = search()
-        text = document_text(self._document(found, domain))
+        text = diagnosis_file.document_text(self._document(found, domain))
         if not self.fleet:
             return text, None
-        from lite6jax.populations.files import to_bytes
-        from lite6jax.populations.reduction import reduced, reduced_torques
-
-        return text, to_bytes((reduced_torques if domain == "torques" else reduced)(found))
+        reduce = reduction.reduced_torques if domain == "torques" else reduction.reduced
+        return text, population_files.to_bytes(reduce(found))
 
 
 def _name_figures(domain: Domain) -> list[str]:
     """The names of the figures of a diagnosis of poses, of torques or of both."""
-    from lite6jax.report.diagnosis_figures import NAMES, PREFIX, TORQUE_NAMES
-
-    torques = [f"{PREFIX if domain == 'both' else ''}{name}" for name in TORQUE_NAMES]
-    return [*(NAMES if domain != "torques" else ()), *(torques if domain != "poses" else ())]
+    poses, torques = diagnosis_figures.NAMES, diagnosis_figures.TORQUE_NAMES
+    if domain == "both":
+        return [*poses, *(diagnosis_figures.PREFIX + name for name in torques)]
+    return [*(torques if domain == "torques" else poses)]
 
 
 def _is_folder(source: Path) -> bool:
     """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
     if url_of(source) is not None or not os.path.isdir(source):
         return url_of(source) is not None
-    from lite6jax.recordings import recording_file
-
-    return recording_file(source) is None
+    return recordings.recording_file(source) is None
 
 
-def diagnose_names(names: Sequence[str], place: Place, command: Diagnose) -> "pa.Table":
+def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
     """The rows of some recordings of a folder, with their documents and of a fleet with their reduced recordings.
 
     Args:
         names: of the recordings.
         place: the folder.
-        command: as it was given, but for its source.
+        asked: the command as it was given, but for its source.
     """
-    from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import refusal, row_of
-
     rows = []
     for name in names:
         with place.local_folder([name]) as folder, contextlib.redirect_stdout(io.StringIO()):
-            found, said = attempt(folder / name, replace(command, source=folder / name).diagnose)
+            found, said = attempt(folder / name, replace(asked, source=folder / name).diagnose)
             said = place.show(said, folder)
-        rows.append(refusal(name, said) if found is None else row_of(name, json.loads(found[0]), *found, said))
-    return concatenate(rows)
+        if found is None:
+            rows.append(diagnoses.refusal(name, said))
+        else:
+            rows.append(diagnoses.row_of(name, json.loads(found[0]), *found, said))
+    return batches.concatenate(rows)

@@ -5,34 +5,39 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date as Date  # noqa: N812 (a field is called date)
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+from typing import Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.command import (
-    DONE,
-    NOT_REACHED,
-    Duration,
-    Force,
-    Json,
-    OutFile,
-    OwnEffects,
-    check_duration,
-    check_outputs,
-    load_own_effects,
-    parse_pairs,
-    present,
-    repeat,
-)
+from lite6jax.cli import command
 from lite6jax.cli.inputs import find_recording, refuse_damage, require_recording
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.storage import exists, write_atomically
 
-if TYPE_CHECKING:
-    from lite6jax.effects.effect import Effect
-    from lite6jax.recordings import Recording
-    from lite6jax.report.viewer import Scene
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.domains.pose import compensate, registration
+    from lite6jax.domains.pose import files as pose_files
+    from lite6jax.domains.pose import predict as pose_predict
+    from lite6jax.domains.torque import predict as torque_predict
+    from lite6jax.populations import schema as population_schema
+    from lite6jax.recordings import writing
+    from lite6jax.report import (
+        compensation,
+        documents,
+        fleets,
+        pages,
+        ranking,
+        reference,
+        screen,
+        sections,
+        statements,
+        viewer,
+    )
 
 _REFRESH_S = 1 / 30
 
@@ -53,7 +58,7 @@ class Report:
 
     diagnosis: DiagnosisFile
     """What `diagnose` wrote (.json), of one recording or of a fleet."""
-    certificate: OutFile = None
+    certificate: command.OutFile = None
     """Write one A4 page here (.pdf), of one recording."""
     date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
     """When it was measured, for the certificate; the sidecar's date where not given."""
@@ -62,52 +67,41 @@ class Report:
     sensor."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
-    json: Json = False
-    force: Force = False
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Reads, writes, prints."""
-        check_outputs([(self.certificate, ".pdf")], [self.diagnosis], self.force)
+        command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
         if not self.certificate and (self.date is not None or self.instrument is not None):
             raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
         try:
             measured = None if self.date is None else Date.fromisoformat(self.date)
         except ValueError as error:
             raise InputError(f"--date {self.date}: give a day as YYYY-MM-DD, such as 2026-11-21") from error
-        from lite6jax.diagnosis.document import check_document, check_sum, document_text, parsed_document
-        from lite6jax.populations.schema import check_fleet_document, is_of_fleet
-        from lite6jax.report import screen
-        from lite6jax.report.ranking import Files
-
-        document, written = parsed_document(self.diagnosis), []
-        of_fleet = is_of_fleet(document)
+        document, written = diagnosis_file.parsed_document(self.diagnosis), []
+        of_fleet = population_schema.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
-        (check_fleet_document if of_fleet else check_document)(document, self.diagnosis)
-        check_sum(document, self.diagnosis)
+        check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
+        check(document, self.diagnosis)
+        diagnosis_file.check_sum(document, self.diagnosis)
         with refuse_damage(self.diagnosis):
             if of_fleet:
-                from lite6jax.report.fleets import population_report
-
-                page = list(population_report(document))
+                page = list(fleets.population_report(document))
             else:
-                from lite6jax.report.sections import diagnosis_report
-                from lite6jax.report.statements import with_statements
-
-                said, recording = with_statements(document), find_recording(document, self.diagnosis)
-                files = None if recording is None else Files(recording, self.diagnosis)
-                page = list(diagnosis_report(said, str(self.diagnosis), files, self.details))
+                said, recording = statements.with_statements(document), find_recording(document, self.diagnosis)
+                files = None if recording is None else ranking.Files(recording, self.diagnosis)
+                page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
-                    from lite6jax.report.pages import Stated, write_certificate
-
-                    stated = Stated(measured, self.instrument)
-                    written.append(write_certificate(said, self.certificate, stated, self.force))
+                    stated = pages.Stated(measured, self.instrument)
+                    written.append(pages.write_certificate(said, self.certificate, stated, self.force))
         if self.json:
-            print(document_text(document))
+            print(diagnosis_file.document_text(document))
         else:
             screen.show(page)
             screen.written(written)
-        return DONE
+        return command.DONE
 
 
 @final
@@ -127,21 +121,19 @@ class View:
     """A recording in the same set-up; where not given the one that was diagnosed, beside the diagnosis or here."""
     torques: bool = False
     """Of a diagnosis of poses and torques, show the torques."""
-    effects: OwnEffects = None
+    effects: command.OwnEffects = None
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """The address on which to listen. With another than this one, others in the network see the arm too."""
     port: Annotated[int | None, arg(metavar="PORT")] = None
     """The port; 8080, or the next one that is free, where not given."""
-    duration: Duration = None
+    duration: command.Duration = None
 
     def run(self) -> int:
         """Reads, serves until Ctrl-C."""
-        check_duration(self.duration)
+        command.check_duration(self.duration)
         if self.port is not None and not 0 <= self.port < 1 << 16:
             raise InputError(f"--port {self.port}: is not a port; give 1 to 65535")
         from rich.text import Text
-
-        from lite6jax.report import screen, viewer
 
         scene, file = self._scene()
         with viewer.served(scene, self.host, self.port) as shown:
@@ -149,32 +141,22 @@ class View:
             screen.show(map(Text, scene.remarks))
             screen.show([Text(f"Open {shown.url} in a browser. Stop with Ctrl-C.", no_wrap=True, overflow="ignore")])
             screen.console().file.flush()  # another program may wait for these lines
-            for _ in repeat(self.duration, _REFRESH_S):
+            for _ in command.repeat(self.duration, _REFRESH_S):
                 shown.play(_REFRESH_S)
-        return DONE
+        return command.DONE
 
-    def _scene(self) -> "tuple[Scene, Path]":
-        from lite6jax.diagnosis.document import (
-            is_of_torques,
-            parsed_document,
-            read_model,
-            read_torque_model,
-            torques_of,
-        )
-        from lite6jax.domains.pose.files import read_motion
-        from lite6jax.recordings import read_recording
-        from lite6jax.report import viewer
-
-        document, effects = parsed_document(self.diagnosis), load_own_effects(self.effects)
-        motors = read_torque_model(self.diagnosis, effects) if self.torques or is_of_torques(document) else None
-        arm = None if motors else read_model(self.diagnosis, effects)
+    def _scene(self) -> "tuple[viewer.Scene, Path]":
+        document, effects = diagnosis_file.parsed_document(self.diagnosis), command.load_own_effects(self.effects)
+        if self.torques or diagnosis_file.is_of_torques(document):
+            motors = diagnosis_file.read_torque_model(self.diagnosis, effects)
+            file = self.recording or require_recording(document, self.diagnosis)
+            with refuse_damage(self.diagnosis):
+                recording = recordings.read_recording(file, arm=motors.arm)
+                return viewer.torque_scene(diagnosis_file.torques_of(document) or {}, motors, recording), file
+        arm = diagnosis_file.read_model(self.diagnosis, effects)
         file = self.recording or require_recording(document, self.diagnosis)
         with refuse_damage(self.diagnosis):
-            if arm is not None:
-                return viewer.pose_scene(document, arm, read_motion(file, arm)), file
-            assert motors is not None
-            recording = read_recording(file, arm=motors.arm)
-            return viewer.torque_scene(torques_of(document) or {}, motors, recording), file
+            return viewer.pose_scene(document, arm, pose_files.read_motion(file, arm)), file
 
 
 @dataclass(frozen=True)
@@ -201,69 +183,50 @@ class Predict:
     """Write the poses here (.csv), one row per sample."""
     register: bool = False
     """First fit sensor frame and tool to the poses in the file, for another set-up of the same arm."""
-    effects: OwnEffects = None
-    json: Json = False
-    force: Force = False
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Reads, predicts, writes."""
-        check_outputs([(self.out, ".csv")], [self.diagnosis, self.motion, self.effects], self.force)
+        command.check_outputs([self.out], [self.diagnosis, self.motion, self.effects], self.force, [".csv"])
         import numpy as np
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import (
-            check_sum,
-            is_of_torques,
-            model_from_document,
-            parsed_document,
-            torque_model_from_document,
-            torques_of,
-        )
-        from lite6jax.domains.pose.files import read_motion
-        from lite6jax.domains.pose.predict import predicted, prediction_columns
-        from lite6jax.domains.pose.registration import register_model
-        from lite6jax.domains.torque.predict import predicted_torques, torque_columns
-        from lite6jax.recordings.writing import write_table
-        from lite6jax.report import compensation, reference, screen
-
-        document, effects = parsed_document(self.diagnosis), load_own_effects(self.effects)
+        document, effects = diagnosis_file.parsed_document(self.diagnosis), command.load_own_effects(self.effects)
         opening: list[Any] = []
         said: list[str] = []
-        registration, poses = None, None
-        if is_of_torques(document):
+        registered, poses = None, None
+        if diagnosis_file.is_of_torques(document):
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
-            motors = torque_model_from_document(document, effects, str(self.diagnosis))
-            check_sum(document, self.diagnosis)
-            recording = read_motion(self.motion, motors)
-            found = predicted_torques(motors, recording)
-            columns, first = torque_columns(found), found.torque[:, 0]
+            motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
+            diagnosis_file.check_sum(document, self.diagnosis)
+            recording = pose_files.read_motion(self.motion, motors)
+            found = torque_predict.predicted_torques(motors, recording)
+            columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
             if motors.relative_to is not None:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
-            model = model_from_document(document, effects, str(self.diagnosis))
-            check_sum(document, self.diagnosis)
-            recording = read_motion(self.motion, model)
+            model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
+            diagnosis_file.check_sum(document, self.diagnosis)
+            recording = pose_files.read_motion(self.motion, model)
             if self.register:
-                model, registration = register_model(model, recording)
-            found = poses = predicted(model, recording)
-            columns, first = prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
-            if torques_of(document) is not None:
+                model, registered = registration.register_model(model, recording)
+            found = poses = pose_predict.predicted(model, recording)
+            columns, first = pose_predict.prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
+            if diagnosis_file.torques_of(document) is not None:
                 columns, said = self._add_torques(document, columns, recording, effects)
             if model.reference is not None:
                 opening.append(reference.origin_statement(model.reference))
-            if registration is not None:
-                opening += compensation.registration_report(registration)
+            if registered is not None:
+                opening += compensation.registration_report(registered)
         table = pa.table(columns)
-        path = write_atomically(self.out, lambda target: write_table(table, target), self.force)
-
-        def document_of(documents):
-            if poses is not None:
-                return documents.of_prediction(poses, registration)
-            return {"schema": "lite6jax/prediction/1", "rows": recording.samples}
-
+        path = write_atomically(self.out, lambda target: writing.write_table(table, target), self.force)
         if self.json:
-            return present(True, document_of, (), [path])
+            rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
+            document = rows if poses is None else documents.of_prediction(poses, registered)
+            return command.present(True, document, (), [path])
         screen.show(opening)
         screen.show(screen.notes(recording.notes))
         if empty := int(np.isnan(first).sum()):
@@ -276,24 +239,21 @@ class Predict:
         for line in said:
             print(line)
         screen.written([path])
-        return DONE
+        return command.DONE
 
     def _add_torques(
-        self, document: Any, poses: "dict[str, Any]", recording: "Recording", effects: "Sequence[Effect]"
-    ) -> "tuple[dict[str, Any], list[str]]":
+        self, document: Any, poses: dict[str, Any], recording: "recordings.Recording", effects: Sequence[Any]
+    ) -> tuple[dict[str, Any], list[str]]:
         """The columns of poses with those of torques beside them, and what is to be said of these.
 
         A row is outside where it is of poses or of torques. Torques of a motion that has none are left out.
         """
-        from lite6jax.diagnosis.document import torque_model_from_document
-        from lite6jax.domains.torque.predict import predicted_torques, torque_columns
-
-        model = torque_model_from_document(document, effects, str(self.diagnosis))
+        model = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
         try:
-            found = predicted_torques(model, recording)
+            found = torque_predict.predicted_torques(model, recording)
         except InputError as error:
             return poses, [f"Torques are not predicted: {error}."]
-        columns = poses | torque_columns(found)
+        columns = poses | torque_predict.torque_columns(found)
         if found.outside is None:
             return columns, []
         columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)
@@ -332,17 +292,15 @@ class Compensate:
     default each row is approached from the one before."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
     """What a column of the targets is, such as X=x_mm or foo=ignore. May be repeated."""
-    effects: OwnEffects = None
-    json: Json = False
-    force: Force = False
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Reads, solves, writes, prints."""
-        from lite6jax.recordings import sidecar_path
-
-        sidecar, declared = sidecar_path(self.out), exists(sidecar_path(self.targets))
-        outputs = [(self.out, ".csv"), *([(sidecar, "")] if declared else [])]
-        check_outputs(outputs, [self.diagnosis, self.targets, self.effects], self.force)
+        sidecar, declared = recordings.sidecar_path(self.out), exists(recordings.sidecar_path(self.targets))
+        outputs, read = [self.out, *([sidecar] if declared else [])], [self.diagnosis, self.targets, self.effects]
+        command.check_outputs(outputs, read, self.force, [".csv"])
         if not declared and exists(sidecar):
             raise InputError(
                 f"{sidecar}: would be read as the settings of {self.out.name}, but belongs to another file; choose "
@@ -350,31 +308,25 @@ class Compensate:
             )
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import read_model
-        from lite6jax.domains.pose.compensate import compensate, read_pose_targets
-        from lite6jax.recordings.writing import write_table, write_with_settings
-        from lite6jax.report import compensation
-        from lite6jax.report.reference import origin_statement
-
-        model = read_model(self.diagnosis, load_own_effects(self.effects))
+        model = diagnosis_file.read_model(self.diagnosis, command.load_own_effects(self.effects))
         approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
         if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
             raise InputError(
                 f"--approach {' '.join(map(str, self.approach))}: give -1, 0 or 1, once or for each of the "
                 f"{model.dof} joints"
             )
-        targets = read_pose_targets(self.targets, model, parse_pairs("--column", self.column))
-        found = compensate(model, targets, frame=self.frame, approach=approach or None)
+        targets = compensate.read_pose_targets(self.targets, model, command.parse_pairs("--column", self.column))
+        found = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
         table = compensation.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
-            written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
+            written = [writing.write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
-            written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
+            written = [write_atomically(self.out, lambda target: writing.write_table(columns, target), self.force)]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
-        origin = [] if model.reference is None else [origin_statement(model.reference)]
+        origin = [] if model.reference is None else [reference.origin_statement(model.reference)]
         page = compensation.compensation_report(found, model, str(self.targets), self.frame)
-        code = DONE if found.reached.all() else NOT_REACHED
-        return present(self.json, found, [*origin, *page], written, code)
+        code = command.DONE if found.reached.all() else command.NOT_REACHED
+        return command.present(self.json, found, chain(origin, page), written, code)

@@ -9,23 +9,22 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from lite6jax.cli.command import (
-    DONE,
-    ArmName,
-    Duration,
-    Triple,
-    check_duration,
-    list_effects,
-    load_own_effects,
-    repeat,
-)
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax import emulator, simulation
+    from lite6jax.arms import factory as factories
+    from lite6jax.arms import files as arm_files
+    from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.effects.dynamic import catalogue as torque_catalogue
+    from lite6jax.effects.dynamic import torque_effect
+    from lite6jax.report import screen
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
-
-    from lite6jax.emulator import Body, Controller, Faults
 
 _MOST_ARMS = 32
 _REFRESH_S = 0.25
@@ -45,7 +44,7 @@ class Emulate:
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
     """The calibration, or one for each arm; by default drawn with deviations of 0.8 mm and 0.15 deg per parameter."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The arm: a bundled one or a description; by default lite6, or the arm of the calibration."""
     arms: Annotated[int | None, arg(metavar="N")] = None
     """The number of controllers, on this address and the next ones."""
@@ -74,13 +73,13 @@ class Emulate:
     """The tool offset in the controller, mm and degrees."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """The payload at the flange."""
-    payload_at: Triple = (0.0, 0.0, 0.0)
+    payload_at: command.Triple = (0.0, 0.0, 0.0)
     """The centre of mass of the payload, mm in the flange's frame."""
     warm_up: Annotated[float, arg(metavar="K")] = 12.0
     """The final temperature rise from 25 °C, with a time constant of 20 min."""
     speed: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """The speed of the clock relative to real time."""
-    duration: Duration = None
+    duration: command.Duration = None
     seed: int = 0
     """The seed of drawn calibrations and motions."""
 
@@ -89,17 +88,14 @@ class Emulate:
         from rich.live import Live
         from rich.table import Table
 
-        from lite6jax.emulator import describe_faults, parse_faults
-        from lite6jax.report import screen
-
         if self.faults:
             table = Table.grid(padding=(0, 2))
-            for name, words in describe_faults():
+            for name, words in emulator.describe_faults():
                 table.add_row(name, words)
             screen.show([table])
-            return DONE
-        faults = parse_faults(self.fault)
-        check_duration(self.duration)
+            return command.DONE
+        faults = emulator.parse_faults(self.fault)
+        command.check_duration(self.duration)
         controllers, terminal = self._controllers(faults), screen.console()
         with ExitStack() as stack:
             for controller in controllers:
@@ -109,18 +105,16 @@ class Emulate:
             if terminal.is_terminal:
                 live = stack.enter_context(Live(console=terminal, auto_refresh=False, transient=True))
             terminal.file.flush()  # another program may wait for these lines
-            for _ in repeat(self.duration, _REFRESH_S):
+            for _ in command.repeat(self.duration, _REFRESH_S):
                 table = _status_table(controllers)
                 if live is not None:
                     live.update(table, refresh=True)
-        return DONE
+        return command.DONE
 
-    def _controllers(self, faults: "Faults") -> "list[Controller]":
+    def _controllers(self, faults: "emulator.Faults") -> "list[emulator.Controller]":
         import ipaddress
 
         import numpy as np
-
-        from lite6jax.emulator import Controller, read_path
 
         count = self.arms if self.arms is not None else max(1, len(self.factory))
         if not 1 <= count <= _MOST_ARMS:
@@ -135,9 +129,9 @@ class Emulate:
         if self.payload < 0 or not math.isfinite(self.payload):
             raise InputError(f"--payload {self.payload}: give kg, 0 or more")
         return [
-            Controller(
+            emulator.Controller(
                 body,
-                path=read_path(self.motion, body.arm, self.seed + i),
+                path=emulator.read_path(self.motion, body.arm, self.seed + i),
                 faults=faults,
                 tool=[*self.tool_offset[:3], *np.deg2rad(self.tool_offset[3:])],
                 payload=[self.payload, *self.payload_at],
@@ -149,36 +143,27 @@ class Emulate:
             for body in [self._body(i)]
         ]
 
-    def _body(self, index: int) -> "Body":
+    def _body(self, index: int) -> "emulator.Body":
         import numpy as np
 
-        from lite6jax.arms.factory import read_factory
-        from lite6jax.arms.files import read_arm
-        from lite6jax.effects.catalogue import kinds_of
-        from lite6jax.effects.composition import Physics
-        from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
-        from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.emulator import Body
-        from lite6jax.simulation import draw_calibration
-
-        kinds = {**OF_TORQUES, **kinds_of(load_own_effects(self.effects))}
-        hidden = [parse_effect(text, kinds) for text in self.effect]
-        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, TorqueEffect))
-        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, TorqueEffect)]
-        physics = Physics(tuple(effect for effect, _ in parsed))
-        nominal = None if self.arm is None else read_arm(self.arm)
+        kinds = {**torque_catalogue.BUILT_IN, **catalogue.kinds_of(command.load_own_effects(self.effects))}
+        hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
+        of_torques = torque_effect.TorqueEffect
+        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
+        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
+        physics = composition.Physics(tuple(effect for effect, _ in parsed))
+        nominal = None if self.arm is None else arm_files.read_arm(self.arm)
         if self.factory:
-            factory = read_factory(self.factory[index], nominal)
+            factory = factories.read_factory(self.factory[index], nominal)
             arm, kinematics = factory.arm, factory.kinematics
         else:
-            arm = nominal or read_arm("lite6")
-            kinematics = draw_calibration(arm, self.seed + index)
+            arm = nominal or arm_files.read_arm("lite6")
+            kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
         values = physics.join([values for _, values in parsed])
-        return Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
+        return emulator.Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
 
-    def _page(self, controllers: "Sequence[Controller]") -> "Iterator[RenderableType]":
+    def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""
         from rich.text import Text
 
@@ -193,10 +178,12 @@ class Emulate:
         physics = first.body.physics
         if physics.effects:
             yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
-            yield from list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))
+            yield from command.list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))
         if first.body.torque_effects:
             yield Text("Hidden effects, in the torques")
-            yield from list_effects((effect, effect.reported(values)) for effect, values in first.body.torque_effects)
+            yield from command.list_effects(
+                (effect, effect.reported(values)) for effect, values in first.body.torque_effects
+            )
         if first.body.torque_noise.any():
             yield Text(f"Noise of the torques: {' '.join(f'{sigma:g}' for sigma in first.body.torque_noise)} N m.")
         if self.fault:
@@ -218,7 +205,7 @@ class Emulate:
         yield Text("Stop with Ctrl-C.")
 
 
-def _status_table(controllers: "Sequence[Controller]") -> "Table":
+def _status_table(controllers: "Sequence[emulator.Controller]") -> "Table":
     """One row per controller: clock, state, joints, connections and requests."""
     from rich.table import Table
 

@@ -6,8 +6,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.storage import exists
+
+with import_lazily():
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.recordings import checksums, sidecar
 
 
 def list_inputs(
@@ -21,17 +26,15 @@ def list_inputs(
         reference: another recording.
         effects: of effects of the user's own.
     """
-    from lite6jax.recordings.checksums import table_checksum
-    from lite6jax.recordings.sidecar import list_sidecar_files
-
     files = []
     for role, file in (("", recording), ("reference ", reference)):
         if file is not None:
-            files += [(f"{role}recording", file), *((role + part, path) for part, path in list_sidecar_files(file))]
+            parts = [("recording", file), *sidecar.list_sidecar_files(file)]
+            files += [(f"{role}{part}", path) for part, path in parts]
     files += [("arm", Path(arm.partition("#")[0]))] if arm else []
     files += [("effects", effects)] if effects else []
     files = [(role, file) for role, file in dict.fromkeys(files) if file.is_file()]
-    return [{"role": role, "file": file.name, "sha256": table_checksum(file)} for role, file in files]
+    return [{"role": role, "file": file.name, "sha256": checksums.table_checksum(file)} for role, file in files]
 
 
 def find_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
@@ -50,14 +53,12 @@ def require_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
     Warns:
         InputWarning: the file is another one than was diagnosed.
     """
-    from lite6jax.recordings.checksums import table_checksum
-
     named = _recordings(document)
     found = find_recording(document, diagnosis)
     if found is None:
         which = f"the recording {named[0]['file']} that it names is not beside it" if named else "it names no recording"
         raise InputError(f"{diagnosis}: {which}; give one: {command_line('view', diagnosis, 'RECORDING')}")
-    if table_checksum(found) != named[0]["sha256"]:
+    if checksums.table_checksum(found) != named[0]["sha256"]:
         said = f"{found}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)"
         warnings.warn(said, InputWarning, stacklevel=2)
     return found
@@ -68,18 +69,15 @@ def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
 
     None where the sidecar is not beside the diagnosis or here, names a bundled arm, or the file is not as it was.
     """
-    from lite6jax.recordings import read_settings, sidecar_path
-    from lite6jax.recordings.checksums import table_checksum
-
     sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] == "arm"}
     recording = find_recording(document, diagnosis)
-    sidecar = None if recording is None else sidecar_path(recording)
-    if sidecar is None or not sums or not exists(sidecar):
+    declared = None if recording is None else sidecar.sidecar_path(recording)
+    if declared is None or not sums or not exists(declared):
         return None
-    settings = read_settings(sidecar)
-    reference = str(settings.arm_reference(sidecar.parent)) if settings.arm_is_file else ""
+    settings = sidecar.read_settings(declared)
+    reference = str(settings.arm_reference(declared.parent)) if settings.arm_is_file else ""
     file = Path(reference.partition("#")[0])
-    return reference if reference and file.is_file() and table_checksum(file) in sums else None
+    return reference if reference and file.is_file() and checksums.table_checksum(file) in sums else None
 
 
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
@@ -89,11 +87,9 @@ def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
 @contextmanager
 def refuse_damage(diagnosis: Path) -> Iterator[None]:
     """Within, what a document lacks is an error of the input."""
-    from lite6jax.diagnosis.document import DAMAGED
-
     try:
         yield
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise InputError(f"{diagnosis}: is damaged (it lacks {error}); {DAMAGED}") from error
+        raise InputError(f"{diagnosis}: is damaged (it lacks {error}); {diagnosis_file.DAMAGED}") from error

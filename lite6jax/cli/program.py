@@ -33,7 +33,11 @@ from lite6jax.cli.init import Init
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
+
+with import_lazily():
+    from lite6jax.fitting import compiled
 
 COMMANDS = {
     command.__name__.lower(): command
@@ -63,9 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
-        from lite6jax.fitting.compiled import keep_compiled_code
-
-        keep_compiled_code()
+        compiled.keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
         with _warn_in_lines():
             code = command.run()

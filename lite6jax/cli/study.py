@@ -7,36 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.command import (
-    ArmName,
-    AssumeDegrees,
-    AssumeMillimetres,
-    Folder,
-    Force,
-    Json,
-    Processes,
-    Scheduler,
-    Seed,
-    Triple,
-    check_figures,
-    check_processes,
-    check_seed,
-    metres,
-    present,
-    save_figures,
-    stem,
-)
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import files as arm_files
+    from lite6jax.design import candidates, identify, information, motions, sensitivity, torques
+    from lite6jax.design import sensor as sensors
+    from lite6jax.effects import serialization
+    from lite6jax.fitting import source as sources
+    from lite6jax.report import documents, study, words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from lite6jax.arms.arm import Arm
-    from lite6jax.design.candidates import Filter
-    from lite6jax.design.information import Experiment
-    from lite6jax.design.motions import MotionRoom
-    from lite6jax.design.torques import TorqueModel
-    from lite6jax.recordings import Recording, RecordingSettings
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 Known = Literal["known", "unknown"]
@@ -55,11 +41,11 @@ class Setup:
     """Whether the sensor's frame is known."""
     tool: Known = "known"
     """Whether the measured point's place on the flange is known."""
-    tool_at: Triple = (0.0, 0.0, 0.0)
+    tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The nominal place of the measured point, mm in the flange's frame."""
-    axis: Triple = (0.0, 0.0, 1.0)
+    axis: command.Triple = (0.0, 0.0, 1.0)
     """The dial gauge's direction, in the sensor's frame."""
-    center: Triple = (300.0, 0.0, 0.0)
+    center: command.Triple = (300.0, 0.0, 0.0)
     """The ball bar's other end, mm in the sensor's frame."""
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
     """One standard deviation per axis, mm, in place of the sensor's."""
@@ -72,7 +58,7 @@ class Setup:
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """Mass at the flange, for effects of gravity."""
 
-    def experiment(self, arm: "Arm") -> "Experiment":
+    def experiment(self, arm: "arms.Arm") -> "information.Experiment":
         """The experiment that this set-up is on an arm.
 
         Raises:
@@ -80,32 +66,27 @@ class Setup:
         """
         import numpy as np
 
-        from lite6jax.design.information import plan_experiment
-        from lite6jax.design.sensor import sensor_named
-
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
                 raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
         if not (math.isfinite(self.payload) and self.payload >= 0):
             raise InputError(f"--payload {self.payload}: give a mass in kg, not below 0")
-        sensor = sensor_named(self.sensor).with_noise(
+        sensor = sensors.sensor_named(self.sensor).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        setup = plan_experiment(
+        setup = information.plan_experiment(
             arm,
-            replace(sensor, direction=self.axis, center=metres(self.center)),
+            replace(sensor, direction=self.axis, center=command.metres(self.center)),
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
-            tool_at=metres(self.tool_at),
+            tool_at=command.metres(self.tool_at),
         )
         if not self.effect:
             return setup
-        from lite6jax.effects.serialization import parse_effect
-
-        effects, values = zip(*(parse_effect(text, neutral=True) for text in self.effect), strict=True)
+        effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
         try:
             return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
         except InputError as error:
@@ -142,7 +123,9 @@ class TorqueSetup:
     acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
     """The greatest acceleration, likewise."""
 
-    def model(self, arm: "Arm", declared: "RecordingSettings | None" = None, unknown: bool = True) -> "TorqueModel":
+    def model(
+        self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None, unknown: bool = True
+    ) -> "torques.TorqueModel":
         """What is unknown of an arm, and the noise.
 
         Args:
@@ -152,14 +135,14 @@ class TorqueSetup:
         Raises:
             InputError: as `torque_model`.
         """
-        from lite6jax.design.torques import GRAVITY, torque_model
-
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
-        gravity = self.gravity or (declared.gravity_m_per_s2 if declared else GRAVITY)
+        gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
         inertial = unknown if self.inertial is None else self.inertial == "unknown"
-        return torque_model(arm, noise, gravity, inertial)
+        return torques.torque_model(arm, noise, gravity, inertial)
 
-    def room(self, arm: "Arm", filters: "Sequence[Filter]" = (), margin: float = 0.0) -> "MotionRoom":
+    def room(
+        self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
+    ) -> "motions.MotionRoom":
         """Where a motion may be.
 
         Raises:
@@ -167,15 +150,12 @@ class TorqueSetup:
         """
         import numpy as np
 
-        from lite6jax.design.motions import MotionRoom, motion_limits
-        from lite6jax.report.words import joint_units
-
         def scale(numbers: tuple[float, ...]):  # one in degrees, or one per joint in degrees and mm
-            scales, _ = joint_units(arm.sliding, arm.dof)
+            scales, _ = words.joint_units(arm.sliding, arm.dof)
             return np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
 
-        limits = motion_limits(arm, scale(self.velocity), scale(self.acceleration), margin)
-        return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
+        limits = motions.motion_limits(arm, scale(self.velocity), scale(self.acceleration), margin)
+        return motions.MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
 
     def refuse_unused(self) -> None:
         """Refuses options of torques where poses are studied.
@@ -212,39 +192,36 @@ class Identify:
     """Seed of the poses and of simulated readings."""
     refits: int = 0
     """Number of sets of simulated readings that are fitted to test the prediction."""
-    processes: Processes = None
+    processes: command.Processes = None
     """Processes of this machine that fit them, each with one thread; none but this one where not given."""
-    scheduler: Scheduler = None
+    scheduler: command.Scheduler = None
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm of a recording; from the sidecar where not given."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
-    force: Force = False
-    json: Json = False
-    assume_degrees: AssumeDegrees = False
-    assume_millimetres: AssumeMillimetres = False
+    force: command.Force = False
+    json: command.Json = False
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
-        from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.recordings import Recording, recording_file
-
-        check_seed(self.seed)
-        check_processes(self.processes, self.scheduler)
+        command.check_seed(self.seed)
+        command.check_processes(self.processes, self.scheduler)
         if not self.refits and (self.processes is not None or self.scheduler is not None):
             raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
-        names = [f"{stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
-        check_figures(self.figures, names, self.force)
+        names = [f"{command.stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
+        command.check_figures(self.figures, names, self.force)
         nominal = recording = None
-        if recording_file(self.source) is not None:
-            nominal = load_nominal(self.arm)
-            recording = read_source(
+        if recordings.recording_file(self.source) is not None:
+            nominal = sources.load_nominal(self.arm)
+            recording = sources.read_source(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
-            assert isinstance(recording, Recording)  # by its suffix
+            assert isinstance(recording, recordings.Recording)  # by its suffix
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None
@@ -253,11 +230,9 @@ class Identify:
         self.torque.refuse_unused()
         return self._identify_poses(recording, nominal, names)
 
-    def _identify_poses(self, recording: "Recording | None", nominal: "Arm | None", names: list[str]) -> int:
-        from lite6jax.design.identify import identify, identify_recording
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.report import study
-
+    def _identify_poses(
+        self, recording: "recordings.Recording | None", nominal: "arms.Arm | None", names: list[str]
+    ) -> int:
         refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
         if recording is None:
             if self.poses < 1:
@@ -267,25 +242,20 @@ class Identify:
         if recording is None or recording.position is None:
             q = None if recording is None else recording.joint_position
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
-            found = identify(experiment, q, poses=self.poses, **refits)
+            found = identify.identify(experiment, q, poses=self.poses, **refits)
         else:
             if replace(self.setup, effect=()) != Setup():
                 raise InputError(
                     f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a set-up"
                     " but --effect"
                 )
-            effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
-            found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
-        written = save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
+            effects = [serialization.parse_effect(text, neutral=True)[0] for text in self.setup.effect]
+            found = identify.identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
+        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         report = study.identification_report(found, self.source, drawn=recording is None)
-        return present(self.json, found, report, written)
+        return command.present(self.json, found, report, written)
 
-    def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
-        from lite6jax.design.motions import random_motions, read_motion
-        from lite6jax.design.torques import identify_torques
-        from lite6jax.report import study
-        from lite6jax.report.words import torque_units
-
+    def _identify_torques(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> int:
         poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
         if poses or self.figures is not None:
             raise InputError(
@@ -295,31 +265,29 @@ class Identify:
         arm, notes = self._read_arm(recording, nominal), []
         if recording is None:
             room = self.torque.room(arm)
-            trajectory = room.trajectory(random_motions(room, self.seed, 1)[0])
+            trajectory = room.trajectory(motions.random_motions(room, self.seed, 1)[0])
             model, motion = self.torque.model(arm), trajectory.motion
             phrase = f"a random motion of {room.duration:g} s inside the limits, {len(trajectory.time)} samples"
         else:
-            motion, assumed = read_motion(recording)
+            motion, assumed = motions.read_motion(recording)
             model = self.torque.model(arm, recording.settings)
             phrase, notes = f"{recording.samples} samples of a recording", [*recording.notes, *assumed]
             if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:
-                each = dict.fromkeys(zip(model.noise.tolist(), torque_units(arm.sliding, arm.dof), strict=True))
+                each = dict.fromkeys(zip(model.noise.tolist(), words.torque_units(arm.sliding, arm.dof), strict=True))
                 said = " and ".join(f"{noise:g} {unit}" for noise, unit in each)
                 are = "are" if len(each) > 1 else "is"
                 notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
-        found = identify_torques(model, motion, notes=tuple(notes))
+        found = torques.identify_torques(model, motion, notes=tuple(notes))
         report = study.torque_identification_report(found, self.source, phrase)
-        return present(self.json, lambda documents: found.to_dict(), report)
+        return command.present(self.json, found.to_dict, report)
 
-    def _read_arm(self, recording: "Recording | None", nominal: "Arm | None") -> "Arm":
+    def _read_arm(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> "arms.Arm":
         """The arm itself, or that of a recording."""
-        from lite6jax.arms.files import read_arm
-
         if nominal is not None or recording is None:
-            return nominal or read_arm(self.source)
+            return nominal or arm_files.read_arm(self.source)
         if recording.settings.arm is None:
             raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-        return read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        return arm_files.read_arm(recording.settings.arm_reference(Path(recording.source).parent))
 
 
 @final
@@ -344,30 +312,28 @@ class Sensitivity:
     """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
     arms: int = 1024
     """Number of arms for Sobol's indices, a power of 2."""
-    seed: Seed = 0
-    figures: Folder = None
+    seed: command.Seed = 0
+    figures: command.Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
-    json: Json = False
-    force: Force = False
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.design.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import study
-
-        check_seed(self.seed)
+        command.check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
-        names = [f"{stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
-        check_figures(self.figures, names, self.force)
-        arm = read_arm(self.source)
+        names = [f"{command.stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
+        command.check_figures(self.figures, names, self.force)
+        arm = arm_files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
-        found = sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
+        found = sensitivity.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
         over_arms = None
         if self.global_indices:
-            over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
-        written = save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
+            over_arms = sensitivity.global_sensitivity(
+                arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed
+            )
+        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         report = study.sensitivity_report(found, over_arms, self.source)
-        return present(self.json, lambda documents: documents.of_sensitivity(found, over_arms), report, written)
+        return command.present(self.json, lambda: documents.of_sensitivity(found, over_arms), report, written)
