@@ -108,7 +108,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
         (folder / file.name).write_bytes(file.read_bytes())
     (folder / "broken.csv").write_text("q1_rad\n")
     monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
-    monkeypatch.setattr("lite6jax.cli.diagnose.check_processes", lambda processes, scheduler: None)
+    monkeypatch.setattr("lite6jax.cli.command.check_processes", lambda processes, scheduler: None)
     options = ["--out", str(results), "--quick", "--processes", "0"]
 
     def stopped(*arguments):
