@@ -14,10 +14,8 @@ from lite6jax.errors import InputError
 
 with import_lazily():
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import bundled
-    from lite6jax.arms import files as arm_files
-    from lite6jax.diagnosis import document as diagnosis_file
-    from lite6jax.diagnosis import export
+    from lite6jax.arms import bundled, files
+    from lite6jax.diagnosis import document, export
     from lite6jax.effects import listing
     from lite6jax.fitting import source as sources
     from lite6jax.report import listings, screen
@@ -66,13 +64,13 @@ class Convert:
         """Converts and reads back."""
         into = self.into.partition("#")[0] if self.into else None
         command.check_outputs([self.target], [self.source, self.arm, into, self.effects], self.force)
-        source = arm_files.name_chain(self.source, self.base, self.tip)
+        source = files.name_chain(self.source, self.base, self.tip)
         nominal, arm, left_out = sources.load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             arm, left_out, nominal = self._read_diagnosis(source, nominal)
-        done = arm_files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
+        done = files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
             return command.present(True, done, (), [done.path])
         screen.written([done.path])
@@ -86,9 +84,9 @@ class Convert:
         if not export.is_diagnosis(source):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None
-        nominal = nominal or sources.load_nominal(find_nominal(diagnosis_file.parsed_document(source), Path(source)))
+        nominal = nominal or sources.load_nominal(find_nominal(document.parsed_document(source), Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
-        if arm.inertia is None and alone and (self.to or arm_files.form_of(self.target, False)) == "mjcf":
+        if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
             raise InputError(
                 f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
                 f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
@@ -142,7 +140,7 @@ class Arms:
     def run(self) -> int:
         """Prints."""
         if self.arm is not None:
-            arm = arm_files.read_arm(self.arm)
+            arm = files.read_arm(self.arm)
             found = listings.arm_entry(arm).to_dict() | {"joint_list": listings.joint_entries(arm)}
             report = listings.arm_report(arm)
         else:

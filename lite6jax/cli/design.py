@@ -15,11 +15,11 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import files as arm_files
+    from lite6jax.arms import files
     from lite6jax.design import candidates, clearance, motions, poses, torques
     from lite6jax.effects import serialization
-    from lite6jax.effects.dynamic import catalogue as torque_catalogue
-    from lite6jax.fitting import source as sources
+    from lite6jax.effects.dynamic import catalogue
+    from lite6jax.fitting import source
     from lite6jax.report import figures, study
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Design:
         name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
         command.check_figures(self.figures, [name], self.force)
         design = self._design_motion if of_motion else self._design_poses
-        found, recording, report = design(arm_files.read_arm(self.source))
+        found, recording, report = design(files.read_arm(self.source))
         written = [recordings.write_recording(recording, self.out, self.force), sidecar]
 
         def draw():
@@ -141,7 +141,7 @@ class Design:
         experiment = self.setup.experiment(arm)
         recorded = None
         if self.recorded is not None:
-            recorded = sources.read_source(self.recorded, arm)
+            recorded = source.read_source(self.recorded, arm)
             if not isinstance(recorded, recordings.Recording):
                 raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
             recorded = recorded.joint_position
@@ -180,8 +180,8 @@ class Design:
             model = self.torque.model(arm, unknown=False)
             one, other = self.discriminate
             rivals = [
-                serialization.parse_effect(one, torque_catalogue.BUILT_IN, False, arm.sliding),
-                serialization.parse_effect(other, torque_catalogue.BUILT_IN, True, arm.sliding),
+                serialization.parse_effect(one, catalogue.BUILT_IN, False, arm.sliding),
+                serialization.parse_effect(other, catalogue.BUILT_IN, True, arm.sliding),
             ]
             found = torques.plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
             report = study.torque_discrimination_report(found, disabled, self.source)

@@ -35,7 +35,7 @@ with import_lazily():
     )
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
-    from lite6jax.fitting import source as sources
+    from lite6jax.fitting import source
     from lite6jax.folders import diagnoses
     from lite6jax.populations import files as population_files
     from lite6jax.populations import options, reduction
@@ -160,8 +160,8 @@ class Diagnose:
             the recording, what of it is diagnosed, and the search, which takes `progress`.
         """
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        arm = sources.load_nominal(self.arm)
-        recording = sources.load_recording(self.source, arm, **assumed)
+        arm = source.load_nominal(self.arm)
+        recording = source.load_recording(self.source, arm, **assumed)
         effects = command.load_own_effects(self.effects)
         kinematic, dynamic = user_effects.by_domain(effects)
         domain: Domain = "poses"
@@ -170,8 +170,8 @@ class Diagnose:
         elif both and recording.has_torques and recording.position is not None and not self.poses:
             domain = "both"
         if domain != "torques":
-            arm = arm or sources.arm_of(recording)
-        other = sources.load_recording(self.reference, arm, **assumed) if self.reference else None
+            arm = arm or source.arm_of(recording)
+        other = source.load_recording(self.reference, arm, **assumed) if self.reference else None
         given: dict[str, Any] = {"options": diagnosis_options.QUICK if self.quick else None}
         if domain == "torques":
             given |= {"effects": dynamic}

@@ -16,7 +16,7 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax import emulator, simulation
     from lite6jax.arms import factory as factories
-    from lite6jax.arms import files as arm_files
+    from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.effects.dynamic import catalogue as torque_catalogue
     from lite6jax.effects.dynamic import torque_effect
@@ -152,12 +152,12 @@ class Emulate:
         torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
         parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
         physics = composition.Physics(tuple(effect for effect, _ in parsed))
-        nominal = None if self.arm is None else arm_files.read_arm(self.arm)
+        nominal = None if self.arm is None else files.read_arm(self.arm)
         if self.factory:
             factory = factories.read_factory(self.factory[index], nominal)
             arm, kinematics = factory.arm, factory.kinematics
         else:
-            arm = nominal or arm_files.read_arm("lite6")
+            arm = nominal or files.read_arm("lite6")
             kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
         values = physics.join([values for _, values in parsed])

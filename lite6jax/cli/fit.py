@@ -14,7 +14,7 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import factory as factories
+    from lite6jax.arms import factory
     from lite6jax.controller import calibration as controller_calibration
     from lite6jax.controller import exchange
     from lite6jax.controller import verification as verifying
@@ -127,7 +127,7 @@ class Fit:
         if isinstance(source, recordings.Recording):
             kinds.append("error_distribution")
         elif self.save_calibration:  # at once: no failure below costs what was read
-            written.append(factories.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
+            written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
         verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
         names = [f"{stem}_{kind}" for kind in (*kinds, *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
@@ -166,7 +166,7 @@ class Fit:
             return command.NOT_REACHED
         return command.BAD_FIT if found.quality.verdict == "bad" else command.DONE
 
-    def _read(self, nominal: "arms.Arm | None") -> "factories.FactoryCalibration | recordings.Recording":
+    def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
         if self.source is None:
             return controller_calibration.read_calibration(exchange.parse_address(str(self.ip)), nominal).calibration
         return sources.read_source(
@@ -196,7 +196,7 @@ class Compare:
         """Reads, compares, draws, prints."""
         nominal, names = sources.load_nominal(self.arm), ("compare_parameters", "compare_distances")
         command.check_figures(self.figures, names, self.force)
-        found = comparing.compare([factories.read_factory(path, nominal) for path in self.files])
+        found = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
 
         def draw():
             return figures.parameter_differences(found), figures.distance_between(found)

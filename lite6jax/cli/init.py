@@ -103,7 +103,6 @@ class Init:
 
     def run(self) -> int:
         """Looks, asks, writes, prints."""
-
         settings = command.parse_pairs("--set", self.set, as_yaml=True)
         given = command.parse_pairs("--column", self.column)
         sidecar_settings.declared_settings(None, None, settings)
@@ -178,7 +177,6 @@ class Init:
 
 def _check(found: "pose_inspection.Inspection", table: "raw.RawTable", path: "Path", notes: list[str]) -> None:
     """Refuses what the other commands would refuse, before anything is written."""
-
     q = found.of("q")
     if q is not None and q.unit.reason in ("percent", "ticks"):
         raise InputError(f"{path}: {inspection.no_angles(q)}")
@@ -220,7 +218,6 @@ def _ask_arm(found: "pose_inspection.Inspection") -> str | None:
 
 def _leave_out_jaw(arm: str, found: "pose_inspection.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
-
     q = found.of("q")
     if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.block.columns[-1]):
         return None
@@ -339,7 +336,6 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
 
 def _read_columns(source: str, arm: "arms.Arm | None", only_with_reflectors: bool = False) -> "tuple[Path, Columns]":
     """The numbers of a table by name; none where only points are of interest and its names tell of none."""
-
     path, topics = tables.split_topics(source)
     if only_with_reflectors and path.suffix.lower() not in tables.TABLES:
         return path, {}
@@ -374,6 +370,5 @@ def _assign_roles(
 
 def _name_table(path: Path, other: str, overwrite: bool) -> Path:
     """The name of the table beside the first file, where nothing is yet."""
-
     suffix = path.suffix.lower() if path.suffix.lower() in tables.TABLES else ".csv"
     return check_writable(path.with_name(f"{path.stem}_{other}{suffix}"), overwrite)

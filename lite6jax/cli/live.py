@@ -19,8 +19,7 @@ from lite6jax.interruption import list_signals
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.arms import factory as factories
-    from lite6jax.arms import files as arm_files
+    from lite6jax.arms import factory, files
     from lite6jax.controller import calibration, computed_poses, exchange, recorded, recorder, station
     from lite6jax.report import live, screen
 
@@ -58,10 +57,10 @@ class Read:
         command.check_outputs([self.out], [self.arm], self.force)
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
-        arm, written = None if self.arm is None else arm_files.read_arm(self.arm), []
+        arm, written = None if self.arm is None else files.read_arm(self.arm), []
         read = calibration.read_calibration(exchange.parse_address(self.ip), arm, self.timeout)
         if self.out:
-            written.append(factories.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
+            written.append(factory.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
         return command.present(self.json, read, live.calibration_report(read), written)
 
 
@@ -97,7 +96,7 @@ class Record:
         if self.seconds is not None and not 0 < self.seconds < float("inf"):
             raise InputError(f"--seconds {self.seconds:g}: give more than zero")
         address = exchange.parse_address(self.ip)
-        arm = arm_files.read_arm(self.arm or "lite6")
+        arm = files.read_arm(self.arm or "lite6")
         limits = arm.joint_limits
         poses = recordings.read_recording(self.poses, arm=arm, joint_limits=limits) if self.poses else None
         with _stop_on_interrupt() as stop:

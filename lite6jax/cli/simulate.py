@@ -16,7 +16,7 @@ with import_lazily():
     from lite6jax import recordings, simulation
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory as factories
-    from lite6jax.arms import files as arm_files
+    from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.report import screen, words
 
@@ -146,7 +146,7 @@ class Simulate:
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
         written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]
         command.check_outputs(written, [self.source, self.factory, self.effects], self.force)
-        arm, (physics, values) = arm_files.read_arm(self.source), self._physics()
+        arm, (physics, values) = files.read_arm(self.source), self._physics()
         declared, kinematics = self._geometry(arm)
         motion = simulation.draw_motion(
             arm,

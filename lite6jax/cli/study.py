@@ -14,11 +14,11 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import files as arm_files
+    from lite6jax.arms import files
     from lite6jax.design import candidates, identify, information, motions, sensitivity, torques
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
-    from lite6jax.fitting import source as sources
+    from lite6jax.fitting import source
     from lite6jax.report import documents, study, words
 
 if TYPE_CHECKING:
@@ -217,8 +217,8 @@ class Identify:
         command.check_figures(self.figures, names, self.force)
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:
-            nominal = sources.load_nominal(self.arm)
-            recording = sources.read_source(
+            nominal = source.load_nominal(self.arm)
+            recording = source.read_source(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             assert isinstance(recording, recordings.Recording)  # by its suffix
@@ -284,10 +284,10 @@ class Identify:
     def _read_arm(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> "arms.Arm":
         """The arm itself, or that of a recording."""
         if nominal is not None or recording is None:
-            return nominal or arm_files.read_arm(self.source)
+            return nominal or files.read_arm(self.source)
         if recording.settings.arm is None:
             raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-        return arm_files.read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        return files.read_arm(recording.settings.arm_reference(Path(recording.source).parent))
 
 
 @final
@@ -326,7 +326,7 @@ class Sensitivity:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
         names = [f"{command.stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
         command.check_figures(self.figures, names, self.force)
-        arm = arm_files.read_arm(self.source)
+        arm = files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
         found = sensitivity.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
         over_arms = None
