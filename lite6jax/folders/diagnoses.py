@@ -3,20 +3,18 @@
 from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 
 from lite6jax import storage
+from lite6jax.deferred import import_lazily
 from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
 from lite6jax.errors import InputError
 from lite6jax.folders.place import DIED, Place, list_recordings, sha256_of
 
-if TYPE_CHECKING:  # imported where recordings are pooled
-    from lite6jax.populations.candidate import Candidate
-    from lite6jax.populations.files import Heading
-    from lite6jax.populations.options import PoolingOptions
-    from lite6jax.populations.population import Population
+with import_lazily():  # where recordings are pooled
+    from lite6jax.populations import candidate, evidence, files, functions, options, population
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
@@ -194,18 +192,18 @@ def _make_folder(out: Path, place: Place) -> Path:
 def pool_folder(
     folder: str,
     out: Path,
-    options: "PoolingOptions",
+    thresholds: "options.PoolingOptions",
     over: Literal["date"] | None = None,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,
-) -> "Population":
+) -> "population.Population":
     """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type, or of one over time.
 
     Args:
         folder: of the recordings, as it was given: what messages name.
         out: the folder of results, with the table and the reduced recordings.
-        options: thresholds.
+        thresholds: of the tests.
         over: "date" where the recordings are of one arm, whose effects may drift with the dates of their sidecars.
         scheduler, processes: as `run_batches`.
         progress: called with the number of effects at each round of the search.
@@ -216,14 +214,9 @@ def pool_folder(
     import numpy as np
     import pyarrow.parquet as pq
 
-    from lite6jax.populations.evidence import Reduced
-    from lite6jax.populations.files import read_heading
-    from lite6jax.populations.functions import in_common
-    from lite6jax.populations.population import Member, diagnose_population
-
     rows = pq.read_table(out / TABLE).to_pylist()
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
-    headings = {file: read_heading(path) for file, path in places.items()}
+    headings = {file: files.read_heading(path) for file, path in places.items()}
     if not headings:
         reason = next((row["message"] for row in rows if row["message"]), "no reason is known")
         raise InputError(f"{folder}: none of its recordings could be diagnosed: {reason}")
@@ -233,9 +226,10 @@ def pool_folder(
     for row in rows:
         heading = headings.get(row["file"])
         if heading is None or row["result"] != DIAGNOSED:
-            members.append(Member(row["file"], {}, (), row["message"] or "was not diagnosed"))
+            about, found, unused = {}, (), row["message"] or "was not diagnosed"
         else:
-            members.append(Member(row["file"], heading.about, heading.found, _reason_unused(heading, arm, over)))
+            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm, over)
+        members.append(population.Member(row["file"], about, found, unused))
     used = [i for i, member in enumerate(members) if not member.unused]
     if len(used) < _FEWEST:
         reason = next((f" ({member.unused})" for member in members if member.unused), "")
@@ -251,15 +245,15 @@ def pool_folder(
                 f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
                 f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
             )
-    files = [members[i].file for i in used]
-    candidates: dict[str, Candidate] = {}
-    for file in files:
-        for candidate in (*headings[file].candidates, *headings[file].families):
-            candidates.setdefault(candidate.key, candidate)
-    functions = in_common(function for file in files for function in headings[file].functions)
+    pooled = [members[i].file for i in used]
+    candidates: dict[str, candidate.Candidate] = {}
+    for heading in (headings[file] for file in pooled):
+        for each in (*heading.candidates, *heading.families):
+            candidates.setdefault(each.key, each)
+    shared = functions.in_common(function for file in pooled for function in headings[file].functions)
     with Workers(scheduler, processes, len(used)) as workers:
-        reduced = Reduced([places[file] for file in files], options, workers, functions)
-        return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
+        reduced = evidence.Reduced([places[file] for file in pooled], thresholds, workers, shared)
+        return population.diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
@@ -275,12 +269,12 @@ def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
         storage.check_writable(out / POOLED, overwrite)
 
 
-def _kind(heading: "Heading") -> tuple[str, int, str]:
+def _kind(heading: "files.Heading") -> tuple[str, int, str]:
     """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
-def _reason_unused(heading: "Heading", arm: tuple[str, int, str], over: str | None) -> str:
+def _reason_unused(heading: "files.Heading", arm: tuple[str, int, str], over: str | None) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
     own = heading.about
     if _kind(heading)[:2] != arm[:2]:

@@ -15,12 +15,18 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
+from lite6jax.deferred import import_lazily
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
 from lite6jax.fitting.start import SAMPLES
 from lite6jax.folders.fleet import Row, Statistics
 from lite6jax.folders.place import attempt, kind_of
 from lite6jax.model import ModelForm
+
+with import_lazily():  # a folder of calibrations does not wait for what recordings take
+    from lite6jax import recordings
+    from lite6jax.domains.pose import fit as pose_fit
+    from lite6jax.fitting import source
 
 Array = NDArray[np.floating]
 T = TypeVar("T")
@@ -132,14 +138,9 @@ def _fit_calibrations(alike: Mapping[Path, FactoryCalibration]) -> Iterator[tupl
 
 
 def _fit_recording(path: Path, nominal: Arm | None) -> Row:
-    # a folder of calibrations does not import what recordings take
-    from lite6jax.domains.pose.fit import fit_recording
-    from lite6jax.fitting.source import read_source
-    from lite6jax.recordings import Recording
-
-    recording = read_source(path, nominal)
-    assert isinstance(recording, Recording)
-    found = fit_recording(recording, nominal)
+    recording = source.read_source(path, nominal)
+    assert isinstance(recording, recordings.Recording)
+    found = pose_fit.fit_recording(recording, nominal)
     errors = map(Statistics.of, (found.errors, found.checked, found.nominal_errors))
     faults = f"; data faults: {', '.join(fault.code for fault in found.faults)}" if found.faults else ""
     row = Row(path.name, "recording", found.result, faults, samples=recording.samples, steps=found.steps)

@@ -12,7 +12,12 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, final
 
 from lite6jax import storage
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.recordings import sidecar
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")
@@ -200,14 +205,14 @@ def list_recordings(place: Place) -> list[str]:
     Raises:
         InputError: there are none, or as `Place.names`.
     """
-    from lite6jax.recordings import recording_file
-
     kinds = (*RECORDINGS, *LOGS)
-    names = [
-        name
-        for name in place.names()
-        if (_suffix(name) in kinds if place.is_file(name) else recording_file(Path(place.root, name)) is not None)
-    ]
+
+    def is_recording(name: str) -> bool:
+        if place.is_file(name):
+            return _suffix(name) in kinds
+        return recordings.recording_file(Path(place.root, name)) is not None
+
+    names = list(filter(is_recording, place.names()))
     # rows of a recording that is not complete yet, or was ended, stand in a file of the same stem
     names = [name for name in names if _suffix(name) != ".arrows" or f"{Path(name).stem}.parquet" not in names]
     if not names:
@@ -237,11 +242,9 @@ def _sidecar_files(path: Path) -> list[Path]:
     """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
     if kind_of(path) == "calibration":
         return []
-    from lite6jax.recordings.sidecar import list_sidecar_files
-
     found = []
     with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
-        for _, file in list_sidecar_files(path):
+        for _, file in sidecar.list_sidecar_files(path):
             found.append(file)
     return found
 
