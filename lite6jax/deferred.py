@@ -95,7 +95,11 @@ class _LazyModule(ModuleType):
             module, loader = cast(Any, self), self.__loader__
             if isinstance(loader, _LazyLoader) and not lazily:
                 module.__spec__.loader = module.__loader__ = loader.loader
-                loader.loader.exec_module(self)
+                try:
+                    loader.loader.exec_module(self)
+                except BaseException:  # of its own imports: the next use says it again
+                    module.__spec__.loader = module.__loader__ = loader
+                    raise
                 module.__class__ = ModuleType
         if name not in self.__dict__:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")

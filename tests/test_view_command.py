@@ -19,7 +19,7 @@ from report.torque_diagnosed import recorded as torques_recorded
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.cli.inputs import list_inputs
+from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording

@@ -9,7 +9,6 @@ from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
 from lite6jax.cli.fit import Fit
-from lite6jax.cli.inputs import list_inputs
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.storage import exists, write_atomically
@@ -71,7 +70,7 @@ class Demo:
         screen.show(demo.beginning(run, POSES))
         with fold_processes.fold_processes(None), screen.stages() as follow:
             found = diagnose.diagnose(run, options=diagnosis_options.QUICK, progress=follow)
-        document = {**statements.with_statements(found.to_dict()), "inputs": list_inputs(run)}
+        document = {**statements.with_statements(found.to_dict()), "inputs": command.list_inputs(run)}
         diagnosis_file.write_document(document, diagnosis, self.force)
         write_atomically(page, pages.page_text(found, document, ranking.Files(run, diagnosis)), self.force)
         screen.show(demo.diagnosed(document, run, diagnosis, page))

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
-from lite6jax.cli.inputs import list_inputs
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.folders.place import Place, attempt, list_recordings, sha256_of, url_of
@@ -188,7 +187,7 @@ class Diagnose:
     def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
         document = found.to_dict() if domain == "both" else found.document()
-        document |= {"inputs": list_inputs(self.source, self.arm, self.reference, self.effects)}
+        document |= {"inputs": command.list_inputs(self.source, self.arm, self.reference, self.effects)}
         if domain != "both" and found.against is not None:
             document["against"] = found.against.to_dict()
         return statements.with_statements(document)

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, final
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
-from lite6jax.cli.inputs import find_recording, refuse_damage, require_recording
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.storage import exists, write_atomically
@@ -86,11 +85,11 @@ class Report:
         check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
         check(document, self.diagnosis)
         diagnosis_file.check_sum(document, self.diagnosis)
-        with refuse_damage(self.diagnosis):
+        with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
             else:
-                said, recording = statements.with_statements(document), find_recording(document, self.diagnosis)
+                said, recording = statements.with_statements(document), command.find_recording(document, self.diagnosis)
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
@@ -149,13 +148,13 @@ class View:
         document, effects = diagnosis_file.parsed_document(self.diagnosis), command.load_own_effects(self.effects)
         if self.torques or diagnosis_file.is_of_torques(document):
             motors = diagnosis_file.read_torque_model(self.diagnosis, effects)
-            file = self.recording or require_recording(document, self.diagnosis)
-            with refuse_damage(self.diagnosis):
+            file = self.recording or command.require_recording(document, self.diagnosis)
+            with command.refuse_damage(self.diagnosis):
                 recording = recordings.read_recording(file, arm=motors.arm)
                 return viewer.torque_scene(diagnosis_file.torques_of(document) or {}, motors, recording), file
         arm = diagnosis_file.read_model(self.diagnosis, effects)
-        file = self.recording or require_recording(document, self.diagnosis)
-        with refuse_damage(self.diagnosis):
+        file = self.recording or command.require_recording(document, self.diagnosis)
+        with command.refuse_damage(self.diagnosis):
             return viewer.pose_scene(document, arm, pose_files.read_motion(file, arm)), file
 
 

@@ -24,7 +24,6 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 from lite6jax.cli.arms import Arms, Convert, Effects
 from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.demo import Demo
-from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose
 from lite6jax.cli.diagnosis import Compensate, Predict, Report, View
 from lite6jax.cli.emulate import Emulate
@@ -32,7 +31,7 @@ from lite6jax.cli.fit import Check, Compare, Fit, Fleet
 from lite6jax.cli.init import Init
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
-from lite6jax.cli.study import Identify, Sensitivity
+from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
 

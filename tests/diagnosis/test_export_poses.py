@@ -10,7 +10,7 @@ from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
 from lite6jax.arms.files import read_arm, write_arm, write_urdf
-from lite6jax.cli.inputs import list_inputs
+from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_chain
 from lite6jax.domains.pose.predict import predict
