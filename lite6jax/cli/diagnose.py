@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place, attempt, list_recordings, sha256_of, url_of
+from lite6jax.folders.place import Place, attempt, hash_files, list_recordings, restore_url
 from lite6jax.storage import write_atomically
 
 with import_lazily():
@@ -241,7 +241,7 @@ class Diagnose:
         alike = {"source": Path(), "out": None, "force": True}
         alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
         files = [Path(file.partition("#")[0]) for file in (self.arm, self.effects and str(self.effects)) if file]
-        asked, also_read = replace(self, **alike), sha256_of(files)
+        asked, also_read = replace(self, **alike), hash_files(files)
         if self.fleet:
             return self._diagnose_fleet(self.out, asked, also_read)
         run = self._diagnose_each(self.out, asked, also_read)
@@ -318,8 +318,8 @@ def _name_figures(domain: Domain) -> list[str]:
 
 def _is_folder(source: Path) -> bool:
     """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
-    if url_of(source) is not None or not os.path.isdir(source):
-        return url_of(source) is not None
+    if restore_url(source) is not None or not os.path.isdir(source):
+        return restore_url(source) is not None
     return recordings.recording_file(source) is None
 
 
@@ -337,7 +337,7 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
             found, said = attempt(folder / name, replace(asked, source=folder / name).diagnose)
             said = place.show(said, folder)
         if found is None:
-            rows.append(diagnoses.refusal(name, said))
+            rows.append(diagnoses.make_refusal(name, said))
         else:
-            rows.append(diagnoses.row_of(name, json.loads(found[0]), *found, said))
+            rows.append(diagnoses.make_row(name, json.loads(found[0]), *found, said))
     return batches.concatenate(rows)

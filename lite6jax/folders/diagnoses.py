@@ -11,7 +11,7 @@ from lite6jax import storage
 from lite6jax.deferred import import_lazily
 from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.place import DIED, Place, list_recordings, sha256_of
+from lite6jax.folders.place import DIED, Place, hash_files, list_recordings
 
 with import_lazily():  # where recordings are pooled
     from lite6jax.populations import candidate, evidence, files, functions, options, population
@@ -69,7 +69,7 @@ def diagnose_folder(
     Args:
         folder: a path, or a URL.
         out: a folder for the documents and the table, made where it is not there.
-        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `row_of` or `refusal` each.
+        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `make_row` or `make_refusal` each.
         given: to it.
         also_read: the checksums of files that all diagnoses depend on.
         scheduler, processes: as `run_batches`.
@@ -100,14 +100,14 @@ def diagnose_folder(
             if (content := row.get(_CONTENT[what])) is not None:
                 path = (out / documents[inputs[0]]).with_suffix(suffix)
                 storage.write_atomically(path, content, overwrite=True)
-                row |= {what: path.name, f"{what}_sha256": sha256_of([path]).hex()}
+                row |= {what: path.name, f"{what}_sha256": hash_files([path]).hex()}
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
 
     def files_intact(rows: pa.Table) -> bool:
         (row,) = rows.to_pylist()
         return all(
-            row.get(what) is None or sha256_of([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
+            row.get(what) is None or hash_files([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
         )
 
     return run_batches(
@@ -116,7 +116,7 @@ def diagnose_folder(
         (place, *given),
         out=table,
         content=lambda inputs: place.content(inputs) + also_read,
-        died=lambda name: refusal(name, f"{name}: {DIED}"),
+        died=lambda name: make_refusal(name, f"{name}: {DIED}"),
         store=write_files,
         is_intact=files_intact,
         scheduler=scheduler,
@@ -126,7 +126,7 @@ def diagnose_folder(
     )
 
 
-def row_of(
+def make_row(
     name: str, document: Mapping[str, Any], text: str, reduced: bytes | None = None, message: str = ""
 ) -> pa.Table:
     """The row of a recording and its document.
@@ -162,7 +162,7 @@ def row_of(
     return _table(row, contents)
 
 
-def refusal(name: str, message: str) -> pa.Table:
+def make_refusal(name: str, message: str) -> pa.Table:
     """The row of a recording that was not diagnosed, and why."""
     return _table({"file": name, "result": UNREADABLE, "message": message}, {"document": None})
 

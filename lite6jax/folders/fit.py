@@ -20,7 +20,7 @@ from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
 from lite6jax.fitting.start import SAMPLES
 from lite6jax.folders.fleet import Row, Statistics
-from lite6jax.folders.place import attempt, kind_of
+from lite6jax.folders.place import attempt, guess_kind
 from lite6jax.model import ModelForm
 
 with import_lazily():  # a folder of calibrations does not wait for what recordings take
@@ -59,14 +59,14 @@ def fit_files(
         """What comes of the work; None where nothing does, and the row says why."""
         done, said = attempt(path, work)
         if done is None:
-            rows[path] = Row(path.name, kind_of(path), Result.UNREADABLE, as_shown(said))
+            rows[path] = Row(path.name, guess_kind(path), Result.UNREADABLE, as_shown(said))
         elif said:
             remarks[path].append(said)
         return done
 
     read: dict[Path, _Content] = {}
     for path in files:
-        if kind_of(path) == "recording":
+        if guess_kind(path) == "recording":
             if (row := try_work(path, partial(_fit_recording, path, nominal))) is not None:
                 rows[path] = row
         elif isinstance(content := try_work(path, partial(_read, path)), str):

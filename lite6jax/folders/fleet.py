@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lite6jax.distribution.batches import Run, run_batches
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.place import DIED, Place, divide, kind_of, list_fleet
+from lite6jax.folders.place import DIED, Place, divide, guess_kind, list_fleet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -109,7 +109,7 @@ def fit_folder(
         (place, nominal),
         out=out,
         content=place.content,
-        died=lambda name: tabulate_rows([Row(name, kind_of(name), Result.UNREADABLE, f"{name}: {DIED}")]),
+        died=lambda name: tabulate_rows([Row(name, guess_kind(name), Result.UNREADABLE, f"{name}: {DIED}")]),
         scheduler=scheduler,
         processes=processes,
         progress=lambda done: progress(done, len(names)),

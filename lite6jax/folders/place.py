@@ -32,12 +32,12 @@ _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 T = TypeVar("T")
 
 
-def kind_of(name: str | Path) -> Literal["calibration", "recording"]:
+def guess_kind(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
     return "calibration" if _suffix(name) in CALIBRATIONS else "recording"
 
 
-def url_of(path: str | Path) -> str | None:
+def restore_url(path: str | Path) -> str | None:
     """The URL that a path was given as; None where it names a file or folder of this machine."""
     match = _URL.fullmatch(str(path))
     if match is None:
@@ -46,7 +46,7 @@ def url_of(path: str | Path) -> str | None:
     return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
 
 
-def sha256_of(paths: Iterable[str | Path]) -> bytes:
+def hash_files(paths: Iterable[str | Path]) -> bytes:
     """The SHA-256 of each file, one after the other; of one that cannot be read, as many zeros."""
     found = []
     for path in paths:
@@ -98,7 +98,7 @@ class Place:
         Raises:
             InputError: there is no such folder here; what is behind a URL is looked at when it is listed.
         """
-        url = url_of(folder)
+        url = restore_url(folder)
         if url is not None:
             return cls(url.rstrip("/"), url.rstrip("/"), True)
         if not os.path.isdir(folder):
@@ -142,7 +142,7 @@ class Place:
         for name in names:
             path = Path(self.root, name)
             files = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
-            found += [os.fsencode(name), b"\0", sha256_of([*files, *_sidecar_files(path)])]
+            found += [os.fsencode(name), b"\0", hash_files([*files, *_sidecar_files(path)])]
         return b"".join(found)
 
     @contextmanager
@@ -191,7 +191,7 @@ def list_fleet(place: Place, out: Path) -> list[str]:
         if not _holds_rows(out):
             raise InputError(f"{out}: is one of the files to be fitted and would be replaced; choose another name")
         names.remove(out.name)
-    recordings = {os.path.splitext(name)[0] for name in names if kind_of(name) == "recording"}
+    recordings = {os.path.splitext(name)[0] for name in names if guess_kind(name) == "recording"}
     names = [name for name in names if _suffix(name) != ".yaml" or os.path.splitext(name)[0] not in recordings]
     if not names:
         accepted = ", ".join(CALIBRATIONS + RECORDINGS)
@@ -223,7 +223,7 @@ def list_recordings(place: Place) -> list[str]:
 def divide(names: Sequence[str]) -> list[list[str]]:
     """The files in their order: calibrations that follow each other `BATCH` by `BATCH`, recordings one by one."""
     batches: list[list[str]] = []
-    for kind, group in groupby(names, kind_of):
+    for kind, group in groupby(names, guess_kind):
         files = list(group)
         size = BATCH if kind == "calibration" else 1
         batches += [files[first : first + size] for first in range(0, len(files), size)]
@@ -235,12 +235,12 @@ def _suffix(name: str | Path) -> str:
 
 
 def _add_sidecar(name: str) -> list[str]:
-    return [name] if kind_of(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+    return [name] if guess_kind(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
 
 
 def _sidecar_files(path: Path) -> list[Path]:
     """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
-    if kind_of(path) == "calibration":
+    if guess_kind(path) == "calibration":
         return []
     found = []
     with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
