@@ -43,6 +43,10 @@ _PAIRS = (
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
 _KINDS = np.log(3.0)
+Considered = frozenset[tuple[str, str, tuple[str, ...]]]
+"""Processes by site, component and phrases of their quantities."""
+_CONSIDERED = 40
+"""Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
 _REFINED_NUMBERS = 3
@@ -97,10 +101,16 @@ class Ranked:
 
 @final
 class Scan:
-    """What is tried in one problem; the features of its quantities are computed once."""
+    """What is tried in one problem; the features of its quantities are computed once.
 
-    def __init__(self, problem: Problem, options: EngineOptions) -> None:
-        self.problem, self.options = problem, options
+    Attributes:
+        considered: the processes that were among the likeliest of a scan, by site, component and phrases.
+    """
+
+    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+        """Tries all processes, or those `among` which it is to choose."""
+        self.problem, self.options, self._among = problem, options, among
+        self.considered = set[tuple[str, str, tuple[str, ...]]]()
         self.quantities = list(problem.quantities)
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
@@ -198,16 +208,31 @@ class Scan:
     def ranked(self, test: ScoreTest, pairs: bool = True) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first."""
         weighed = _Weighed(self, test)
+        if self._among is not None:
+            few = [self.alike(test, *one) for one in self._processes]
+            found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
+            return sorted(found, key=lambda one: -one.net)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
         found += singles
         if pairs:
             found += weighed.pairs(singles)
         found.sort(key=lambda one: -one.net)
+        self.considered |= {one.key for one in [one for one in found if one.process][:_CONSIDERED]}
         if test.fit.noise.white:
             return found
         exact = [weighed.exact(one) for one in found[:_EXACT]]
         return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
+
+    @cached_property
+    def _processes(self) -> list[tuple[Component, tuple[int, ...]]]:
+        components = {(one.site, one.name): one for one in self.problem.components}
+        place = {one.driver.phrase: k for k, one in enumerate(self.quantities)}
+        return [
+            (components[site, name], tuple(place[phrase] for phrase in phrases))
+            for site, name, phrases in sorted(self._among or ())
+            if (site, name) in components and all(phrase in place for phrase in phrases)
+        ]
 
     def named(self, test: ScoreTest) -> list[Ranked]:
         """Names and waves alone."""

@@ -16,15 +16,15 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import Ranked, Scan
+from lite6jax.search.scan import Considered, Ranked, Scan
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
 
 
 class Selector:
     """A problem with all that is tried in it."""
 
-    def __init__(self, problem: Problem, options: EngineOptions) -> None:
-        self.problem, self.options, self.scan = problem, options, Scan(problem, options)
+    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+        self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
         self._known: dict[tuple[int, int], list[Ranked]] = {}
 
