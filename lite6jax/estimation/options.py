@@ -150,9 +150,10 @@ class EngineOptions:
     )
     exchanges: int = option(4, "most exchanges of terms", "two suffice mostly")
     names_for_process: int = option(3, "most names that take the place of a process", "as many orders as gears have")
+    estimates: int = option(4, "most estimates of tried numbers beside the others", "each comes closer")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
     # forward selection
-    most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
+    most_terms: int = option(40, "most terms of a model", "six for each joint of a usual arm")
     refitted: int = option(4, "candidates that are refitted before one is added", "score and refit rank nearly alike")
     refitted_share: float = option(0.8, "share of the best gain from which a candidate is refitted", "as above")
     doubtful: int = option(3, "additions in a row that are not significant yet", "masked effects come in small groups")

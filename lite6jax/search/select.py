@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Mask, Problem, acts_on
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Considered, Ranked, Scan
@@ -56,28 +55,47 @@ class Selector:
         tried = set[object]()
         while len(state.tested) < self.options.most_terms:
             test = score_test(self.problem, state.fit, self.options)
-            worth = [
-                one for one in self._ranked(test, state) if one.net >= self.options.margin and one.key not in tried
-            ]
+            # what nearly every arm has is there before anything rare is asked for
+            for found in (self.scan.usual, self.scan.ranked):
+                worth = [one for one in self._possible(found(test), state) if one.net >= self.options.margin]
+                worth = self._apart([one for one in worth if one.key not in tried], state)
+                if worth:
+                    break
             if not worth:
                 break
-            tried.add(worth[0].key)
-            more = self._estimated(self._with(state, worth[0]))
+            tried |= {one.key for one in worth}
+            more = self._estimated(self._with(state, *worth))
             more = self._dropped(self._within_bounds(more))
             if not more.fit.noise.white:
                 more = replace(more, fit=self.in_own_noise(more.fit))
             state = more
         return state
 
-    def _ranked(self, test: ScoreTest, state: State) -> list[Ranked]:
+    @staticmethod
+    def _possible(ranked: list[Ranked], state: State) -> list[Ranked]:
         refused = {term.label for term in state.refused}
-        return [one for one in self.scan.ranked(test) if one.place or one.cause[0] not in refused]
+        return [one for one in ranked if one.process or one.cause[0] not in refused]
 
-    def _with(self, state: State, ranked: Ranked) -> State:
-        term = ranked.make()
-        kept = [one for one in state.tested if one.term not in term.includes]
-        new = SelectedTerm(term, ranked.gain, ranked.cost, ranked.volume)
-        return refitted(self.problem, state, [*kept, new], self.options)
+    def _apart(self, ranked: list[Ranked], state: State) -> list[Ranked]:
+        """Those that act on no row on which a likelier one acts."""
+        taken, found = np.zeros(self.problem.rows, bool), list[Ranked]()
+        for one in ranked:
+            if taken.all():
+                break
+            rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
+            if not (rows & taken).any():
+                found.append(one)
+                taken |= rows
+        return found
+
+    def _rows(self, term: Term, state: State) -> Mask:
+        return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
+
+    def _with(self, state: State, *ranked: Ranked) -> State:
+        new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
+        included = {term for one in new for term in one.term.includes}
+        kept = [one for one in state.tested if one.term not in included]
+        return refitted(self.problem, state, [*kept, *new], self.options)
 
     # -------------------------------------------------------------- each term beside the others
 
@@ -86,27 +104,26 @@ class Selector:
         return score_test(self.problem, without(state.fit, k), self.options, within=state.fit)
 
     def _estimated(self, state: State) -> State:
-        """Each term weighed beside the others, the amplitude and the kernel of each process anew."""
-        tested, changed = list(state.tested), False
-        for k, one in enumerate(tested):
-            if one.term in self._preset:
-                continue
-            found = self._weighed(self.beside(state, k), one)
-            if found.term != one.term:
-                changed = True
-            tested[k] = found
-        if not changed:
-            return replace(state, tested=tuple(tested))
-        return refitted(self.problem, state, tested, self.options)
+        """Each term weighed beside the others: amplitude and kernel of each process, the tried number of each name.
+
+        Residuals are winsorised where a number is far off, so that the next one may be so as well.
+        """
+        for _ in range(self.options.estimates):
+            tested = [
+                one if one.term in self._preset else self._weighed(self.beside(state, k), one)
+                for k, one in enumerate(state.tested)
+            ]
+            before, terms = [one.term for one in state.tested], [one.term for one in tested]
+            if terms == before:
+                return replace(state, tested=tuple(tested))
+            state = refitted(self.problem, state, tested, self.options)
+            if all(one.nonparametric for one, other in zip(terms, before, strict=True) if one != other):
+                break
+        return state
 
     def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
-        if not term.nonparametric:
-            columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
-            (evidence,) = Marginal(test).of_names([columns])
-            return replace(one, gain=float(evidence.gain), volume=float(evidence.volume))
-        component, which = self._process_of(term)
-        best = self.scan.alike(test, component, which)
+        best = self.scan.alike(test, *self._process_of(term)) if term.nonparametric else self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
         return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
@@ -190,7 +207,8 @@ class Selector:
         """What may stand in the place of the k-th term, that itself among it, the likeliest first."""
         key = id(state.fit), k
         if key not in self._known:
-            self._known[key] = self._ranked(self.beside(state, k), state)
+            rows = self._rows(state.tested[k].term, state)
+            self._known[key] = self._possible(self.scan.ranked(self.beside(state, k), rows=rows), state)
         return self._known[key]
 
     def with_alternatives(self, state: State) -> State:
@@ -219,8 +237,8 @@ class Selector:
         if ranked.site != term.site:
             return False
         if term.nonparametric:
-            return bool(ranked.place) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
-        return not ranked.place and ranked.make() == term
+            return bool(ranked.process) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
+        return not ranked.process and ranked.make() == term
 
     # -------------------------------------------------------------- noise
 
