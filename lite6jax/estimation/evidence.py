@@ -80,7 +80,7 @@ class Marginal:
         """The sum of squares that is left in each group of rows, and its degrees of freedom, with the declared noise."""
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
-        products = self.test.left * self.test.residual
+        products = self.test.left**2  # in sum that times the residual, which of a group alone may be negative
         by_row = np.sum(products[:measured].reshape(problem.rows, problem.samples), 1)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
@@ -90,9 +90,10 @@ class Marginal:
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
     def _of_groups(self, rows: Array) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool."""
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool; of all that nuisance couples."""
         squares, freedom = self._by_group
-        groups = np.unique(self.test.problem.groups[rows])
+        coupled = len(self.test.problem.precision) > 0
+        groups = np.arange(len(squares)) if coupled else np.unique(self.test.problem.groups[rows])
         return float(squares[groups].sum()), float(freedom[groups].sum())
 
     def sums(self, column: Array) -> Sums:
