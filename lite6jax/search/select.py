@@ -30,15 +30,29 @@ class Selector:
     # -------------------------------------------------------------- the search
 
     def selected(self, state: State, thorough: bool) -> State:
-        """The likeliest set of terms, in the likeliest noise."""
-        white = self._grown(state, thorough)
-        own = self.in_own_noise(white.fit)
-        if own.noise.white:
-            return white
-        # noise that is autocorrelated explains residuals as terms do: either may be there first
-        after = self._grown(self._dropped(replace(white, fit=own)), thorough)
-        before = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
-        return max(before, after, key=lambda one: one.evidence)
+        """The likeliest set of terms, in the likeliest noise.
+
+        Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
+        many processes are significant that each describe a part of it. Then terms are tried in its place.
+        """
+        state = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
+        for _ in range(self.options.exchanges):
+            instead = None if state.fit.noise.white else self._instead_of_noise(state)
+            if instead is None or instead.evidence < state.evidence + self.options.better:
+                break
+            state = self._grown(instead, thorough)
+        return state
+
+    def _instead_of_noise(self, state: State) -> State | None:
+        """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
+        f = state.fit
+        white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
+        found = self._possible(self.scan.ranked(score_test(self.problem, white, self.options)), state)
+        worth = self._apart([one for one in found if one.net >= self.options.margin], state)
+        if not worth:
+            return None
+        more = self._within_bounds(self._estimated(self._with(replace(state, fit=white), *worth)))
+        return self._dropped(replace(more, fit=self.in_own_noise(more.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
         exchanged = 0
