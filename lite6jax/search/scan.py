@@ -243,6 +243,10 @@ class Scan:
         weighed = _Weighed(self, test)
         return [*weighed.named(), *weighed.waves()]
 
+    def has_numbers(self, term: Term) -> bool:
+        """Whether a name is one of several that differ in a number that is tried."""
+        return sum(one.label == term.label for one in self.names) > 1
+
     def like(self, test: ScoreTest, term: Term) -> Ranked | None:
         """A name with the likeliest of the numbers that are tried for it; None where it says nothing there."""
         return _Weighed(self, test).like(term)

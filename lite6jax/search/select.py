@@ -118,22 +118,27 @@ class Selector:
         return score_test(self.problem, without(state.fit, k), self.options, within=state.fit)
 
     def _estimated(self, state: State) -> State:
-        """Each term weighed beside the others: amplitude and kernel of each process, the tried number of each name.
+        """Amplitude and kernel of each process, and the tried number of each name, anew beside the others.
 
         Residuals are winsorised where a number is far off, so that the next one may be so as well.
         """
+        open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
         for _ in range(self.options.estimates):
-            tested = [
-                one if one.term in self._preset else self._weighed(self.beside(state, k), one)
-                for k, one in enumerate(state.tested)
-            ]
-            before, terms = [one.term for one in state.tested], [one.term for one in tested]
-            if terms == before:
+            tested = list(state.tested)
+            for k in open_:
+                tested[k] = self._weighed(self.beside(state, k), tested[k])
+            moved = [k for k in open_ if tested[k].term != state.tested[k].term]
+            if not moved:
                 return replace(state, tested=tuple(tested))
             state = refitted(self.problem, state, tested, self.options)
-            if all(one.nonparametric for one, other in zip(terms, before, strict=True) if one != other):
-                break
+            open_ = [k for k in moved if not tested[k].term.nonparametric]
         return state
+
+    def _is_open(self, term: Term) -> bool:
+        """Whether something of a term is chosen, so that it may be chosen anew."""
+        if term in self._preset or term.periodic:
+            return False
+        return term.nonparametric or term.chosen is not None or self.scan.has_numbers(term)
 
     def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
@@ -151,17 +156,26 @@ class Selector:
         return component, tuple(place[phrase] for phrase in phrases)
 
     def _dropped(self, state: State) -> State:
-        """Without the terms that are not worth their cost, the least of them first."""
+        """Without the terms that are not worth their cost, the least of those that act on any row first."""
         while True:
             tested = [
                 one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
                 for k, one in enumerate(state.tested)
             ]
-            nets = [np.inf if one.term in self._preset else one.net for one in tested]
-            if not nets or min(nets) >= self.options.margin:
-                return replace(state, tested=tuple(tested))
-            k = int(np.argmin(nets))
-            state = refitted(self.problem, state, [*tested[:k], *tested[k + 1 :]], self.options)
+            state = replace(state, tested=tuple(tested))
+            order = np.argsort([np.inf if one.term in self._preset else one.net for one in tested])
+            least, taken = set[int](), np.zeros(self.problem.rows, bool)
+            for k in order.tolist():
+                if tested[k].term in self._preset or tested[k].net >= self.options.margin or taken.all():
+                    break
+                rows = self._rows(tested[k].term, state)
+                if not (rows & taken).any():
+                    least.add(k)
+                taken |= rows
+            if not least:
+                return state
+            rest = [one for k, one in enumerate(tested) if k not in least]
+            state = refitted(self.problem, state, rest, self.options)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         found = self._weighed(test, one)
