@@ -2,8 +2,12 @@
 
 1. Add the term whose evidence most exceeds the cost of its choice, if by a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
-3. Drop the term that is least worth its cost, as long as one is not.
-4. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+3. Put names, one or several, in the place of a process where that is likelier.
+4. Drop the term that is least worth its cost, as long as one is not.
+5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+
+A site has one process: what that does not describe is not told apart from what else may act there. Nor is anything
+found elsewhere that explains less than noise would at the component of a process.
 """
 
 from dataclasses import replace
@@ -56,22 +60,36 @@ class Selector:
         tried = set[object]()
         while len(state.tested) < self.options.most_terms:
             test = score_test(self.problem, state.fit, self.options)
+            taken = {one.term.site for one in state.tested if one.term.nonparametric}
             worth = [
-                one for one in self._ranked(test, state) if one.net >= self.options.margin and one.key not in tried
+                one
+                for one in self._ranked(test, state)
+                if one.net >= self.options.margin and one.key not in tried and one.site not in taken
             ]
-            if not worth:
+            if not worth or worth[0].gain < self._unexplained(test, state):
                 break
             tried.add(worth[0].key)
             more = self._estimated(self._with(state, worth[0]))
+            if worth[0].process and (named := self._named(more, len(more.tested) - 1)) is not None:
+                more = named
             more = self._dropped(self._within_bounds(more))
             if not more.fit.noise.white:
                 more = replace(more, fit=self.in_own_noise(more.fit))
             state = more
         return state
 
+    def _unexplained(self, test: ScoreTest, state: State) -> float:
+        """What noise of its own at the component of a process would explain: whatever that process does not describe.
+
+        A further term that explains less may be a part of that.
+        """
+        marginal = Marginal(test)
+        there = [self._process_of(term)[0] for term in state.fit.terms.terms if term.nonparametric]
+        return max((float(marginal.of_noise(component.column).gain) for component in there), default=-np.inf)
+
     def _ranked(self, test: ScoreTest, state: State) -> list[Ranked]:
-        refused = {term.label for term in state.refused}
-        return [one for one in self.scan.ranked(test) if one.place or one.cause[0] not in refused]
+        refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
+        return [one for one in self.scan.ranked(test) if one.process or one.cause[0] not in refused]
 
     def _with(self, state: State, ranked: Ranked) -> State:
         term = ranked.make()
@@ -175,8 +193,10 @@ class Selector:
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
             test = score_test(self.problem, trial.fit, self.options, within=None)
-            best = max(self.scan.named(test), key=lambda one: one.net, default=None)
-            if best is None or best.net < self.options.margin or best.cause[0] in {t.label for t in trial.refused}:
+            known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
+            names = (one for one in self.scan.named(test) if one.cause[0] not in known)
+            best = max(names, key=lambda one: one.net, default=None)
+            if best is None or best.net < self.options.margin:
                 break
             more = self._within_bounds(self._with(trial, best))
             if len(more.tested) <= len(trial.tested):
