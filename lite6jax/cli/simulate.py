@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.effects.composition import Physics
     from lite6jax.recordings import RecordingSettings
-    from lite6jax.simulation import Instrument, Measured
+    from lite6jax.simulation import Instrument, Measurement
 
 Known = Literal["known", "unknown"]
 Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
@@ -197,7 +197,7 @@ class Simulate:
         import numpy as np
 
         from lite6jax.arms.factory import read_factory
-        from lite6jax.simulation import draw_calibration, perturbed
+        from lite6jax.simulation import draw_calibration, perturb
 
         if self.factory is not None and self.tolerance:
             raise InputError("--factory and --tolerance: both give the arm's geometry; keep one")
@@ -218,7 +218,7 @@ class Simulate:
         if self.factory_uncertainty is None:
             return declared, declared
         length, angle = self.factory_uncertainty
-        return declared, perturbed(declared, length / 1e3, math.radians(angle), self.seed)
+        return declared, perturb(declared, length / 1e3, math.radians(angle), self.seed)
 
     def _settings(self, calibration: Path) -> "RecordingSettings":
         from lite6jax.arms.bundled import bundled_arms
@@ -255,7 +255,7 @@ class Simulate:
         )
 
     def _page(
-        self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measured"
+        self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measurement"
     ) -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
         from rich.text import Text
