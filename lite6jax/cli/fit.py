@@ -156,7 +156,7 @@ class Fit:
     def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
         if self.source is None:
             from lite6jax.controller.calibration import read_calibration
-            from lite6jax.controller.exchange import parse_address
+            from lite6jax.controller.connection import parse_address
 
             return read_calibration(parse_address(str(self.ip)), nominal).calibration
         from lite6jax.fitting.source import read_source
@@ -166,7 +166,7 @@ class Fit:
         )
 
     def _verify(self, calibration: "FactoryCalibration") -> "Verification":
-        from lite6jax.controller.exchange import parse_address
+        from lite6jax.controller.connection import parse_address
         from lite6jax.controller.verification import verify
         from lite6jax.report import screen
 

@@ -57,7 +57,7 @@ class Read:
         from lite6jax.arms.factory import write_factory
         from lite6jax.arms.files import read_arm
         from lite6jax.controller.calibration import read_calibration
-        from lite6jax.controller.exchange import parse_address
+        from lite6jax.controller.connection import parse_address
 
         arm = None if self.arm is None else read_arm(self.arm)
         read = read_calibration(parse_address(self.ip), arm, self.timeout)
@@ -102,7 +102,8 @@ class Record:
 
     def run(self) -> int:
         """Records and prints the result."""
-        from lite6jax.controller.recorded import check_targets, factory_path
+        from lite6jax.controller.recorder import check_targets, record, record_poses
+        from lite6jax.controller.station import factory_path, read_station
 
         check_targets(self.out, self.force)
         outputs = [self.out, self.out.with_suffix(".yaml"), factory_path(self.out)]
@@ -112,10 +113,7 @@ class Record:
         if self.seconds is not None and not 0 < self.seconds < float("inf"):
             raise InputError(f"--seconds {self.seconds:g}: give more than zero")
         from lite6jax.arms.files import read_arm
-        from lite6jax.controller.computed_poses import record_poses
-        from lite6jax.controller.exchange import parse_address
-        from lite6jax.controller.recorder import record
-        from lite6jax.controller.station import read_station
+        from lite6jax.controller.connection import parse_address
         from lite6jax.recordings import read_recording
         from lite6jax.report import live, screen
 

@@ -1,12 +1,14 @@
-"""An emulated controller whose sockets run in a separate thread."""
+"""An emulated controller on the network: one arm, one clock, and sockets on an event loop in a separate thread."""
 
 import asyncio
 import errno
 import ipaddress
+import socket
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
-from types import TracebackType
+from contextlib import suppress
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -14,19 +16,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.core import STOPPED, Core
+from lite6jax.emulator.core import Client, Core
 from lite6jax.emulator.faults import Faults
 from lite6jax.emulator.paths import Path
-from lite6jax.emulator.registers import PLAUSIBLE
-from lite6jax.emulator.reports import report
-from lite6jax.emulator.sockets import Sockets
+from lite6jax.emulator.replies import PLAUSIBLE, answer, report
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 _T = TypeVar("_T")
+_Writer = asyncio.StreamWriter
+_Handler = Callable[[asyncio.StreamReader, _Writer], Awaitable[None]]
 
 CALL_S = 30.0
 """s, the time limit of a call between threads."""
+TICK_S = 1 / protocol.RATES[protocol.REALTIME]
+"""s, the real time between two rounds of sending, and the step of the emulated time."""
+MOST_AT_ONCE_S = 0.5
+"""s, the largest emulated time in one round."""
+CATCH_UP_S = 0.25
+"""s, the largest delay of a round that later rounds compensate."""
+FRAGMENT_PAUSE_S = 2e-4
+MOST_UNSENT = 1 << 26
+"""The number of bytes that may wait for the readers of reports together, each having an equal part, and half at most. A
+connection with more is closed: its reader does not read. A fast clock waits for it from an eighth of its part on."""
+GIVE_UP_S = 30.0
+"""s, the real time that a fast clock waits for readers before it closes their connections."""
+LOOK_EVERY_S = 0.1
+"""s, the real time between two looks at what waits in real time: where many do not read, a look takes longer than a
+tick."""
+KERNEL_BUFFER = 1 << 18
+"""The number of bytes that the operating system may hold for a connection, beside those counted here."""
 _PRIVILEGED = 1024
 
 
@@ -41,9 +60,7 @@ class Snapshot(NamedTuple):
         joints: `(joint,)` rad, measured.
         requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
-        unsent: the number of bytes that wait for clients to read them, of all connections, at the last look.
         given_up: the number of connections closed because their clients did not read.
-        lost: the number of reports of each port that these were not sent, in part or at all.
     """
 
     time: float
@@ -53,9 +70,7 @@ class Snapshot(NamedTuple):
     joints: Array
     requests: dict[int, int]
     connections: dict[int, int]
-    unsent: int
     given_up: int
-    lost: dict[int, int]
 
 
 class Controller:
@@ -68,8 +83,14 @@ class Controller:
     ```
 
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
-    an address of its own. The effects of the body appear only in the pose on port 30000; the module `reports` describes
-    each port. All methods may be called from any thread.
+    an address of its own. The effects of the body appear only in the pose on port 30000; the module `replies` describes
+    each port. All public methods may be called from any thread.
+
+    Attributes:
+        body: the arm.
+        address: on loopback.
+        control_port: the bound one, once it is open.
+        speed: of the controller's clock relative to real time.
     """
 
     def __init__(
@@ -84,7 +105,7 @@ class Controller:
         address: str = "127.0.0.1",
         control_port: int = protocol.CONTROL_PORT,
         report_ports: Iterable[int] = tuple(protocol.RATES),
-        speed: float | int = 1.0,
+        speed: float = 1.0,
     ) -> None:
         """Nothing is opened before `open` or the `with` statement.
 
@@ -104,40 +125,42 @@ class Controller:
             InputError: an address outside loopback, a speed that is not positive, or an invalid tool or payload.
         """
         try:
-            if not ipaddress.IPv4Address(address).is_loopback:
-                raise InputError(
-                    f"{address}: is not on loopback: an emulator must not be reachable from a network; choose 127.x.y.z"
-                )
+            loopback = ipaddress.IPv4Address(address).is_loopback
         except ValueError as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(f"{address!r}: is not an address; write it like 127.0.0.1") from error
+        if not loopback:
+            raise InputError(
+                f"{address}: is not on loopback: an emulator must not be reachable from a network; choose 127.x.y.z"
+            )
         if not 0 < speed < np.inf:
             raise InputError(f"speed {speed}: the clock runs forward; give a number above 0")
         if not 0 <= control_port <= 65535:
             raise InputError(f"control port {control_port}: is not a port; give 0 to 65535")
-        for name, values in (("tool", np.array(tool, float)), ("payload", np.array(payload, float))):
+        offset, load = np.array(tool, float), np.array(payload, float)
+        for name, values in (("tool", offset), ("payload", load)):
             if not (np.abs(values) < PLAUSIBLE).all():
                 shown = " ".join(f"{value:g}" for value in values)
                 raise InputError(f"{name} {shown}: is implausible for an arm; give mm, radians and kg")
+        self.body, self.address, self.control_port, self.speed = body, address, control_port, float(speed)
         position = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
-        self.body = body
-        self._core = Core(
-            body, faults, path.start if path else position,
-            np.array(tool, float), np.array(payload, float),
-        )  # fmt: skip
+        position = position if path is None else path.at(np.zeros(1))[0][0]
+        self._core = Core(body, faults, position, offset, load)
         if path is not None and not faults.error:
             self._core.follow(path)
-        self.address, self.speed = address, speed
-        self._sockets = Sockets(self._core, address, control_port, report_ports, float(speed))
+        self._report_ports = tuple(report_ports)
+        self._readers: dict[_Writer, int] = {}  # their ports
+        self._sent: dict[_Writer, int] = {}
+        self._clients: set[_Writer] = set()
+        self._tasks: set[asyncio.Future[None]] = set()
         self._thread: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
+        self._garbage = np.random.default_rng(0)
+        self._given_up = 0
+        self._held_since = self._looked = 0.0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
-    @property
-    def control_port(self) -> int:
-        """The bound control port."""
-        return self._sockets.control_port
+    # ------------------------------------------------------------------------------------------ from any thread
 
     def open(self) -> "Controller":
         """Starts the thread and listens.
@@ -149,7 +172,7 @@ class Controller:
 
         def serve() -> None:
             try:
-                asyncio.run(self._sockets.serve(lambda: listening.set_result(None)))
+                asyncio.run(self._serve(listening))
             except Exception as error:
                 if listening.done():
                     self._failure = error
@@ -165,85 +188,6 @@ class Controller:
             self._thread.join()
             raise InputError(self._refusal(error)) from error
         return self
-
-    def close(self) -> None:
-        """Closes all connections and ends the thread.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._thread is not None:
-            self._sockets.stop()
-            self._thread.join()
-        if self._failure is not None:
-            raise self._failure
-
-    def __enter__(self) -> "Controller":
-        return self.open()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def call(self, do: Callable[[Core], _T]) -> _T:
-        """The result of `do` for the controller's core, between two steps of its clock."""
-        loop = self._sockets.loop
-        if loop is None or self._thread is None or not self._thread.is_alive():
-            return do(self._core)
-        done: Future[_T] = Future()
-
-        def act() -> None:
-            try:
-                done.set_result(do(self._core))
-            except BaseException as error:
-                done.set_exception(error)
-
-        loop.call_soon_threadsafe(act)
-        return done.result(CALL_S)
-
-    def set_faults(self, faults: Faults) -> None:
-        """Replaces the faults."""
-
-        def change(core: Core) -> None:
-            core.faults, core.error, core.warning = faults, faults.error, faults.warning
-
-        self.call(change)
-
-    def fail(self, code: int) -> None:
-        """Raises a controller error, which stops the arm; 0 clears it."""
-
-        def change(core: Core) -> None:
-            core.error = code
-            core.halt(STOPPED)
-
-        self.call(change)
-
-    def close_connections(self) -> None:
-        """Closes all connections; new ones are accepted."""
-
-        self.call(lambda _: self._sockets.close_connections())
-
-    def snapshot(self) -> Snapshot:
-        """The present state.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._failure is not None:
-            raise self._failure
-
-        def seen(core: Core) -> Snapshot:
-            joints = core.measured(np.array([core.time]))[0][0]
-            readers = {port: len(writers) for port, writers in self._sockets.readers.items()}
-            connections = {protocol.CONTROL_PORT: len(self._sockets.clients)} | readers
-            sockets = self._sockets
-            return Snapshot(
-                core.time, core.state, core.mode, core.error, joints, dict(core.requests), connections,
-                sockets.unsent, sockets.given_up, dict(sockets.lost),
-            )  # fmt: skip
-
-        return self.call(seen)
 
     def _refusal(self, error: OSError) -> str:
         where = f"{self.address}:{self.control_port}"
@@ -263,3 +207,236 @@ class Controller:
                 f"{self.address}); choose that or add it"
             )
         return f"{where}: {error.strerror or error}; choose another address or --control-port"
+
+    def close(self) -> None:
+        """Closes all connections and ends the thread.
+
+        Raises:
+            Exception: the one that ended the thread.
+        """
+        if self._thread is not None:
+            if self._loop is not None:
+                with suppress(RuntimeError):  # the loop has already ended
+                    self._loop.call_soon_threadsafe(self._stopped.set)
+            self._thread.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def __enter__(self) -> "Controller":
+        return self.open()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def call(self, do: Callable[[Core], _T]) -> _T:
+        """The result of `do` for the controller's core, between two steps of its clock."""
+        if self._loop is None or self._thread is None or not self._thread.is_alive():
+            return do(self._core)
+        done: Future[_T] = Future()
+
+        def act() -> None:
+            try:
+                done.set_result(do(self._core))
+            except BaseException as error:
+                done.set_exception(error)
+
+        self._loop.call_soon_threadsafe(act)
+        return done.result(CALL_S)
+
+    def set_faults(self, faults: Faults) -> None:
+        """Replaces the faults; one with an error stops the arm."""
+        self.call(lambda core: core.set_faults(faults))
+
+    def close_connections(self) -> None:
+        """Closes all connections; new ones are accepted."""
+        self.call(lambda _: self._abort())
+
+    def snapshot(self) -> Snapshot:
+        """The present state.
+
+        Raises:
+            Exception: the one that ended the thread.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+        def look(core: Core) -> Snapshot:
+            ports = [*self._readers.values()]
+            connections = {port: ports.count(port) for port in self._report_ports}
+            return Snapshot(
+                core.time,
+                core.state,
+                core.mode,
+                core.error,
+                core.measured(np.array([core.time]))[0][0],
+                dict(core.requests),
+                {protocol.CONTROL_PORT: len(self._clients)} | connections,
+                self._given_up,
+            )
+
+        return self.call(look)
+
+    # ------------------------------------------------------------------------------------------ in the event loop
+
+    async def _serve(self, listening: "Future[None]") -> None:
+        """Listens, and serves until it is stopped.
+
+        Raises:
+            OSError: a port is unavailable.
+            Exception: an error while serving.
+        """
+        self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
+        servers: list[asyncio.Server] = []
+        try:
+            listeners = [(port, partial(self._listen, port)) for port in self._report_ports]
+            for port, handler in [(self.control_port, self._control), *listeners]:
+                servers.append(await asyncio.start_server(self._track(handler), self.address, port))
+            self.control_port = servers[0].sockets[0].getsockname()[1]
+            clock = asyncio.create_task(self._run_clock())
+            stopped = asyncio.create_task(self._stopped.wait())
+            self._tasks.add(clock)
+            listening.set_result(None)
+            await asyncio.wait({clock, stopped}, return_when=asyncio.FIRST_COMPLETED)
+            stopped.cancel()
+            if clock.done():
+                clock.result()  # raises its exception
+        finally:
+            for server in servers:
+                server.close()
+            self._abort()
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+            self._tasks.clear()
+            await asyncio.sleep(0)  # in which the connections are closed
+
+    def _abort(self) -> None:
+        for writer in (*self._clients, *self._readers):
+            writer.transport.abort()
+
+    def _track(self, handler: _Handler) -> Callable[[asyncio.StreamReader, _Writer], None]:
+        """The handler with its connections tracked as tasks, which closing cancels."""
+
+        async def guard(reader: asyncio.StreamReader, writer: _Writer) -> None:
+            try:
+                await handler(reader, writer)
+            except (ConnectionError, TimeoutError):
+                pass
+            except Exception as error:
+                self._failure = error
+
+        def accept(reader: asyncio.StreamReader, writer: _Writer) -> None:
+            task = asyncio.ensure_future(guard(reader, writer))
+            if (line := writer.get_extra_info("socket")) is not None:
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+            # not in the task, which does nothing at all where it is cancelled before its first step
+            task.add_done_callback(lambda _: writer.close())
+
+        return accept
+
+    async def _run_clock(self) -> None:
+        """At every tick, sends the due reports and advances the emulated time."""
+        loop, core = asyncio.get_running_loop(), self._core
+        tick = loop.time()
+        origin = tick - core.time / self.speed
+        while True:
+            tick = max(tick + TICK_S, loop.time())
+            await asyncio.sleep(tick - loop.time())
+            due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
+            if self._wait_for_readers(loop.time()):
+                due = core.time
+            # a longer delay slows the emulated clock, so that readers lose no reports
+            origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
+            due = float(np.floor(due / TICK_S + 1e-9) * TICK_S)
+            if due <= core.time:
+                continue
+            for port in set(() if core.faults.silent_reports else self._readers.values()):
+                rate = protocol.RATES[port]
+                first, last = (int(np.floor(time * rate + 1e-6)) for time in (core.time, due))
+                if last > first:
+                    index = np.arange(first + 1, last + 1)
+                    self._send(port, index, report(core, port, index / rate))
+            core.advance(due)
+
+    def _wait_for_readers(self, now: float) -> bool:
+        """Whether a fast clock must wait for readers; closes the connections of those that do not read."""
+        fast = self.speed > 1
+        if not fast and now - self._looked < LOOK_EVERY_S:
+            return False
+        self._looked = now
+        part = MOST_UNSENT / max(len(self._readers), 2) / (8 if fast else 1)
+        slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > part]
+        if not slow:
+            self._held_since = now
+        elif fast and now - self._held_since <= GIVE_UP_S:
+            return True
+        for writer in slow:
+            self._given_up += not writer.transport.is_closing()
+            writer.transport.abort()
+        return False
+
+    def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
+        """Sends reports to all readers of a port, except those omitted by faults."""
+        faults, size = self._core.faults, len(reports) // len(index)
+        if faults.lose_every and port == protocol.REALTIME:
+            kept = [k for k, i in enumerate(index) if i % faults.lose_every]
+            reports = b"".join(reports[k * size : (k + 1) * size] for k in kept)
+        for writer in [writer for writer, its in self._readers.items() if its == port]:
+            if writer.transport.is_closing():
+                continue
+            if (whole := faults.close_reports_after) is not None:
+                left = whole * size + size // 2 - self._sent[writer]
+                if len(reports) >= left:
+                    writer.write(reports[: max(left, 0)])
+                    writer.close()
+                    continue
+            self._sent[writer] += len(reports)
+            piece = max(faults.fragment, size // 8) if faults.fragment else max(len(reports), 1)
+            for first in range(0, len(reports), piece):
+                writer.write(reports[first : first + piece])
+
+    async def _listen(self, port: int, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        self._readers[writer], self._sent[writer] = port, 0
+        try:
+            while await reader.read(4096):
+                pass  # a report port ignores input
+        finally:
+            del self._readers[writer], self._sent[writer]
+
+    async def _control(self, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        received = bytearray()
+        client = Client(lambda frame: None if writer.is_closing() else writer.write(frame.encode()))
+        self._clients.add(writer)
+        try:
+            while chunk := await reader.read(65536):
+                received += chunk
+                for frame in protocol.take_frames(received):
+                    await self._reply(answer(self._core, frame, client), writer)
+        except protocol.MalformedError:
+            pass  # closes the connection
+        finally:
+            self._clients.remove(writer)
+
+    async def _reply(self, reply: protocol.Frame | None, writer: _Writer) -> None:
+        faults = self._core.faults
+        if reply is None:
+            return
+        if faults.latency:
+            await asyncio.sleep(faults.latency)
+        message = reply.encode()
+        if faults.garbage:
+            message = self._garbage.bytes(len(message))
+        cut = faults.close_after is not None and len(message) > faults.close_after
+        if cut:
+            message = message[: faults.close_after]
+        piece = faults.fragment or max(len(message), 1)
+        for first in range(0, len(message), piece):
+            writer.write(message[first : first + piece])
+            await writer.drain()
+            if faults.fragment:
+                await asyncio.sleep(FRAGMENT_PAUSE_S)
+        if cut:
+            writer.close()
+            raise ConnectionAbortedError

@@ -10,7 +10,7 @@ import numpy as np
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.controller.exchange import Address
+from lite6jax.controller.connection import Address
 from lite6jax.emulator import Body, Controller
 from tests.oracles.arms import perturbed
 

@@ -143,6 +143,6 @@ def test_ctrl_c_ends_it(tmp_path):
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20)
     (frame,) = protocol.take_frames(received)
-    np.testing.assert_array_equal(protocol.read_calibration(frame.payload).rows[:6], own)
+    np.testing.assert_array_equal(protocol.Calibration.decode(frame.body[1:]).rows[:6], own)
     assert (process.returncode, out) == (130, "")
     assert err == "interrupted: nothing is left half-written\n"

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Register
 from lite6jax.emulator.core import Client, Core
-from lite6jax.emulator.registers import answer
-from lite6jax.emulator.reports import report
+from lite6jax.emulator.replies import answer, report
 
 EXTREME = st.sampled_from([0.0, 1.0, -3.0, 1e30, -1e30, float("inf"), float("nan"), 1e-30])
 BODY = st.one_of(

