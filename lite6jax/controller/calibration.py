@@ -15,7 +15,7 @@ from lite6jax.controller.connection import Address, connect
 from lite6jax.controller.protocol import CALIBRATION_REPLY, HEADER, JOINTS, Calibration, Register, Status
 from lite6jax.errors import InputError
 
-REQUEST = protocol.request(Register.CALIBRATION)
+REQUEST = protocol.Frame(Register.CALIBRATION)
 """`00 01 00 02 00 01 08`, the only bytes sent."""
 _MODELS = {(6, 9): "lite6", (6, 12): "uf850"}
 """By the number of joints and the vendor's number of the model; all other pairs are xArms."""

@@ -89,22 +89,15 @@ class Reports:
     heard: float
 
 
-@dataclass(frozen=True)
-class Disconnection:
-    """The reason why a connection ended or failed; the port reconnects."""
-
-    reason: str
-
-
 class ReportPort:
     """Reads one report port in a separate thread, so that the controller never waits for a reader.
 
-    `events` contains `Reports` and `Disconnection` in order of arrival. Nothing is sent.
+    `events` contains, in order of arrival, `Reports` and the reason of each end of a connection. Nothing is sent.
     """
 
     def __init__(self, address: Address, port: int) -> None:
         self.address, self.port, self.place = address, port, f"{address.host}: port {port}"
-        self.events: queue.SimpleQueue[Reports | Disconnection] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[Reports | str] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._connections = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -117,9 +110,9 @@ class ReportPort:
         self._stop.set()
         self._thread.join(1.0)  # the thread may be connecting; as a daemon it need not end
 
-    def drain(self) -> list[Reports | Disconnection]:
+    def drain(self) -> list[Reports | str]:
         """The events that wait, with the reports of a connection merged, which is much faster to process."""
-        events: list[Reports | Disconnection] = []
+        events: list[Reports | str] = []
         while not self.events.empty():
             event, last = self.events.get(), events[-1] if events else None
             if isinstance(event, Reports) and isinstance(last, Reports) and event.connection == last.connection:
@@ -134,7 +127,7 @@ class ReportPort:
             reason = self._read_connection()
             if self._stop.is_set():
                 return
-            self.events.put(Disconnection(reason))
+            self.events.put(reason)
             self._stop.wait(max(0.0, started + RETRY_S - time.monotonic()))
 
     def _read_connection(self) -> str:

@@ -77,8 +77,6 @@ class Status(IntFlag):
     ERROR = 0x40
 
 
-# ------------------------------------------------------------------------------------------ frames of port 502
-
 HEADER = struct.Struct(">HHH")
 """u16 transaction, u16 protocol, u16 length from the register on."""
 
@@ -86,10 +84,10 @@ HEADER = struct.Struct(">HHH")
 class Frame(NamedTuple):
     """A message on port 502. `body` follows the register: parameters of a request, or status and payload of a reply."""
 
-    transaction: int
-    protocol: int
     register: int
-    body: bytes
+    body: bytes = b""
+    transaction: int = 1
+    protocol: int = PRIVATE
 
     def encode(self) -> bytes:
         """The bytes: header, u8 register, body."""
@@ -98,11 +96,6 @@ class Frame(NamedTuple):
     def reply(self, payload: bytes, status: int = Status.OK) -> "Frame":
         """The reply to this request."""
         return self._replace(body=bytes([status]) + payload)
-
-
-def request(register: int, parameters: bytes = b"", transaction: int = 1, protocol: int = PRIVATE) -> Frame:
-    """A request to a register, with the bytes of its parameters."""
-    return Frame(transaction, protocol, register, parameters)
 
 
 def take_frames(received: bytearray) -> Iterator[Frame]:
@@ -118,12 +111,9 @@ def take_frames(received: bytearray) -> Iterator[Frame]:
         end = HEADER.size + length
         if len(received) < end:
             return
-        frame = Frame(transaction, protocol, received[HEADER.size], bytes(received[HEADER.size + 1 : end]))
+        register, *body = received[HEADER.size : end]
         del received[:end]
-        yield frame
-
-
-# ------------------------------------------------------------------------------------------ numbers and poses
+        yield Frame(register, bytes(body), transaction, protocol)
 
 
 def encode_floats(values: ArrayLike) -> bytes:
@@ -167,9 +157,6 @@ def encode_axis_angle(transform: ArrayLike) -> Array:
 def read_pose(pose: ArrayLike) -> Array:
     """`(..., 4, 4)` in m of `(..., 6)` x y z roll pitch yaw in mm and rad."""
     return frames.transform_from_row(np.asarray(pose, float) / [MM, MM, MM, 1, 1, 1])
-
-
-# ------------------------------------------------------------------------------------------ contents of registers
 
 
 class Identity(NamedTuple):
@@ -249,8 +236,6 @@ def encode_feedback(command: Frame, kind: int, code: int, time_us: int, task: in
     return command._replace(register=Register.FEEDBACK, body=body)
 
 
-# ------------------------------------------------------------------------------------------ reports
-
 REALTIME, NORMAL, RICH, REAL = 30000, 30001, 30002, 30003
 RATES = {REALTIME: 250.0, NORMAL: 5.0, RICH: 5.0, REAL: 100.0}
 """Hz of each report port."""
@@ -329,12 +314,3 @@ def take_reports(received: bytearray) -> Iterator[bytes]:
         report = bytes(received[:length])
         del received[:length]
         yield report
-
-
-def read_report(port: int, report: bytes) -> np.void:
-    """The fields of a whole report, from `take_reports`, by name; `dtype.names` omits those beyond its length.
-
-    Raises:
-        MalformedError: too short.
-    """
-    return np.frombuffer(report, report_layout(port, len(report)))[0]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
-from lite6jax.controller.connection import Address, Disconnection, ReportPort, Reports
+from lite6jax.controller.connection import Address, ReportPort, Reports
 from lite6jax.controller.rows import SOURCES, Gaps, Rows
 from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
@@ -231,13 +231,12 @@ def _take_rows(
         for event in slow.drain():
             if isinstance(event, Reports):
                 with suppress(InputError):  # an incomplete report: the last condition remains valid
-                    report = protocol.read_report(slow.port, event.reports[-1])
-                    rows.condition = parse_condition(report, slow.place)
+                    rows.condition = parse_condition(event.reports[-1], slow.place)
         events = fast.drain()
         now = time.monotonic()
         for event in events:
-            if isinstance(event, Disconnection):
-                trouble = rows.lost = event.reason
+            if isinstance(event, str):
+                trouble = rows.lost = event
                 continue
             trouble, heard, first = "", event.heard, not rows.count
             if (columns := rows.take(event)) is not None:

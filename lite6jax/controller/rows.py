@@ -28,18 +28,16 @@ _IMPLAUSIBLE_RAD = 0.05
 """A convention with a larger error relative to the chain is rejected; assembly tolerances are smaller."""
 _CONVENTIONS = {"roll pitch yaw": partial(Rotation.from_euler, "xyz"), "a rotation vector": Rotation.from_rotvec}
 _FIELDS = {
-    "q{}_rad": "joint_position",
-    "dq{}_rad_per_s": "joint_velocity",
-    "tau{}_Nm": "torque",
-    "current{}_A": "current",
+    "joint_position": ("q{}_rad", "measured, encoders"),
+    "joint_velocity": ("dq{}_rad_per_s", "measured, encoders"),
+    "torque": ("tau{}_Nm", "estimated by the controller"),
+    "current": ("current{}_A", "measured"),
 }
+"""Of each field of a report with a number per joint, the columns and their source."""
 
 SOURCES: Mapping[str, str] = {
     "time_s": "controller's clock",
-    **{f"q{i}_rad": "measured, encoders" for i in range(1, 8)},
-    **{f"dq{i}_rad_per_s": "measured, encoders" for i in range(1, 8)},
-    **{f"tau{i}_Nm": "estimated by the controller" for i in range(1, 8)},
-    **{f"current{i}_A": "measured" for i in range(1, 8)},
+    **{pattern.format(i): source for pattern, source in _FIELDS.values() for i in range(1, 8)},
     **{f"temp{i}_degC": "measured, at 5 Hz" for i in range(1, 8)},
     "payload_kg": "as set",
     "run": "counts connections, and jumps of the clock",
@@ -242,7 +240,7 @@ class Rows:
         """The columns of new reports, in SI units."""
         count, joints = len(reports), range(self._dof)
         table: dict[str, NDArray] = {"time_s": time}
-        for pattern, name in _FIELDS.items():
+        for name, (pattern, _) in _FIELDS.items():
             values = reports[name].astype(float)
             table |= {pattern.format(i + 1): values[:, i] for i in joints}
         if self._conditioned and self.condition is not None:

@@ -28,15 +28,11 @@ TRIES = 5
 """The number of consecutive connections without a pose after which the requests end."""
 
 _CODES = {
-    -1: "the connection is lost",
-    3: "no answer within 2 s",
-    4: "an answer of the wrong length",
-    5: "an answer to another request",
-    6: "an answer in another protocol",
-    7: "an answer of another register",
-    8: "the connection is lost",
-    10: "the controller calls it invalid",
-}
+    -1: "the connection is lost", 3: "no answer within 2 s", 4: "an answer of the wrong length",
+    5: "an answer to another request", 6: "an answer in another protocol", 7: "an answer of another register",
+    8: "the connection is lost", 10: "the controller calls it invalid",
+}  # fmt: skip
+"""Of the SDK."""
 
 
 class SdkError(InputError):

@@ -72,17 +72,16 @@ def _is_offset(offset: Array) -> bool:
     return bool(np.abs(offset[:3]).max() > NO_OFFSET_MM or np.abs(offset[3:]).max() > NO_OFFSET_RAD)
 
 
-def parse_condition(report: np.void, place: str) -> Condition:
-    """The condition in a report of port 30002 or 30001, from `protocol.read_report`.
+def parse_condition(message: bytes, place: str) -> Condition:
+    """The condition in a whole report of port 30002.
 
     Raises:
         InputError: the report ends before the tool offset, or contains values that are not finite.
     """
-    names = report.dtype.names or ()
+    report = np.frombuffer(message, protocol.report_layout(protocol.RICH, len(message)))[0]
+    names = report.dtype.names
     if "gravity_direction" not in names:
-        raise InputError(
-            f"{place}: reports of {report.dtype.itemsize} bytes end before the tool offset; update the firmware"
-        )
+        raise InputError(f"{place}: reports of {len(message)} bytes end before the tool offset; update the firmware")
     for name in ("joint_position", "tool_offset", "payload", "world_offset"):
         if name in names and not np.isfinite(report[name]).all():
             raise InputError(
@@ -112,13 +111,11 @@ def read_condition(address: Address, seconds: float = 3.0) -> Condition:
         try:
             event = port.events.get(timeout=seconds)
         except queue.Empty:
-            reason = f"{port.place}: no report within {seconds:g} s"
-        else:
-            if isinstance(event, Reports):
-                return parse_condition(protocol.read_report(port.port, event.reports[-1]), port.place)
-            reason = event.reason  # a single reading does not reconnect
-    remedy = "" if ";" in reason else "; check that the controller has finished starting, and try again"
-    raise InputError(reason + remedy)
+            event = f"{port.place}: no report within {seconds:g} s"
+    if isinstance(event, Reports):
+        return parse_condition(event.reports[-1], port.place)
+    remedy = "" if ";" in event else "; check that the controller has finished starting, and try again"
+    raise InputError(event + remedy)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.faults import Faults, describe_faults, parse_faults
-from lite6jax.emulator.paths import draw_places, interpolate, read_path, visit
+from lite6jax.emulator.paths import interpolate, read_path, visit
 from lite6jax.emulator.server import Controller, Snapshot
 from lite6jax.simulation.motions import draw_sines
 
@@ -12,7 +12,6 @@ __all__ = [
     "Faults",
     "Snapshot",
     "describe_faults",
-    "draw_places",
     "draw_sines",
     "interpolate",
     "parse_faults",

@@ -22,8 +22,9 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
+from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
+from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 
@@ -32,7 +33,7 @@ Array = NDArray[np.floating]
 TYPES = {"lite6": 9, "xarm5": 5, "xarm6": 6, "xarm7": 7, "uf850": 12}
 """The vendor's numbers of the bundled models that have such a controller."""
 SPACING_S = 0.02
-"""s, the spacing of the samples around a block that a clock offset requires."""
+"""s, between the instants at which directions of motion are looked at, and between those of padding."""
 LONGEST_OFFSET_S = 1.0
 """s, the largest clock offset."""
 MOST_WARM_UP = 100.0
@@ -56,21 +57,11 @@ class Sample(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Tool and payload at the flange, from `Body.load`.
-
-    Attributes:
-        T_flange_tool: `(4, 4)` m.
-        payload: kg.
-        center: `(3,)` m, the payload's centre of mass in the last joint's frame.
-        model: the chain up to the tool.
-        inertia: the masses, or None if they are unknown.
-    """
+    """Tool `(4, 4)` m, payload in kg, and the payload's centre of mass `(3,)` m in the flange's frame."""
 
     T_flange_tool: Array
     payload: float
     center: Array
-    model: ArmModel
-    inertia: Inertia | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +145,6 @@ class Body:
                 return self.arm.dof
         return TYPES.get(name, self.arm.dof)
 
-    # ------------------------------------------------------------------------------------------ poses
-
     @cached_property
     def links(self) -> Array:
         """`(joint, 4, 4)` m of the calibrated chain, before each joint's rotation."""
@@ -198,21 +187,9 @@ class Body:
                 return q[np.argmin(np.abs(q - reference).max(axis=1))]
         return None
 
-    def load(self, T_flange_tool: Array, payload: float, center: Array) -> Load:
-        """Tool and payload at the flange with the quantities derived from them.
-
-        Args:
-            T_flange_tool: `(4, 4)` m.
-            payload: kg.
-            center: `(3,)` m, its centre of mass in the flange's frame.
-        """
-        T_flange = self.arm.T_joint_flange
-        payload_center = T_flange[:3, :3] @ center + T_flange[:3, 3]
-        inertia = None
-        if self.arm.mass is not None and self.arm.center_of_mass is not None:
-            inertia = inertia_of(self.arm.mass, self.arm.center_of_mass, payload_center)
-        arrays: Any = (self.kinematics.ravel(), np.eye(4), T_flange @ T_flange_tool)  # JAX converts them at the call
-        return Load(T_flange_tool, payload, payload_center, ArmModel(*arrays), inertia)
+    def _payload_center(self, load: Load) -> Array:
+        """`(3,)` m, the payload's centre of mass in the last joint's frame."""
+        return self.arm.T_joint_flange[:3, :3] @ load.center + self.arm.T_joint_flange[:3, 3]
 
     def temperature(self, time: Array) -> Array:
         """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""
@@ -221,28 +198,35 @@ class Body:
 
     @property
     def clock_offset(self) -> float:
-        """s, the sum of the clock offsets."""
-        offsets = (
-            self.values[part][0]
-            for effect, part in zip(self.physics.effects, self.physics.slices, strict=True)
-            if effect.name == "time_offset"
-        )
-        return float(sum(offsets))
+        """s by which poses belong to a later motion than they are stamped with: the sum of the clock offsets."""
+        return float(sum(values[0] for effect, values in self._pose_effects if effect.name == "time_offset"))
+
+    @cached_property
+    def _pose_effects(self) -> list[tuple[Effect, Array]]:
+        return [(e, self.values[part]) for e, part in zip(self.physics.effects, self.physics.slices, strict=True)]
 
     def true_poses(self, sample: Sample, load: Load) -> Array:
-        """`(sample, 4, 4)` the true poses of the tool, with all effects.
+        """`(sample, 4, 4)` the true poses of the tool, with all effects but clock offsets.
 
         Args:
-            sample: at most `BLOCK` instants. With a clock offset they include those of `clock_offset` before and after
-                the requested ones, which the caller removes.
+            sample: the joints; with clock offsets those at `clock_offset` after the instants.
             load: tool and payload.
         """
-        if not self.physics.effects:
+        present = [(effect, values) for effect, values in self._pose_effects if effect.name != "time_offset"]
+        if not present:
             return self.flange(sample.position) @ load.T_flange_tool
-        motion = self._motion(sample, load.payload, BLOCK)
-        form = SixParameterForm(self.arm.dof)
-        poses = predict_poses(form, self.physics, load.model, self.values, motion, load.inertia)
-        return np.asarray(poses)[: len(sample.time)]
+        physics = Physics(tuple(effect for effect, _ in present))
+        values, form = physics.join([values for _, values in present]), SixParameterForm(self.arm.dof)
+        # JAX converts NumPy arrays at the call
+        model: Any = (self.kinematics.ravel(), np.eye(4), self.arm.T_joint_flange @ load.T_flange_tool)
+        masses: Any = (self.arm.mass, self.arm.center_of_mass, self._payload_center(load), _GRAVITY)
+        inertia, poses = None if self.arm.mass is None else Inertia(*masses), []
+        for first in range(0, len(sample.time), BLOCK):
+            block = Sample(*(part[first : first + BLOCK] for part in sample))
+            motion = self._motion(block, load.payload, BLOCK)
+            found = predict_poses(form, physics, ArmModel(*model), values, motion, inertia)
+            poses.append(np.asarray(found)[: len(block.time)])
+        return np.concatenate(poses)
 
     def _motion(self, sample: Sample, payload: float, size: int = 0, acceleration: Array | None = None) -> Motion:
         """The samples, padded with the last one to `size`."""
@@ -256,31 +240,20 @@ class Body:
         time = np.concatenate([sample.time, sample.time[-1] + SPACING_S * np.arange(1, extra + 1)])
         run = np.stack([np.zeros(len(time), int), np.full(len(time), count - 1)])
         ddq = None if acceleration is None else acceleration.T
-        # JAX converts NumPy arrays at the call
         arrays: Any = (position, velocity, direction, time, run, rise.mean(0), np.full(len(time), payload), ddq, rise)
         return Motion(*arrays)
-
-    # ------------------------------------------------------------------------------------------ torques
 
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
         """The effects on torques, and those on poses of which the motors see the cause as well."""
-        shared = [
-            (_CAUSES_OF_BOTH[effect.name](), self.values[part])
-            for effect, part in zip(self.physics.effects, self.physics.slices, strict=True)
-            if effect.name in _CAUSES_OF_BOTH
-        ]
-        return [*self.torque_effects, *shared]
+        both = ((_CAUSES_OF_BOTH.get(effect.name), values) for effect, values in self._pose_effects)
+        return [*self.torque_effects, *((kind(), values) for kind, values in both if kind is not None)]
 
     @property
     def torque_offset(self) -> Array:
         """`(joint,)` s by which torques belong to a later motion than they are stamped with."""
-        late = (
-            effect.offset(values[0], self.arm.dof)
-            for effect, values in self._motor_effects
-            if isinstance(effect, Delaying)
-        )
-        return sum(late, np.zeros(self.arm.dof))
+        dof, zero = self.arm.dof, np.zeros(self.arm.dof)
+        return sum((e.offset(values[0], dof) for e, values in self._motor_effects if isinstance(e, Delaying)), zero)
 
     @cached_property
     def _inertial_numbers(self) -> Array:
@@ -309,7 +282,8 @@ class Body:
         q, dq, ddq = sample.position.T, sample.velocity.T, acceleration.T
         links = _LinkMotion.compute(self.links, q, dq, ddq, _GRAVITY)
         numbers = self._inertial_numbers.copy()
-        numbers[-1] += point_mass(load.payload, load.center)
+        center = self._payload_center(load)
+        numbers[-1] += point_mass(load.payload, center)
         total = links.torque(numbers)
         if self._motor_effects:
             still = np.zeros_like(q)
@@ -317,7 +291,7 @@ class Body:
                 motion=self._motion(sample, load.payload, acceleration=acceleration),
                 torque=total,
                 links=self._inertial_numbers,
-                payload_center=load.center,
+                payload_center=center,
                 of_inertia=links.torque,
                 of_gravity=lambda g: _LinkMotion.compute(self.links, q, still, still, g).torque(numbers),
                 gravity=_GRAVITY,
@@ -333,26 +307,14 @@ class Body:
         """`(sample, joint)` Nm at `(sample,)` s: the same at an instant, whoever reads it and how often."""
         if not self.torque_noise.any():
             return np.zeros((len(time), self.arm.dof))
-        instant = np.round(time * 1e6).astype(np.int64).astype(np.uint64)
-        joint = np.arange(self.arm.dof, dtype=np.uint64)
-        key = (instant[:, None] * np.uint64(len(joint)) + joint) * np.uint64(2)
-        radius, angle = (_hash_uniform(key + np.uint64(k)) for k in range(2))
-        # G. Box and M. Muller, Annals of Mathematical Statistics 29, 1958
-        return self.torque_noise * np.sqrt(-2 * np.log(radius)) * np.cos(2 * np.pi * angle)
+        streams = (np.random.Philox(key=int(instant)) for instant in np.round(time * 1e6))
+        return self.torque_noise * np.stack([np.random.Generator(it).standard_normal(self.arm.dof) for it in streams])
 
 
 def _weighted_twist(here: Array, goal: Array) -> Array:
     """`(..., 6)` from one frame to another: translation in m, then rotation vector in rad times `_REACH`."""
     turn = Rotation.from_matrix(goal[:3, :3] @ np.swapaxes(here[..., :3, :3], -1, -2)).as_rotvec()
     return np.concatenate([goal[:3, 3] - here[..., :3, 3], _REACH * turn], -1)
-
-
-def _hash_uniform(key: NDArray[np.uint64]) -> Array:
-    """From 0 (exclusive) to 1, by a hash: the finaliser of G. Steele et al., OOPSLA 2014 (SplitMix64)."""
-    z = key * np.uint64(0x9E3779B97F4A7C15)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
-    return ((z ^ (z >> np.uint64(31))) >> np.uint64(11)).astype(float) * 2.0**-53 + 2.0**-54
 
 
 class _LinkMotion(NamedTuple):

@@ -4,6 +4,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -11,13 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Frame, Status
-from lite6jax.emulator.body import BLOCK, SPACING_S, Body, Sample
+from lite6jax.emulator.body import SPACING_S, Body, Load, Sample
 from lite6jax.emulator.faults import Faults
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Path, Timeline, move, servo
 
 Array = NDArray[np.floating]
 
-MOVING, READY, PAUSED, STOPPED, RESET = 1, 2, 3, 4, 5
 POSITIONS, SERVO = 0, 1
 """The emulated modes in which joints move."""
 
@@ -31,6 +31,16 @@ BOOT_US: Final = 60_000_000
 MOST_COMMANDS: Final = 2048
 JOINT_LIMIT_ERROR: Final = 23
 """ControllerError 23 of the SDK: "Joints Angle Exceed Limit"."""
+
+
+class State(IntEnum):
+    """The state of the controller, as it is reported."""
+
+    MOVING = 1
+    READY = 2
+    PAUSED = 3
+    STOPPED = 4
+    RESET = 5
 
 
 class RefusedError(Exception):
@@ -85,7 +95,7 @@ class Core:
     payload: Array = field(default_factory=lambda: np.zeros(4))
     time: float = 0.0
     requests: Counter[int] = field(default_factory=Counter)
-    state: int = STOPPED
+    state: State = State.STOPPED
     mode: int = POSITIONS
     enabled: int = 0
     error: int = 0
@@ -103,19 +113,17 @@ class Core:
         """Replaces the faults; one with an error stops the arm."""
         self.faults, self.error, self.warning = faults, faults.error, faults.warning
         if self.error:
-            self.halt(STOPPED)
+            self.halt(State.STOPPED)
 
     def set_load(self, tool: Array, payload: Array) -> None:
         """Sets the tool offset `(6,)` in mm and rad, and the payload `(4,)` in kg and mm."""
         self.tool, self.payload = tool, payload
-        self.load = self.body.load(protocol.read_pose(tool), float(payload[0]), payload[1:] / protocol.MM)
-
-    # ---------------------------------------------------------------------------------------- time and motion
+        self.load = Load(protocol.read_pose(tool), float(payload[0]), payload[1:] / protocol.MM)
 
     def follow(self, path: Path) -> None:
         """Follows a path, which must start at the present position, until a command stops it."""
         self.enabled = self.every_motor
-        self.state, self.following = MOVING, True
+        self.state, self.following = State.MOVING, True
         self.timeline.then(path, self.time)
 
     def advance(self, time: float) -> None:
@@ -134,8 +142,8 @@ class Core:
             self._notify(queued, protocol.MOTION_ENDED, 0)
         if self.timeline.end <= time:
             self.following = False
-            if self.state == MOVING:
-                self.state = READY
+            if self.state == State.MOVING:
+                self.state = State.READY
 
     def _notify(self, queued: Move, kind: int, code: int) -> None:
         if queued.feedback & kind:
@@ -145,12 +153,12 @@ class Core:
         """µs, the controller's clock."""
         return BOOT_US + round(time * 1e6)
 
-    def pause(self, state: int = PAUSED) -> None:
+    def pause(self, state: State = State.PAUSED) -> None:
         """Stops, keeps the queue, and changes to `state`."""
         self.timeline.stop(self.time)
         self.following, self.state = False, state
 
-    def halt(self, state: int) -> None:
+    def halt(self, state: State) -> None:
         """Stops, discards the queue with feedback, and changes to `state`."""
         self.pause(state)
         while self.queue:
@@ -158,7 +166,7 @@ class Core:
 
     def resume(self) -> None:
         """Resumes the queue."""
-        self.state = READY
+        self.state = State.READY
         moves, self.queue = self.queue, deque()
         for queued in moves:
             self.enqueue(queued)
@@ -179,7 +187,7 @@ class Core:
         if not self._may_move(goal, POSITIONS):
             return
         if self.following:
-            self.halt(READY)
+            self.halt(State.READY)
         speed = min(speed, MAX_SPEED) if speed > 0 else math.radians(20)
         acceleration = min(acceleration, MAX_ACCELERATION) if acceleration > 0 else math.radians(500)
         self.enqueue(Move(request, client, client.feedback, goal, speed, acceleration))
@@ -193,7 +201,7 @@ class Core:
         if self._may_move(goal, SERVO):
             here = self.commanded(np.array([self.time]))[0][0]
             self.timeline.then(servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
-            self.state = MOVING
+            self.state = State.MOVING
 
     def _may_move(self, goal: Array, mode: int) -> bool:
         """Whether the arm can move to `goal`; if not, the status of the reply states the reason."""
@@ -203,7 +211,7 @@ class Core:
             raise RefusedError
         if self.beyond_limits(goal):
             self.error = JOINT_LIMIT_ERROR
-            self.halt(STOPPED)
+            self.halt(State.STOPPED)
             return False
         return True
 
@@ -221,15 +229,13 @@ class Core:
             path = move(here, queued.goal, queued.speed, queued.acceleration)
             self.timeline.then(path, queued.start)
             queued.end += path.duration
-            self.state = MOVING
+            self.state = State.MOVING
         self.queue.append(queued)
-
-    # ------------------------------------------------------------------------------------------ readings
 
     @property
     def can_move(self) -> bool:
         """Motors on, no error, not stopped."""
-        return self.state < STOPPED and self.enabled == self.every_motor and not self.error
+        return self.state < State.STOPPED and self.enabled == self.every_motor and not self.error
 
     @property
     def every_motor(self) -> int:
@@ -272,17 +278,9 @@ class Core:
 
     def true_poses(self, time: Array) -> Array:
         """`(sample, 4, 4)` the true tool poses with all effects, at the measured joints."""
-        around = math.ceil(abs(self.body.clock_offset) / SPACING_S) + 1 if self.body.clock_offset else 0
-        steps = SPACING_S * np.arange(1, around + 1)
-        poses, last, size = [], self.direction, BLOCK - 2 * around
-        for part in np.split(time, range(size, len(time), size)):
-            instants = np.concatenate([part[0] - steps[::-1], part, part[-1] + steps])
-            position, velocity = self.measured(instants)
-            direction = _directions(velocity, last)
-            last = direction[around + len(part) - 1]
-            found = self.body.true_poses(Sample(instants, position, velocity, direction), self.load)
-            poses.append(found[around : around + len(part)])
-        return np.concatenate(poses)
+        position, velocity = self.measured(time + self.body.clock_offset)
+        sample = Sample(time, position, velocity, _directions(velocity, self.direction))
+        return self.body.true_poses(sample, self.load)
 
     def torque(self, time: Array) -> Array:
         """`(sample, joint)` N·m, the motor torques as they are read at `(sample,)` s: with effects and noise."""

@@ -53,27 +53,14 @@ def _version(name: str, text: str) -> tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-def _fault(
-    default: Any,
-    name: str,
-    words: str,
-    value: str = "",
-    example: str = "",
-    parse: Callable[[str, str], Any] | None = None,
-) -> Any:
-    """A field of `Faults`.
+_Parse = Callable[[str, str], Any]
+"""The field of `Faults` by the fault's name and the text of its value."""
 
-    Args:
-        default: without the fault.
-        name: by which it is selected.
-        words: what it does.
-        value: the name of its value; empty for a fault that takes none.
-        example: the value where none is given.
-        parse: the field by the fault's name and the text of the value.
-    """
-    return field(
-        default=default, metadata={"name": name, "words": words, "value": value, "example": example, "parse": parse}
-    )
+
+def _fault(default: Any, name: str, words: str, value: str = "", example: str = "", parse: _Parse | None = None) -> Any:
+    """A field: its value without the fault; the fault's name, effect, name of the value, and value if none is given."""
+    kind = {"name": name, "words": words, "value": value, "example": example, "parse": parse}
+    return field(default=default, metadata=kind)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,26 +11,13 @@ from scipy.interpolate import CubicSpline, PPoly
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings import outside_limits, read_recording, recording_file
-from lite6jax.simulation.motions import draw_sines, joint_ranges
+from lite6jax.simulation.motions import Sines, draw_motion, draw_sines
 
 Array = NDArray[np.floating]
 
 MAX_SPEED = float(np.deg2rad(180.0))
 MAX_ACCELERATION = float(np.deg2rad(1146.0))
 """rad/s and rad/s², the limits of every joint of a Lite 6."""
-
-
-class Path(Protocol):
-    """A motion from time 0 on."""
-
-    @property
-    def duration(self) -> float:
-        """s, until standstill; infinite for an endless motion."""
-        ...
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """Positions and velocities `(sample, joint)` in rad and rad/s at `(sample,)` s."""
-        ...
 
 
 @final
@@ -47,10 +34,12 @@ class Polynomials:
     duration: float
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """The polynomials and their derivatives."""
-        t = np.maximum(time, 0.0)
-        return self.pieces(t), self.pieces(t, 1)
+        """Positions and velocities `(sample, joint)` in rad and rad/s at `(sample,)` s from 0 on."""
+        return self.pieces(time), self.pieces(time, 1)
 
+
+Path = Polynomials | Sines
+"""A motion from time 0 on."""
 
 _Piece = tuple[float, ArrayLike, ArrayLike, ArrayLike]
 """Duration in s, half the acceleration, velocity at the start, position at the start, `(joint,)` each."""
@@ -169,12 +158,6 @@ class Timeline:
 PROGRAMS = ("rest", "sines", "poses")
 
 
-def draw_places(arm: Arm, count: int = 200, seed: int = 0) -> Array:
-    """`(count, joint)` rad, drawn uniformly over nine tenths of each joint's range (at most one turn)."""
-    center, half = joint_ranges(arm)
-    return center + half * np.random.default_rng([seed, 1]).uniform(-1, 1, (count, arm.dof))
-
-
 def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
     """The motion of an arm: a program by name, or the motion in a recording.
 
@@ -195,7 +178,7 @@ def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
     if what == "sines":
         return draw_sines(arm, seed)
     if what == "poses":
-        return visit(draw_places(arm, seed=seed))
+        return visit(draw_motion(arm, samples=200, seed=seed).joint_position)
     if recording_file(what) is None:
         raise InputError(f"--motion {what!r}: is neither {', '.join(PROGRAMS)} nor a recording's file")
     recording = read_recording(what, arm=arm, joint_limits=arm.joint_limits)

@@ -23,19 +23,7 @@ from numpy.typing import NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Frame, Register, Status
-from lite6jax.emulator.core import (
-    DIFFERENCE_S,
-    JOINT_LIMIT_ERROR,
-    MOVING,
-    PAUSED,
-    READY,
-    RESET,
-    STOPPED,
-    Client,
-    Core,
-    Move,
-    RefusedError,
-)
+from lite6jax.emulator.core import DIFFERENCE_S, JOINT_LIMIT_ERROR, Client, Core, Move, RefusedError, State
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED
 
 Array = NDArray[np.floating]
@@ -100,18 +88,18 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
                 raise RefusedError
             motors = core.every_motor if joint == 8 else 1 << (joint - 1)
             core.enabled = (core.enabled | motors) if on else (core.enabled & ~motors)
-            core.halt(RESET if core.enabled == core.every_motor else STOPPED)
+            core.halt(State.RESET if core.enabled == core.every_motor else State.STOPPED)
             return b""
         case Register.SET_STATE:
             if body[0] == 0 and core.enabled == core.every_motor and not core.error:
-                if core.state == PAUSED:
+                if core.state == State.PAUSED:
                     core.resume()
-                elif core.state != MOVING:
-                    core.state = READY
-            elif body[0] == PAUSED and core.state < STOPPED:
+                elif core.state != State.MOVING:
+                    core.state = State.READY
+            elif body[0] == State.PAUSED and core.state < State.STOPPED:
                 core.pause()
-            elif body[0] == STOPPED:
-                core.halt(STOPPED)
+            elif body[0] == State.STOPPED:
+                core.halt(State.STOPPED)
             return b""
         case Register.STATE:
             return bytes([core.state])
@@ -121,7 +109,7 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
             return bytes([core.error, core.warning])
         case Register.CLEAR_ERROR:
             core.error = core.faults.error
-            core.halt(STOPPED)
+            core.halt(State.STOPPED)
             return b""
         case Register.CLEAR_WARNING:
             core.warning = core.faults.warning
@@ -130,7 +118,7 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
             if body[0] > HIGHEST_MODE:
                 raise RefusedError
             core.mode = body[0]
-            core.halt(RESET if core.state < STOPPED else core.state)
+            core.halt(State.RESET if core.state < State.STOPPED else core.state)
             return b""
         case Register.MOVE_JOINTS | Register.MOVE_JOINTS_BLENDED:  # the time is reserved; blending is not emulated
             *q, speed, acceleration, _ = protocol.read_floats(body[:40], 10)

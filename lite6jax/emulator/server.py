@@ -7,7 +7,6 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -38,7 +37,7 @@ CATCH_UP_S = 0.25
 FRAGMENT_PAUSE_S = 2e-4
 MOST_UNSENT = 1 << 26
 """The number of bytes that may wait for the readers of reports together, each having an equal part, and half at most. A
-connection with more is closed: its reader does not read. A fast clock waits for it from an eighth of its part on."""
+connection with more is closed: its reader does not read. A fast clock waits for it from half of its part on."""
 GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for readers before it closes their connections."""
 LOOK_EVERY_S = 0.1
@@ -85,12 +84,6 @@ class Controller:
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
     an address of its own. The effects of the body appear only in the pose on port 30000; the module `replies` describes
     each port. All public methods may be called from any thread.
-
-    Attributes:
-        body: the arm.
-        address: on loopback.
-        control_port: the bound one, once it is open.
-        speed: of the controller's clock relative to real time.
     """
 
     def __init__(
@@ -117,7 +110,7 @@ class Controller:
             tool: `(6,)` mm and rad, the tool offset.
             payload: `(4,)` kg at the flange and its centre of mass in mm.
             address: on loopback.
-            control_port: 502 requires privileges; 0 selects a free port.
+            control_port: 502 requires privileges; 0 selects a free port, which is then this attribute.
             report_ports: the emulated report ports.
             speed: of the controller's clock relative to real time; it waits for slow readers.
 
@@ -151,7 +144,7 @@ class Controller:
         self._readers: dict[_Writer, int] = {}  # their ports
         self._sent: dict[_Writer, int] = {}
         self._clients: set[_Writer] = set()
-        self._tasks: set[asyncio.Future[None]] = set()
+        self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
@@ -159,8 +152,6 @@ class Controller:
         self._given_up = 0
         self._held_since = self._looked = 0.0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
-
-    # ------------------------------------------------------------------------------------------ from any thread
 
     def open(self) -> "Controller":
         """Starts the thread and listens.
@@ -180,6 +171,7 @@ class Controller:
                     listening.set_exception(error)
 
         self._failure = None
+        self._stop.clear()
         self._thread = threading.Thread(target=serve, name=f"emulator {self.address}", daemon=True)
         self._thread.start()
         try:
@@ -214,10 +206,8 @@ class Controller:
         Raises:
             Exception: the one that ended the thread.
         """
+        self._stop.set()
         if self._thread is not None:
-            if self._loop is not None:
-                with suppress(RuntimeError):  # the loop has already ended
-                    self._loop.call_soon_threadsafe(self._stopped.set)
             self._thread.join()
         if self._failure is not None:
             raise self._failure
@@ -232,16 +222,11 @@ class Controller:
         """The result of `do` for the controller's core, between two steps of its clock."""
         if self._loop is None or self._thread is None or not self._thread.is_alive():
             return do(self._core)
-        done: Future[_T] = Future()
 
-        def act() -> None:
-            try:
-                done.set_result(do(self._core))
-            except BaseException as error:
-                done.set_exception(error)
+        async def act() -> _T:
+            return do(self._core)
 
-        self._loop.call_soon_threadsafe(act)
-        return done.result(CALL_S)
+        return asyncio.run_coroutine_threadsafe(act(), self._loop).result(CALL_S)
 
     def set_faults(self, faults: Faults) -> None:
         """Replaces the faults; one with an error stops the arm."""
@@ -276,8 +261,6 @@ class Controller:
 
         return self.call(look)
 
-    # ------------------------------------------------------------------------------------------ in the event loop
-
     async def _serve(self, listening: "Future[None]") -> None:
         """Listens, and serves until it is stopped.
 
@@ -285,63 +268,44 @@ class Controller:
             OSError: a port is unavailable.
             Exception: an error while serving.
         """
-        self._loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
+        self._loop = asyncio.get_running_loop()
         servers: list[asyncio.Server] = []
         try:
             listeners = [(port, partial(self._listen, port)) for port in self._report_ports]
             for port, handler in [(self.control_port, self._control), *listeners]:
-                servers.append(await asyncio.start_server(self._track(handler), self.address, port))
+                servers.append(await asyncio.start_server(partial(self._handle, handler), self.address, port))
             self.control_port = servers[0].sockets[0].getsockname()[1]
-            clock = asyncio.create_task(self._run_clock())
-            stopped = asyncio.create_task(self._stopped.wait())
-            self._tasks.add(clock)
             listening.set_result(None)
-            await asyncio.wait({clock, stopped}, return_when=asyncio.FIRST_COMPLETED)
-            stopped.cancel()
-            if clock.done():
-                clock.result()  # raises its exception
+            await self._run_clock()
         finally:
             for server in servers:
                 server.close()
+            # in which connections begin that were just accepted: one that is cancelled before is never closed
+            await asyncio.sleep(0.01)
             self._abort()
-            for task in self._tasks:
-                task.cancel()
-            await asyncio.gather(*self._tasks, return_exceptions=True)
-            self._tasks.clear()
-            await asyncio.sleep(0)  # in which the connections are closed
 
     def _abort(self) -> None:
         for writer in (*self._clients, *self._readers):
             writer.transport.abort()
 
-    def _track(self, handler: _Handler) -> Callable[[asyncio.StreamReader, _Writer], None]:
-        """The handler with its connections tracked as tasks, which closing cancels."""
-
-        async def guard(reader: asyncio.StreamReader, writer: _Writer) -> None:
-            try:
-                await handler(reader, writer)
-            except (ConnectionError, TimeoutError):
-                pass
-            except Exception as error:
-                self._failure = error
-
-        def accept(reader: asyncio.StreamReader, writer: _Writer) -> None:
-            task = asyncio.ensure_future(guard(reader, writer))
-            if (line := writer.get_extra_info("socket")) is not None:
-                line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            # not in the task, which does nothing at all where it is cancelled before its first step
-            task.add_done_callback(lambda _: writer.close())
-
-        return accept
+    async def _handle(self, handler: _Handler, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        """Serves a connection until it ends, or the controller does."""
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
+        try:
+            await handler(reader, writer)
+        except (ConnectionError, TimeoutError, asyncio.CancelledError):
+            pass
+        except Exception as error:
+            self._failure = error
+        finally:
+            writer.close()
 
     async def _run_clock(self) -> None:
-        """At every tick, sends the due reports and advances the emulated time."""
+        """Until it is stopped, sends the due reports and advances the emulated time at every tick."""
         loop, core = asyncio.get_running_loop(), self._core
         tick = loop.time()
         origin = tick - core.time / self.speed
-        while True:
+        while not self._stop.is_set():
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
             due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
@@ -366,7 +330,7 @@ class Controller:
         if not fast and now - self._looked < LOOK_EVERY_S:
             return False
         self._looked = now
-        part = MOST_UNSENT / max(len(self._readers), 2) / (8 if fast else 1)
+        part = MOST_UNSENT / max(len(self._readers), 2) / (2 if fast else 1)
         slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > part]
         if not slow:
             self._held_since = now

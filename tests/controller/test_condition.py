@@ -16,7 +16,7 @@ def report(length=587, **fields):
     made["gravity_direction"] = [0, 0, -1]
     for name, value in fields.items():
         made[name] = value
-    return made[()]
+    return made.tobytes()
 
 
 def settings(tmp_path, **fields):
@@ -58,14 +58,14 @@ def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
 def test_firmware_that_says_less_is_read_as_far_as_it_goes(length):
     made = np.zeros((), protocol.report_layout(protocol.RICH, length))
     made["tool_offset"][2] = 50
-    condition = parse_condition(made[()], "here")
+    condition = parse_condition(made.tobytes(), "here")
     assert condition.tool_offset[2] == 50
     assert (condition.temperature is None) == (length < 252)
     np.testing.assert_array_equal(condition.world_offset, 0)
 
 
 def test_what_is_not_to_be_relied_on_is_refused():
-    short = np.zeros((), protocol.report_layout(protocol.RICH, 133))[()]
+    short = np.zeros((), protocol.report_layout(protocol.RICH, 133)).tobytes()
     with pytest.raises(InputError, match=r"here: reports of .* end before the tool offset; update the firmware"):
         parse_condition(short, "here")
     for name in ("tool_offset", "payload", "joint_position", "world_offset"):

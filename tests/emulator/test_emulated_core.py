@@ -38,7 +38,7 @@ def test_nothing_that_is_asked_breaks_it(lite6, requests, enabled):
     told = []
     client = Client(told.append)
     for transaction, (register, body) in enumerate(requests):
-        asked = protocol.request(register, body, transaction)
+        asked = protocol.Frame(register, body, transaction)
         reply = answer(core, asked, client)
         assert reply is not None
         assert (reply.transaction, reply.register) == (transaction, register)

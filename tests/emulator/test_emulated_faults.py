@@ -82,7 +82,7 @@ def test_fragments(lite6, connect, raw):
         assert (code, len(pose)) == (0, 6)
         until(lambda: arm.arm._first_report_over)
         with raw(controller) as line:
-            line.socket.sendall(protocol.request(8).encode())
+            line.socket.sendall(protocol.Frame(8).encode())
             pieces = []
             while sum(map(len, pieces)) < 179:
                 pieces.append(line.socket.recv(179))
@@ -139,7 +139,7 @@ def test_latency(lite6, connect):
 
 def test_garbage(lite6, raw):
     with faulty(lite6, "garbage") as controller, raw(controller) as line:
-        line.socket.sendall(protocol.request(8).encode())
+        line.socket.sendall(protocol.Frame(8).encode())
         received = line.socket.recv(179)
         assert received
         assert received[:9] != bytes.fromhex("0001000200ad080001")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.emulator import draw_places, draw_sines, interpolate, read_path, visit
+from lite6jax.emulator import draw_sines, interpolate, read_path, visit
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Timeline, brake, move, rest, servo
 from lite6jax.errors import InputError
 
@@ -82,7 +82,7 @@ def test_programs_stay_within_limits_and_speed(name):
 
 
 def test_programs_are_drawn_by_seed():
-    a, b, c = (draw_places(LITE6, 5, seed) for seed in (1, 1, 2))
+    a, b, c = (read_path("poses", LITE6, seed).at(np.arange(50.0))[0] for seed in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
     assert not np.allclose(a, c)
 

@@ -1,11 +1,10 @@
 """Many clients at once, and clients that do not read: bounded memory, counted losses, and others undisturbed."""
 
-import asyncio
+import gc
 import select
 import socket
 import time
-from contextlib import ExitStack
-from typing import Any, cast
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
@@ -48,16 +47,18 @@ def test_two_hundred_clients_of_which_most_never_read(lite6, monkeypatch, speed)
         ExitStack() as stack,
     ):
         asking = [stack.enter_context(Line(controller)) for _ in range(CLIENTS // 4)]
-        lines = [stack.enter_context(idle(controller, protocol.REALTIME)) for _ in range(CLIENTS - len(asking))]
-        seen = []
+        lines, seen = [], []
+        for _ in range(CLIENTS - len(asking)):
+            lines.append(stack.enter_context(idle(controller, protocol.REALTIME)))
+            seen.append(waiting(controller))
 
         def given_up():
             seen.append(waiting(controller))
             return controller.snapshot().given_up >= 20
 
         until(given_up, 30.0)
-        # what is sent between two looks comes on top
-        assert most / 4 < max(seen) < most + len(lines) * 200_000 / 2
+        # what is sent between two looks comes on top; a fast clock waits before much does
+        assert (0 if speed > 1 else most / 4) < max(seen) < most + len(lines) * 200_000 / 2
         assert {line.ask(13)[6] for line in asking} == {13}
         assert set(np.diff(read_reports(controller, protocol.REALTIME, 100)["time_us"].astype(np.int64))) == {4000}
         until(lambda: connected(controller) == len(lines))
@@ -67,7 +68,7 @@ def test_a_client_that_asks_and_never_reads_costs_no_more_than_its_buffers(lite6
     monkeypatch.setattr(server, "KERNEL_BUFFER", 4096)
     with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
         with idle(controller, CONTROL_PORT) as line:
-            request = protocol.request(8).encode() * 100
+            request = protocol.Frame(8).encode() * 100
             sent = 0
             while select.select([], [line], [], 0.3)[1]:  # until the controller takes no more
                 sent += line.send(request)
@@ -78,28 +79,14 @@ def test_a_client_that_asks_and_never_reads_costs_no_more_than_its_buffers(lite6
             assert other.ask(13)[6] == 13
 
 
-def test_a_connection_that_ends_before_its_first_step_is_closed(lite6):
-    """Closing the controller cancels tasks; one that has not begun runs no `finally`."""
-    closed = []
-
-    class Writer:
-        def get_extra_info(self, name):
-            return None
-
-        def close(self):
-            closed.append(self)
-
-    async def begun(reader, writer):
-        raise AssertionError("it was cancelled before")
-
-    async def accepted_and_cancelled():
-        served = Controller(lite6, address=new_address(), control_port=0)
-        reader, writer = cast(Any, None), cast(Any, Writer())
-        served._track(begun)(reader, writer)
-        (task,) = served._tasks
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        await asyncio.sleep(0)
-        assert closed == [writer]
-
-    asyncio.run(accepted_and_cancelled())
+def test_a_connection_that_has_just_begun_is_closed_with_the_controller(lite6):
+    """A task that is cancelled before its first step runs no `finally`."""
+    for _ in range(5):
+        with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
+            lines = [socket.create_connection((controller.address, port)) for port in (CONTROL_PORT, 30000, 30003)]
+        for line in lines:
+            line.settimeout(5)
+            with line, suppress(ConnectionError):
+                while line.recv(4096):
+                    pass
+        gc.collect()  # a socket that nobody closed would warn
