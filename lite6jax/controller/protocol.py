@@ -280,12 +280,7 @@ _FIELDS = {
 def report_layout(port: int, length: int | None = None) -> np.dtype:
     """The fields of a report as a NumPy record type, by name and offset.
 
-    `np.frombuffer(b"".join(reports), report_layout(port, length))` reads many reports of one length at once, and
-    `np.zeros(count, report_layout(port))` is an array of reports to fill.
-
-    Args:
-        port: 30000 to 30003.
-        length: bytes of the report; fields beyond are omitted. None for that of firmware 2.7.
+    Fields beyond the length in bytes are omitted; None is that of firmware 2.7.
 
     Raises:
         MalformedError: the length is too short for the fields that every report of the port has.

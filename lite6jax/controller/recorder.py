@@ -18,7 +18,7 @@ from lite6jax.controller.connection import Address, ReportPort, Reports
 from lite6jax.controller.rows import SOURCES, Gaps, Rows
 from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
-from lite6jax.controller.table import Columns, TableWriter
+from lite6jax.controller.table import TableWriter
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
 from lite6jax.recordings.checksums import TABLES, table_checksum
@@ -29,10 +29,6 @@ FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 SLOW_S = 0.25
 """The time without a report after which the connection, not the controller's clock, is late."""
-ROWS_AT_ONCE = 250
-"""Rows for which writing is worth it: those of a second, which a kill may cost."""
-MOST_AT_ONCE = 2500
-"""Rows written together, where more wait."""
 MOST_WAITING = 150_000
 """Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
 MOST_IN_SIDECAR = 100
@@ -173,16 +169,16 @@ def record(
         account = {"complete": False}  # until it is replaced at the end
         declared.extend([write_settings(settings, sidecar_path(out), overwrite, account=account), *files])
 
-    rows, queue = Rows(station, seconds), _Queue(TableWriter(out, overwrite, SOURCES))
+    rows, table = Rows(station, seconds), TableWriter(out, overwrite, SOURCES)
     with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
         try:
-            ended = _take_rows(fast, slow, rows, queue, declare, stop or threading.Event(), show)
+            ended = _take_rows(fast, slow, rows, table, declare, stop or threading.Event(), show)
         finally:
-            queue.finish()
-    count, refusal = rows.count - queue.waiting, queue.refusal
-    if queue.waiting:
+            table.close()
+    count, refusal = rows.count - table.waiting, table.refusal
+    if table.waiting:
         refusal = (
-            f"{out}: the disk took {count} rows and not the last {queue.waiting} ({refusal}); free space before the"
+            f"{out}: the disk took {count} rows and not the last {table.waiting} ({refusal}); free space before the"
             " next recording"
         )
     notes = (*station.notes, *rows.notes())
@@ -190,7 +186,7 @@ def record(
         left = max(seconds - rows.time, 0.0) if rows.count else seconds
         notes += (f"ended {left:.3g} s before {seconds:g} s: {rows.stopped or ended}",)
     recording = LiveRecording(
-        written=(*([queue.table.file] if count else []), *declared),
+        written=(*([table.file] if count else []), *declared),
         rows=count,
         sources={name: SOURCES[name] for name in rows.names},
         settings=replace(settings, torque_source="estimated" if rows.torques_computed else "unknown"),
@@ -199,7 +195,7 @@ def record(
         duration=rows.time,
         asked=None if seconds is None else math.ceil(seconds * protocol.RATES[protocol.REALTIME] - 1e-6),
         short=seconds is not None and bool(rows.missing or not rows.complete),
-        unwritten=queue.waiting,
+        unwritten=table.waiting,
         refusal=refusal or rows.stopped,
         rate=rows.rate,
         runs=rows.run + 1 if rows.count else 0,
@@ -216,7 +212,7 @@ def _take_rows(
     fast: ReportPort,
     slow: ReportPort,
     rows: Rows,
-    queue: "_Queue",
+    table: TableWriter,
     declare: Callable[[], None],
     stop: threading.Event,
     show: Callable[[Progress], object],
@@ -242,7 +238,7 @@ def _take_rows(
             if (columns := rows.take(event)) is not None:
                 if first:
                     declare()
-                queue.add(columns)
+                table.append(columns)
         if not rows.count and (trouble or now - started > FIRST_REPORT_S):
             problem = trouble or f"{fast.place}: no report within {FIRST_REPORT_S:g} s"
             remedy = "; check that the firmware has this port (2.x), and restart the control box"
@@ -250,63 +246,14 @@ def _take_rows(
         if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
             silence = f"no report for {now - heard:.1f} s"
             return trouble or (silence if now - heard > SLOW_S else "the controller's clock is slow")
-        while queue.ready and queue.write():
-            pass
-        if queue.waiting > MOST_WAITING and queue.refusal:
+        if table.waiting > MOST_WAITING and table.refusal:
             return "the disk took no more rows"
         if now - shown > 0.2:
             shown = now
-            full = f"the disk cannot be written ({queue.refusal}): {queue.waiting} rows are kept in memory"
-            problem = full if queue.refusal else trouble
+            full = f"the disk cannot be written ({table.refusal}): {table.waiting} rows are kept in memory"
+            problem = full if table.refusal else trouble
             show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, problem))
     return ""
-
-
-class _Queue:
-    """Rows in memory until a full disk accepts them. The threads of the ports receive while a slow one takes them.
-
-    Attributes:
-        table: where they go.
-        waiting: their number.
-        refusal: why the disk does not accept them; empty while it does.
-    """
-
-    def __init__(self, table: TableWriter) -> None:
-        self.table, self.waiting, self.refusal = table, 0, ""
-        self._parts: list[Columns] = []
-        self._not_before = 0.0
-
-    @property
-    def ready(self) -> bool:
-        """Whether there are enough rows to write, and the disk refused none within the last second."""
-        return self.waiting >= ROWS_AT_ONCE and time.monotonic() >= self._not_before
-
-    def add(self, columns: Columns) -> None:
-        self._parts.append(columns)
-        self.waiting += len(columns["time_s"])
-
-    def write(self, most: int = MOST_AT_ONCE) -> bool:
-        """Writes the first rows; whether the disk took them."""
-        merged = {name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]}
-        self._parts = [merged]
-        try:
-            self.table.append({name: values[:most] for name, values in merged.items()})
-        except OSError as error:
-            self.refusal, self._not_before = error.strerror or str(error), time.monotonic() + 1.0
-            return False
-        self._parts = [{name: values[most:] for name, values in merged.items()}]
-        self.waiting, self.refusal = len(self._parts[0]["time_s"]), ""
-        return True
-
-    def finish(self) -> None:
-        """Writes the remaining rows as far as possible, and closes the table."""
-        most = MOST_AT_ONCE
-        while self.waiting and most:
-            most = most if self.write(most) else most // 2
-        try:
-            self.table.close()
-        except OSError as error:
-            self.refusal = self.refusal or error.strerror or str(error)
 
 
 def record_poses(
@@ -325,12 +272,8 @@ def record_poses(
     requested again; rows that the controller refuses are omitted and noted.
 
     Args:
-        address: of the controller.
-        out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
-        station: the arm and its settings, from `read_station`.
+        address, out, station, overwrite, stop: as in `record`.
         poses: the joint positions and the notes about omitted rows; other columns are ignored.
-        overwrite: whether the files may be replaced.
-        stop: ends the recording when set, from any thread; the poses received so far are written.
         advance: called with 1 after each row.
 
     Raises:
@@ -341,14 +284,14 @@ def record_poses(
         raise InputError(f"{poses.source}: has {poses.dof} joints, the {station.arm.name} {station.arm.dof}")
     joints, started, stop = protocol.round_floats(poses.joint_position), time.monotonic(), stop or threading.Event()
     answers, failure, _ = compute_poses(address, joints, stop, lambda row: advance(1))
-    rows = [i for i, pose in enumerate(answers) if pose.values is not None]
-    refused = [(int(poses.row[i]), pose.refusal) for i, pose in enumerate(answers) if pose.values is None]
+    rows = [i for i, answer in enumerate(answers) if not isinstance(answer, str)]
+    refused = [(int(poses.row[i]), answer) for i, answer in enumerate(answers) if isinstance(answer, str)]
     settings, written, sources = station.sidecar_settings(out, computed=True), [], {}
     if not rows and not stop.is_set():
         first = f"the first with {refused[0][1]}" if refused else ""
         raise InputError(failure or f"{address}: refuses all joints of {poses.source}, {first}; check them")
     if rows:
-        T = protocol.read_pose(np.array([answers[i].values for i in rows]))
+        T = protocol.read_pose(np.array([answers[i] for i in rows]))
         quaternion = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
         recording = Recording.assembled(
             joints[rows], position=T[:, :3, 3], quaternion=quaternion, settings=settings, source=str(address)

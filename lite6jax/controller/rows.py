@@ -130,7 +130,8 @@ class Rows:
         self._conditioned = station.condition is not None  # whether there are columns of the 5 Hz report
         self._warms = station.condition is not None and station.condition.temperature is not None
         rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
-        self._links, self._tool = frames.transform_from_row(rows), station.T_flange_tool
+        self._links = frames.transform_from_row(rows)
+        self._tool = np.eye(4) if station.condition is None else station.condition.T_flange_tool
         self._convention: str | None = None  # of orientations; empty if none fits the chain
         self._decided = False
         self._torque_noise, self._window = TorqueNoise(), np.zeros((0, 2, protocol.JOINTS))

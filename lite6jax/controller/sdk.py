@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,25 +39,8 @@ class SdkError(InputError):
     """The connection of the SDK has failed; a new one may succeed."""
 
 
-class Pose(NamedTuple):
-    """A pose computed by the controller, `(6,)` x y z roll pitch yaw in mm and rad, or the reason for its refusal."""
-
-    values: NDArray[np.floating] | None
-    refusal: str = ""
-
-
-class ComputedPoses(NamedTuple):
-    """What a controller computes for many joint positions.
-
-    Attributes:
-        poses: of the joint positions in order, as far as there was an answer.
-        failure: why there is none for the others; empty where they were not requested.
-        version: of the controller, the content of register 1.
-    """
-
-    poses: list[Pose]
-    failure: str
-    version: str
+Pose = NDArray[np.floating] | str
+"""`(6,)` x y z roll pitch yaw in mm and rad, or the reason why the controller refuses the joint positions."""
 
 
 def compute_poses(
@@ -65,7 +48,7 @@ def compute_poses(
     joints: NDArray[np.floating],
     stop: threading.Event | None = None,
     advance: Callable[[int], object] = lambda row: None,
-) -> ComputedPoses:
+) -> tuple[list[Pose], str, str]:
     """Has the controller compute the poses at joint positions `(sample, joint)` rad, without a move.
 
     After a lost connection the row is requested again, over a new one.
@@ -75,6 +58,9 @@ def compute_poses(
         joints: the joint positions.
         stop: ends the requests when set, from any thread.
         advance: called with the index of each row that is answered.
+
+    Returns:
+        the poses as far as there was an answer, why there is none for the others, and the version of the controller.
 
     Raises:
         InputError: the SDK is not installed.
@@ -99,7 +85,7 @@ def compute_poses(
             else:
                 tries, failure = 0, ""
                 advance(len(poses) - 1)
-    return ComputedPoses(poses, failure, version)
+    return poses, failure, version
 
 
 class Sdk:
@@ -132,12 +118,12 @@ class Sdk:
         if code in (-1, 3, 8):
             raise self._failure(f"says: {_CODES[code]}")
         if code != 0:
-            return Pose(None, str(pose) if code is None else _CODES.get(code, f"code {code}"))
+            return str(pose) if code is None else _CODES.get(code, f"code {code}")
         if not isinstance(pose, list) or len(pose) != 6 or not all(isinstance(v, float | int) for v in pose):
-            return Pose(None, f"{pose!r:.40} for a pose")
+            return f"{pose!r:.40} for a pose"
         if not all(map(math.isfinite, pose)):
-            return Pose(None, "a pose that is not finite")
-        return Pose(np.array(pose, float))
+            return "a pose that is not finite"
+        return np.array(pose, float)
 
     def _listen(self) -> None:
         assert self._process.stdout is not None

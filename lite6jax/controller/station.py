@@ -136,11 +136,6 @@ class Station:
     condition: Condition | None
     notes: tuple[str, ...]
 
-    @property
-    def T_flange_tool(self) -> Array:
-        """`(4, 4)` m, the tool in the flange's frame; the identity if the tool is unknown."""
-        return np.eye(4) if self.condition is None else self.condition.T_flange_tool
-
     def sidecar_settings(self, out: Path, computed: bool = False) -> RecordingSettings:
         """The content of the sidecar of a recording of this arm.
 

@@ -2,9 +2,11 @@
 
 import io
 import os
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import csv as pa_csv
@@ -16,6 +18,10 @@ from lite6jax.storage import write_atomically
 
 Columns = Mapping[str, NDArray]
 
+ROWS_AT_ONCE = 250
+"""Rows for which writing is worth it: those of a second, which a kill may cost."""
+MOST_AT_ONCE = 2500
+"""Rows written together, where more wait."""
 ROW_GROUP = 25_000
 """Rows of a complete Parquet file that are compressed together."""
 
@@ -23,17 +29,19 @@ ROW_GROUP = 25_000
 class TableWriter:
     """A CSV or Parquet table, by the suffix of its path, to which rows are appended.
 
-    A failed `append` adds nothing and may be repeated. A CSV file is complete after every `append` even if the process
-    is killed. A Parquet file can be read once the list of its row groups is written at its end; until then the rows
-    stand in an Arrow stream beside it, whole after every `append`. The stream is the recording where the process is
-    killed, or where the disk has no room for the Parquet file.
+    What is on the disk is complete, even if the process is killed. Rows that a full disk refuses wait in memory. A
+    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in an
+    Arrow stream beside it. The stream is the recording where the process is killed, or where the disk has no room for
+    the Parquet file.
 
     Attributes:
         file: where the rows are.
+        waiting: the number of rows in memory.
+        refusal: why the disk does not accept them; empty while it does.
     """
 
     def __init__(self, path: Path, overwrite: bool, sources: Mapping[str, str]) -> None:
-        """Creates no file before the first `append`.
+        """Creates no file before the first rows.
 
         Args:
             path: the table, `.csv` or `.parquet`.
@@ -43,12 +51,45 @@ class TableWriter:
         self._path, self._overwrite, self._sources = path, overwrite, sources
         self._parquet = path.suffix.lower() == ".parquet"
         self.file = stream_path(path) if self._parquet else path
+        self.waiting, self.refusal = 0, ""
+        self._parts: list[Columns] = []
+        self._not_before = 0.0
         self._schema: pa.Schema | None = None
         self._open: io.FileIO | None = None
         self._size = 0
 
     def append(self, columns: Columns) -> None:
-        """Appends rows.
+        """Appends rows, and writes where there are enough and the disk refused none within the last second."""
+        self._parts.append(columns)
+        self.waiting += len(next(iter(columns.values())))
+        while self.waiting >= ROWS_AT_ONCE and time.monotonic() >= self._not_before and self.flush():
+            pass
+
+    def flush(self, most: int = MOST_AT_ONCE) -> bool:
+        """Writes up to `most` rows, all or none; whether the disk took them."""
+        columns = {name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]}
+        self._parts = [columns]
+        try:
+            self._write({name: values[:most] for name, values in columns.items()})
+        except OSError as error:
+            self.refusal, self._not_before = error.strerror or str(error), time.monotonic() + 1.0
+            return False
+        self._parts = [{name: values[most:] for name, values in columns.items()}]
+        self.waiting, self.refusal = max(self.waiting - most, 0), ""
+        return True
+
+    def close(self) -> None:
+        """Writes the remaining rows as far as possible, and completes the file; without rows there is none."""
+        most = MOST_AT_ONCE
+        while self.waiting and most:
+            most = most if self.flush(most) else most // 2
+        try:
+            self._complete()
+        except OSError as error:
+            self.refusal = self.refusal or error.strerror or str(error)
+
+    def _write(self, columns: Columns) -> None:
+        """Writes all rows or none.
 
         Raises:
             OSError: the disk is full or fails; earlier rows remain.
@@ -84,12 +125,7 @@ class TableWriter:
         if first and self._parquet and self._overwrite:  # from here on it would not belong to the sidecar
             self._path.unlink(missing_ok=True)
 
-    def close(self) -> None:
-        """Completes the file; without rows there is none.
-
-        Raises:
-            OSError: the disk is full or fails; the rows are in `file`.
-        """
+    def _complete(self) -> None:
         if self._open is None:
             return
         with self._open:

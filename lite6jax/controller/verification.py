@@ -98,16 +98,16 @@ def verify(
         )
     here = condition.joint_position[: arm.dof]
     answers, failure, version = compute_poses(address, np.vstack([here, q]), None, lambda row: row and advance(1))
-    for joints, pose in zip((here, *q), answers, strict=False):
-        if pose.values is None:
+    for joints, answer in zip((here, *q), answers, strict=False):
+        if isinstance(answer, str):
             shown = " ".join(f"{value:.1f}" for value in np.degrees(joints))
             raise InputError(
-                f"{address}: the SDK's forward kinematics at {shown} deg gives {pose.refusal}; read again, and check "
+                f"{address}: the SDK's forward kinematics at {shown} deg gives {answer}; read again, and check "
                 "that the firmware fits the SDK"
             )
     if failure:
         raise InputError(failure)
-    at_rest, *_ = computed = protocol.read_pose(np.array([pose.values for pose in answers]))
+    at_rest, *_ = computed = protocol.read_pose(np.array(answers))
     computed = computed[1:]
 
     links, q_sent = frames.transform_from_row(calibration.kinematics), protocol.round_floats(q)

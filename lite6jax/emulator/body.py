@@ -22,7 +22,6 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
-from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia
 from lite6jax.errors import InputError
@@ -57,7 +56,7 @@ class Sample(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Tool `(4, 4)` m, payload in kg, and the payload's centre of mass `(3,)` m in the flange's frame."""
+    """Tool `(4, 4)` m at the flange, payload in kg, and its centre of mass `(3,)` m in the last joint's frame."""
 
     T_flange_tool: Array
     payload: float
@@ -187,10 +186,6 @@ class Body:
                 return q[np.argmin(np.abs(q - reference).max(axis=1))]
         return None
 
-    def _payload_center(self, load: Load) -> Array:
-        """`(3,)` m, the payload's centre of mass in the last joint's frame."""
-        return self.arm.T_joint_flange[:3, :3] @ load.center + self.arm.T_joint_flange[:3, 3]
-
     def temperature(self, time: Array) -> Array:
         """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""
         rise = self.warm_up * -np.expm1(-np.asarray(time) / 1200.0)
@@ -199,11 +194,12 @@ class Body:
     @property
     def clock_offset(self) -> float:
         """s by which poses belong to a later motion than they are stamped with: the sum of the clock offsets."""
-        return float(sum(values[0] for effect, values in self._pose_effects if effect.name == "time_offset"))
+        return float(self.physics.part(self.values, [e.name == "time_offset" for e in self.physics.effects])[1].sum())
 
     @cached_property
-    def _pose_effects(self) -> list[tuple[Effect, Array]]:
-        return [(e, self.values[part]) for e, part in zip(self.physics.effects, self.physics.slices, strict=True)]
+    def _bending(self) -> tuple[Physics, Array]:
+        """The effects on poses but clock offsets, with their values."""
+        return self.physics.part(self.values, [e.name != "time_offset" for e in self.physics.effects])
 
     def true_poses(self, sample: Sample, load: Load) -> Array:
         """`(sample, 4, 4)` the true poses of the tool, with all effects but clock offsets.
@@ -212,15 +208,14 @@ class Body:
             sample: the joints; with clock offsets those at `clock_offset` after the instants.
             load: tool and payload.
         """
-        present = [(effect, values) for effect, values in self._pose_effects if effect.name != "time_offset"]
-        if not present:
+        physics, values = self._bending
+        if not physics.effects:
             return self.flange(sample.position) @ load.T_flange_tool
-        physics = Physics(tuple(effect for effect, _ in present))
-        values, form = physics.join([values for _, values in present]), SixParameterForm(self.arm.dof)
         # JAX converts NumPy arrays at the call
         model: Any = (self.kinematics.ravel(), np.eye(4), self.arm.T_joint_flange @ load.T_flange_tool)
-        masses: Any = (self.arm.mass, self.arm.center_of_mass, self._payload_center(load), _GRAVITY)
-        inertia, poses = None if self.arm.mass is None else Inertia(*masses), []
+        masses: Any = (self.arm.mass, self.arm.center_of_mass, load.center, _GRAVITY)
+        inertia, form = None if self.arm.mass is None else Inertia(*masses), SixParameterForm(self.arm.dof)
+        poses = []
         for first in range(0, len(sample.time), BLOCK):
             block = Sample(*(part[first : first + BLOCK] for part in sample))
             motion = self._motion(block, load.payload, BLOCK)
@@ -246,8 +241,9 @@ class Body:
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
         """The effects on torques, and those on poses of which the motors see the cause as well."""
-        both = ((_CAUSES_OF_BOTH.get(effect.name), values) for effect, values in self._pose_effects)
-        return [*self.torque_effects, *((kind(), values) for kind, values in both if kind is not None)]
+        both = zip(self.physics.effects, self.physics.slices, strict=True)
+        shared = ((_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in both if e.name in _CAUSES_OF_BOTH)
+        return [*self.torque_effects, *shared]
 
     @property
     def torque_offset(self) -> Array:
@@ -282,8 +278,7 @@ class Body:
         q, dq, ddq = sample.position.T, sample.velocity.T, acceleration.T
         links = _LinkMotion.compute(self.links, q, dq, ddq, _GRAVITY)
         numbers = self._inertial_numbers.copy()
-        center = self._payload_center(load)
-        numbers[-1] += point_mass(load.payload, center)
+        numbers[-1] += point_mass(load.payload, load.center)
         total = links.torque(numbers)
         if self._motor_effects:
             still = np.zeros_like(q)
@@ -291,7 +286,7 @@ class Body:
                 motion=self._motion(sample, load.payload, acceleration=acceleration),
                 torque=total,
                 links=self._inertial_numbers,
-                payload_center=center,
+                payload_center=load.center,
                 of_inertia=links.torque,
                 of_gravity=lambda g: _LinkMotion.compute(self.links, q, still, still, g).torque(numbers),
                 gravity=_GRAVITY,

@@ -81,6 +81,7 @@ class Core:
     Attributes:
         body: the arm.
         faults: of the controller.
+        path: the motion from the start; None for rest at zero.
         timeline: the commanded positions of the joints.
         time: s since the start.
         requests: the number of requests of each register.
@@ -90,7 +91,7 @@ class Core:
 
     body: Body
     faults: Faults = field(default_factory=Faults)
-    start: Array = field(default_factory=lambda: np.zeros(0))
+    path: Path | None = None
     tool: Array = field(default_factory=lambda: np.zeros(6))
     payload: Array = field(default_factory=lambda: np.zeros(4))
     time: float = 0.0
@@ -102,12 +103,15 @@ class Core:
     warning: int = 0
 
     def __post_init__(self) -> None:
-        self.timeline = Timeline(self.start if self.start.size else np.zeros(self.body.arm.dof))
+        start = np.zeros(self.body.arm.dof) if self.path is None else self.path.at(np.zeros(1))[0][0]
+        self.timeline = Timeline(start)
         self.direction = np.zeros(self.body.arm.dof)
         self.queue: deque[Move] = deque()
         self.following = False
         self.set_faults(self.faults)
         self.set_load(self.tool, self.payload)
+        if self.path is not None and not self.error:
+            self.follow(self.path)
 
     def set_faults(self, faults: Faults) -> None:
         """Replaces the faults; one with an error stops the arm."""
@@ -118,7 +122,9 @@ class Core:
     def set_load(self, tool: Array, payload: Array) -> None:
         """Sets the tool offset `(6,)` in mm and rad, and the payload `(4,)` in kg and mm."""
         self.tool, self.payload = tool, payload
-        self.load = Load(protocol.read_pose(tool), float(payload[0]), payload[1:] / protocol.MM)
+        T_flange = self.body.arm.T_joint_flange
+        center = T_flange[:3, :3] @ payload[1:] / protocol.MM + T_flange[:3, 3]
+        self.load = Load(protocol.read_pose(tool), float(payload[0]), center)
 
     def follow(self, path: Path) -> None:
         """Follows a path, which must start at the present position, until a command stops it."""
@@ -174,12 +180,8 @@ class Core:
     def move(self, goal: Array, speed: float, acceleration: float, request: Frame, client: Client) -> None:
         """Queues a move if the arm can move. A goal beyond the limits is error 23 and stops the arm, as on a real one.
 
-        Args:
-            goal: `(joint,)` rad.
-            speed: rad/s, limited to that of the arm; 0 for 20 °/s.
-            acceleration: rad/s², likewise; 0 for 500 °/s².
-            request: the request for it.
-            client: the connection to notify.
+        The goal is `(joint,)` rad. Speed (rad/s; 0 for 20 °/s) and acceleration (rad/s²; 0 for 500 °/s²) are limited to
+        those of the arm.
 
         Raises:
             RefusedError: another mode than `POSITIONS`, or a full queue.

@@ -45,7 +45,6 @@ LOOK_EVERY_S = 0.1
 tick."""
 KERNEL_BUFFER = 1 << 18
 """The number of bytes that the operating system may hold for a connection, beside those counted here."""
-_PRIVILEGED = 1024
 
 
 class Snapshot(NamedTuple):
@@ -91,7 +90,6 @@ class Controller:
         body: Body,
         *,
         path: Path | None = None,
-        start: ArrayLike | None = None,
         faults: Faults = Faults(),  # noqa: B008 (frozen)
         tool: ArrayLike = (0.0,) * 6,
         payload: ArrayLike = (0.0,) * 4,
@@ -104,8 +102,7 @@ class Controller:
 
         Args:
             body: the arm.
-            path: the motion from the start; None for rest.
-            start: `(joint,)` rad, the position at rest; None for zero.
+            path: the motion from the start; None for rest at zero.
             faults: of the controller; `set_faults` changes them.
             tool: `(6,)` mm and rad, the tool offset.
             payload: `(4,)` kg at the flange and its centre of mass in mm.
@@ -135,11 +132,7 @@ class Controller:
                 shown = " ".join(f"{value:g}" for value in values)
                 raise InputError(f"{name} {shown}: is implausible for an arm; give mm, radians and kg")
         self.body, self.address, self.control_port, self.speed = body, address, control_port, float(speed)
-        position = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
-        position = position if path is None else path.at(np.zeros(1))[0][0]
-        self._core = Core(body, faults, position, offset, load)
-        if path is not None and not faults.error:
-            self._core.follow(path)
+        self._core = Core(body, faults, path, offset, load)
         self._report_ports = tuple(report_ports)
         self._readers: dict[_Writer, int] = {}  # their ports
         self._sent: dict[_Writer, int] = {}
@@ -183,9 +176,9 @@ class Controller:
 
     def _refusal(self, error: OSError) -> str:
         where = f"{self.address}:{self.control_port}"
-        if error.errno in (errno.EACCES, errno.EPERM) and self.control_port < _PRIVILEGED:
+        if error.errno in (errno.EACCES, errno.EPERM) and self.control_port < 1024:
             return (
-                f"{where}: ports below {_PRIVILEGED} require privileges; add --control-port 5020, and before the "
+                f"{where}: ports below 1024 require privileges; add --control-port 5020, and before the "
                 "SDK connects run from xarm.core.config.x_config import XCONF; XCONF.SocketConf.TCP_CONTROL_PORT = 5020"
             )
         if error.errno == errno.EADDRINUSE:

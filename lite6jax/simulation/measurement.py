@@ -55,24 +55,6 @@ INSTRUMENTS: Mapping[str, Instrument] = MappingProxyType(
 """By name."""
 
 
-def find_instrument(sensor: Instrument | str) -> Instrument:
-    """An instrument that a recording can be made with, by its name.
-
-    Raises:
-        InputError: another name, or a sensor of single distances.
-    """
-    if isinstance(sensor, str):
-        if sensor not in INSTRUMENTS:
-            raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join(INSTRUMENTS)}")
-        sensor = INSTRUMENTS[sensor]
-    if sensor.sensor.quantity not in ("position", "pose"):
-        raise InputError(
-            f"simulation: a sensor of {sensor.sensor.quantity} has no place in a recording; give one of positions or "
-            "poses"
-        )
-    return sensor
-
-
 @final
 @dataclass(frozen=True)
 class UndeclaredNoise:
@@ -149,6 +131,9 @@ def measure(
     *,
     kinematics: Array | None = None,
     sensor: Instrument | str = "tracker",
+    position_noise: float | None = None,
+    orientation_noise: float | None = None,
+    joint_noise: float | None = None,
     undeclared: UndeclaredNoise = UndeclaredNoise(),
     T_sensor_base: Array | None = None,
     tool: Sequence[float] | Array | None = None,
@@ -167,14 +152,22 @@ def measure(
         arm: its masses, its flange, and its kinematics where `kinematics` is not given.
         physics: the effects beyond the rigid model.
         values: `(physics.size,)`, their coordinates.
-        kinematics, sensor, undeclared, T_sensor_base, tool, tool_known: as in `simulate`.
+        kinematics, sensor, position_noise, orientation_noise, joint_noise, undeclared, T_sensor_base, tool,
+            tool_known: as in `simulate`.
         seed: of the noise.
 
     Raises:
         InputError: an unknown sensor or one of single distances, values that do not fit the effects, or a motion
             without a quantity that an effect depends on (by name).
     """
-    probe, source = find_instrument(sensor)
+    if isinstance(sensor, str) and sensor not in INSTRUMENTS:
+        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join(INSTRUMENTS)}")
+    probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
+    if probe.quantity not in ("position", "pose"):
+        raise InputError(
+            f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
+        )
+    probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
     values = np.asarray(values, float)
     if values.shape != (physics.size,) or not np.isfinite(values).all():
         raise InputError(
@@ -320,8 +313,6 @@ def simulate(
     """
     require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
     arm = read_arm(arm) if isinstance(arm, str) else arm
-    chosen = find_instrument(sensor)
-    chosen = chosen._replace(sensor=chosen.sensor.with_noise(position_noise, orientation_noise, joint_noise))
     parsed = [parse_effect(effect) if isinstance(effect, str) else effect for effect in effects]
     for effect, _ in parsed:
         quantities = {driver.quantity for driver in effect.drivers}
@@ -346,7 +337,10 @@ def simulate(
         physics,
         physics.join([np.asarray(values, float) for _, values in parsed]),
         kinematics=kinematics,
-        sensor=chosen,
+        sensor=sensor,
+        position_noise=position_noise,
+        orientation_noise=orientation_noise,
+        joint_noise=joint_noise,
         undeclared=undeclared,
         T_sensor_base=T_sensor_base,
         tool=tool,

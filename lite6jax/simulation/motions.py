@@ -17,13 +17,9 @@ from lite6jax.recordings.units import real_array
 Array = NDArray[np.floating]
 MotionKind = Literal["static", "trajectory"]
 
-LENGTH_TOLERANCE = 0.8e-3
-ANGLE_TOLERANCE = float(np.deg2rad(0.15))
-"""One standard deviation of each length (m) and angle (rad) of a calibrated Lite 6 about its nominal value."""
 SAMPLES = {"static": 400, "trajectory": 3000}
-"""Drawn where no number is given."""
 STEP_S = {"static": 8.0, "trajectory": 0.02}
-"""From sample to sample where no step is given."""
+"""Number of samples, and the time from one to the next, where none is given."""
 MARGIN = 0.05
 """Share of each joint's range that is left out at either end."""
 SPEED = float(np.deg2rad(120.0))
@@ -51,16 +47,14 @@ def make_generator(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng([seed, _PURPOSES.index(purpose)])
 
 
-def draw_calibration(
-    arm: Arm, seed: int = 0, *, length: float = LENGTH_TOLERANCE, angle: float = ANGLE_TOLERANCE
-) -> Array:
+def draw_calibration(arm: Arm, seed: int = 0, *, length: float = 0.8e-3, angle: float = np.deg2rad(0.15)) -> Array:
     """The kinematics of one arm as manufactured: the nominal one with a normal error in each number.
 
     Args:
         arm: the nominal arm.
         seed: of the random numbers.
-        length: standard deviation of the error of x, y and z, m.
-        angle: standard deviation of the error of roll, pitch and yaw, rad.
+        length: standard deviation of the error of x, y and z, m; that of a Lite 6 by default.
+        angle: standard deviation of the error of roll, pitch and yaw, rad; likewise.
 
     Returns:
         `(joint, 6)` x y z roll pitch yaw of each joint's frame in the previous one, m and rad.

@@ -57,9 +57,7 @@ def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
     for payload in (0.0, 0.7):
         carried = Load(TOOL, payload, CENTER)
         found = body.torque(sample, ddq, carried)
-        np.testing.assert_allclose(
-            found, by_pinocchio(body, sample, ddq, payload, CENTER), atol=1e-12
-        )
+        np.testing.assert_allclose(found, by_pinocchio(body, sample, ddq, payload, CENTER), atol=1e-12)
 
 
 def test_without_masses_there_are_no_torques(lite6):
@@ -162,8 +160,7 @@ def test_the_reports_carry_friction_and_noise(arm, lite6):
     with Controller(body, path=path, address=new_address(), control_port=CONTROL_PORT, speed=40.0) as controller:
         read = read_reports(controller, protocol.REALTIME, 500)
     time = (read["time_us"].astype(np.int64) - 60_000_000) / 1e6
-    plain = Core(Body(arm, lite6.kinematics), start=path.at(np.zeros(1))[0][0])
-    plain.follow(path)
+    plain = Core(Body(arm, lite6.kinematics), path=path)
     friction = read["torque"][:, :6] - plain.torque(time)
     friction[:, 0] -= 20 * read["joint_velocity"][:, 0]
     assert np.abs(friction).max() < 0.06
