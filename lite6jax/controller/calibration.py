@@ -30,12 +30,7 @@ class SilentError(InputError):
 
 
 class CalibrationRead(NamedTuple):
-    """A calibration that was read.
-
-    Attributes:
-        calibration: the calibrated chain and the nominal arm.
-        error: whether the controller reported an error or a warning, which does not affect the calibration.
-    """
+    """A calibration, and whether the controller reported an error or a warning, which does not affect it."""
 
     calibration: FactoryCalibration
     error: bool
@@ -109,7 +104,7 @@ def _check_reply(received: bytearray, where: str) -> None:
         elif length != CALIBRATION_REPLY - HEADER.size:
             what = f"a reply of {length} bytes, not {CALIBRATION_REPLY - HEADER.size}"
     if what:
-        raise _invalid(where, what, received)
+        raise _invalid(where, what, bytes(received))
 
 
 def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.floating]:

@@ -62,26 +62,21 @@ def connect(host: str, port: int, seconds: float) -> socket.socket:
         connection.close()
         reason = f"cannot be reached ({error.strerror or error}); check the address and this computer's network"
         if isinstance(error, TimeoutError):
-            reason = (
-                "no reply; check the address, that the control box is on, and that this computer is on its network "
-                "(ping it)"
-            )
+            reason = "no reply; check the address, that the control box is on, and that this computer is on its network"
+            reason += " (ping it)"
         elif isinstance(error, ConnectionRefusedError):
-            reason = (
-                "nothing listens there; check the address, and that the control box has finished starting (a minute)"
-            )
+            reason = "nothing listens there; check the address, and that the control box has finished starting"
+            reason += " (a minute)"
         raise InputError(f"{host}: port {port}: {reason}") from error
     return connection
 
 
 @dataclass(frozen=True)
 class Reports:
-    """Complete reports of one connection, in order.
+    """Complete reports of one connection, in order, each starting with its length.
 
-    Attributes:
-        connection: the index of the connection among those with reports, from 0.
-        reports: each starting with its length.
-        heard: s, the arrival of the last byte by this computer's monotonic clock.
+    `connection` counts the connections with reports, from 0. `heard` is when the last byte arrived, in s by this
+    computer's monotonic clock.
     """
 
     connection: int

@@ -160,14 +160,10 @@ def read_pose(pose: ArrayLike) -> Array:
 
 
 class Identity(NamedTuple):
-    """The model of the arm and the controller, from register 1, such as `6,9,LI1006,DL1000,v2.7.1`.
+    """Register 1, such as `6,9,LI1006,DL1000,v2.7.1`: the number of joints, the model, the first characters of the
+    serial numbers of arm and control box, and the firmware.
 
-    Attributes:
-        dof: number of joints.
-        type: the vendor's number of the model: 9 Lite 6, 12 UF 850, 5, 6 and 7 xArm 5, 6 and 7 (3: an older xArm 7).
-        arm: the first characters of the arm's serial number.
-        box: those of the control box.
-        firmware: such as `(2, 7, 1)`.
+    The vendor's numbers of the models are 9 Lite 6, 12 UF 850, 5, 6 and 7 xArm 5, 6 and 7 (3: an older xArm 7).
     """
 
     dof: int
@@ -191,12 +187,8 @@ def encode_text(text: str) -> bytes:
 class Calibration(NamedTuple):
     """Register 8: the calibrated six-parameter chain of the arm, in a reply of 179 bytes.
 
-    Attributes:
-        valid: 1, or 0 if the arm was never calibrated.
-        dof: number of joints.
-        type: the model's number, as `Identity.type`.
-        rows: `(7, 6)` x y z roll pitch yaw of each joint's frame in the previous one, m and rad; the arm's joints
-            first, zeros after them.
+    `valid` is 0 if the arm was never calibrated, and `dof` and `type` are those of `Identity`. `rows` are `(7, 6)`
+    x y z roll pitch yaw of each joint's frame in the previous one, m and rad, with zeros after the arm's.
     """
 
     valid: int
@@ -219,7 +211,8 @@ class Calibration(NamedTuple):
         """
         if len(payload) != CALIBRATION_PAYLOAD:
             raise MalformedError(f"{len(payload)} bytes of calibration; they must be {CALIBRATION_PAYLOAD}")
-        return cls(*payload[:3], read_floats(payload[3:], 6 * JOINTS).reshape(JOINTS, 6))
+        valid, dof, kind = payload[:3]
+        return cls(valid, dof, kind, read_floats(payload[3:], 6 * JOINTS).reshape(JOINTS, 6))
 
 
 CALIBRATION_PAYLOAD = 3 + 4 * 6 * JOINTS

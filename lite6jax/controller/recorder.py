@@ -37,16 +37,8 @@ MOST_IN_SIDECAR = 100
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a recording.
-
-    Attributes:
-        rows: their number.
-        time: s, of the last row.
-        rate: Hz, the rate of rows within runs, by the controller's clock.
-        run: of the last row.
-        missing: the number of missing reports, by the controller's clock.
-        trouble: the present problem; empty without one.
-    """
+    """The progress of a recording: the number of rows; time (s) and run of the last one; the rate of rows within runs
+    (Hz) and the number of missing reports, both by the controller's clock; the present problem, empty without one."""
 
     rows: int
     time: float
@@ -170,11 +162,10 @@ def record(
         declared.extend([write_settings(settings, sidecar_path(out), overwrite, account=account), *files])
 
     rows, table = Rows(station, seconds), TableWriter(out, overwrite, SOURCES)
-    with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
-        try:
-            ended = _take_rows(fast, slow, rows, table, declare, stop or threading.Event(), show)
-        finally:
-            table.close()
+    try:
+        ended = _take_rows(address, rows, table, declare, stop or threading.Event(), show)
+    finally:
+        table.close()
     count, refusal = rows.count - table.waiting, table.refusal
     if table.waiting:
         refusal = (
@@ -209,8 +200,7 @@ def record(
 
 
 def _take_rows(
-    fast: ReportPort,
-    slow: ReportPort,
+    address: Address,
     rows: Rows,
     table: TableWriter,
     declare: Callable[[], None],
@@ -218,42 +208,43 @@ def _take_rows(
     show: Callable[[Progress], object],
 ) -> str:
     """Records until an end, and returns the reason of it as a phrase."""
-    started = shown = heard = time.monotonic()
-    trouble = ""
-    while not rows.complete and not rows.stopped:
-        if stop.is_set():
-            return "it was stopped"
-        time.sleep(GATHER_S)
-        for event in slow.drain():
-            if isinstance(event, Reports):
-                with suppress(InputError):  # an incomplete report: the last condition remains valid
-                    rows.condition = parse_condition(event.reports[-1], slow.place)
-        events = fast.drain()
-        now = time.monotonic()
-        for event in events:
-            if isinstance(event, str):
-                trouble = rows.lost = event
-                continue
-            trouble, heard, first = "", event.heard, not rows.count
-            if (columns := rows.take(event)) is not None:
-                if first:
-                    declare()
-                table.append(columns)
-        if not rows.count and (trouble or now - started > FIRST_REPORT_S):
-            problem = trouble or f"{fast.place}: no report within {FIRST_REPORT_S:g} s"
-            remedy = "; check that the firmware has this port (2.x), and restart the control box"
-            raise InputError(problem if ";" in problem else problem + remedy)
-        if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
-            silence = f"no report for {now - heard:.1f} s"
-            return trouble or (silence if now - heard > SLOW_S else "the controller's clock is slow")
-        if table.waiting > MOST_WAITING and table.refusal:
-            return "the disk took no more rows"
-        if now - shown > 0.2:
-            shown = now
-            full = f"the disk cannot be written ({table.refusal}): {table.waiting} rows are kept in memory"
-            problem = full if table.refusal else trouble
-            show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, problem))
-    return ""
+    with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
+        started = shown = heard = time.monotonic()
+        trouble = ""
+        while not rows.complete and not rows.stopped:
+            if stop.is_set():
+                return "it was stopped"
+            time.sleep(GATHER_S)
+            for event in slow.drain():
+                if isinstance(event, Reports):
+                    with suppress(InputError):  # an incomplete report: the last condition remains valid
+                        rows.condition = parse_condition(event.reports[-1], slow.place)
+            events = fast.drain()
+            now = time.monotonic()
+            for event in events:
+                if isinstance(event, str):
+                    trouble = rows.lost = event
+                    continue
+                trouble, heard, first = "", event.heard, not rows.count
+                if (columns := rows.take(event)) is not None:
+                    if first:
+                        declare()
+                    table.append(columns)
+            if not rows.count and (trouble or now - started > FIRST_REPORT_S):
+                problem = trouble or f"{fast.place}: no report within {FIRST_REPORT_S:g} s"
+                remedy = "; check that the firmware has this port (2.x), and restart the control box"
+                raise InputError(problem if ";" in problem else problem + remedy)
+            if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
+                silence = f"no report for {now - heard:.1f} s"
+                return trouble or (silence if now - heard > SLOW_S else "the controller's clock is slow")
+            if table.waiting > MOST_WAITING and table.refusal:
+                return "the disk took no more rows"
+            if now - shown > 0.2:
+                shown = now
+                full = f"the disk cannot be written ({table.refusal}): {table.waiting} rows are kept in memory"
+                problem = full if table.refusal else trouble
+                show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, problem))
+        return ""
 
 
 def record_poses(

@@ -71,13 +71,9 @@ class Gap:
 
 @dataclass
 class Gaps:
-    """The gaps of a recording, counted.
+    """The number of gaps of a recording, and of missing reports within and between runs.
 
-    Attributes:
-        count: how many.
-        within: the number of missing reports within runs.
-        between: the number of missing reports between runs.
-        listed: at least the `MOST_LISTED` gaps with the most missing reports.
+    `listed` are at least the `MOST_LISTED` gaps with the most missing reports.
     """
 
     count: int = 0
@@ -208,7 +204,8 @@ class Rows:
         reports, time_us = reports[new], time_us[new]
         steps = np.diff(time_us, prepend=self._time_us)
         missing = np.maximum(np.rint(steps / PERIOD_US).astype(np.int64), 1) - 1
-        gap = np.where(missing > 0, np.array("reports not received", object), None)
+        gap = np.full(len(missing), None, object)
+        gap[missing > 0] = "reports not received"
         reasons = []
         if self.count and reconnected:
             reasons.append(f"connection lost ({self.lost})" if self.lost else "new connection")

@@ -89,11 +89,7 @@ def compute_poses(
 
 
 class Sdk:
-    """A connection of the SDK, made by `connect_sdk`.
-
-    Attributes:
-        version: the content of register 1, such as `6,9,LI1006,DL1000,v2.7.1`.
-    """
+    """A connection of the SDK, made by `connect_sdk`; `version` is the content of register 1."""
 
     def __init__(self, process: "subprocess.Popen[str]", where: str, seconds: float) -> None:
         self._process, self._where = process, where

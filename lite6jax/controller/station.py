@@ -137,12 +137,7 @@ class Station:
     notes: tuple[str, ...]
 
     def sidecar_settings(self, out: Path, computed: bool = False) -> RecordingSettings:
-        """The content of the sidecar of a recording of this arm.
-
-        Args:
-            out: the recording; sidecar and calibration are beside it.
-            computed: whether the controller computed the poses of given joint positions; else they are of a motion.
-        """
+        """The content of the sidecar of a recording `out` of a motion, or of poses that the controller `computed`."""
         arm = self.arm_name
         if arm not in bundled_arms():
             arm = Path(os.path.relpath(Path(arm).resolve(), out.resolve().parent)).as_posix()

@@ -41,12 +41,9 @@ class TableWriter:
     """
 
     def __init__(self, path: Path, overwrite: bool, sources: Mapping[str, str]) -> None:
-        """Creates no file before the first rows.
+        """Creates no file before the first rows, nor replaces one unless `overwrite`.
 
-        Args:
-            path: the table, `.csv` or `.parquet`.
-            overwrite: whether an existing file may be replaced.
-            sources: the source of each column as a phrase, stored as column metadata in Parquet.
+        `sources` are phrases by column, which Parquet stores as column metadata.
         """
         self._path, self._overwrite, self._sources = path, overwrite, sources
         self._parquet = path.suffix.lower() == ".parquet"

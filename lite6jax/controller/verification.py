@@ -141,12 +141,8 @@ def verify(
 
 
 def find_offset(expected: Array, computed: Array) -> Array | None:
-    """`(6,)` mm and rad, the constant transform after the flange that explains a difference; None if there is none.
-
-    Args:
-        expected: `(sample, 4, 4)` poses by the calibration.
-        computed: `(sample, 4, 4)` poses by the controller.
-    """
+    """`(6,)` mm and rad, the constant transform after the flange that explains the difference between `(sample, 4, 4)`
+    poses by the calibration and by the controller; None if there is none."""
     if len(expected) < 3:
         return None
     mean = (np.linalg.inv(expected) @ computed).mean(axis=0)

@@ -157,12 +157,7 @@ class Body:
         """`(joint,)` rad at which the flange is at `goal` `(4, 4)`, close to the reference; None if none is found.
 
         Damped Gauss-Newton from the reference and, if that does not converge, from 64 other joint positions, of whose
-        solutions the closest is chosen.
-
-        Args:
-            goal: T_base_flange.
-            reference: `(joint,)` rad.
-            limited: whether the joint limits hold.
+        solutions the closest is chosen. Joint limits hold if `limited`.
         """
         lower, upper = self.arm.joint_limits.T
         rng = np.random.default_rng(0)
@@ -202,12 +197,7 @@ class Body:
         return self.physics.part(self.values, [e.name != "time_offset" for e in self.physics.effects])
 
     def true_poses(self, sample: Sample, load: Load) -> Array:
-        """`(sample, 4, 4)` the true poses of the tool, with all effects but clock offsets.
-
-        Args:
-            sample: the joints; with clock offsets those at `clock_offset` after the instants.
-            load: tool and payload.
-        """
+        """`(sample, 4, 4)` the true poses of the tool, with all effects; the joints are those after `clock_offset`."""
         physics, values = self._bending
         if not physics.effects:
             return self.flange(sample.position) @ load.T_flange_tool
@@ -255,12 +245,12 @@ class Body:
     def _inertial_numbers(self) -> Array:
         """`(joint, 10)` of each link about its frame's origin: m, m·c, and the tensor's xx yy zz xy xz yz.
 
-        Links without tensors are points, and without masses they weigh nothing.
+        Links without tensors are points.
         """
-        numbers = np.zeros((self.arm.dof, 10))
-        if self.arm.mass is not None and self.arm.center_of_mass is not None:
-            links = zip(self.arm.mass, self.arm.center_of_mass, strict=True)
-            numbers = np.stack([point_mass(float(mass), center) for mass, center in links])
+        assert self.arm.mass is not None
+        assert self.arm.center_of_mass is not None
+        links = zip(self.arm.mass, self.arm.center_of_mass, strict=True)
+        numbers = np.stack([point_mass(float(mass), center) for mass, center in links])
         if self.arm.inertia is not None:
             numbers[:, 4:] += six_entries(self.arm.inertia)
         return numbers
@@ -268,10 +258,7 @@ class Body:
     def torque(self, sample: Sample, acceleration: Array, load: Load) -> Array:
         """`(sample, joint)` N·m that the motors exert about +z of the joints, without noise; zero without masses.
 
-        Args:
-            sample: the joints.
-            acceleration: `(sample, joint)` rad/s².
-            load: tool and payload.
+        The acceleration is `(sample, joint)` rad/s².
         """
         if self.arm.mass is None:
             return np.zeros_like(sample.position)
@@ -313,14 +300,10 @@ def _weighted_twist(here: Array, goal: Array) -> Array:
 
 
 class _LinkMotion(NamedTuple):
-    """Each link's frame and how it moves, in the base frame; the sample is the last axis.
+    """Each link's frame and how it moves, in the base frame.
 
-    Attributes:
-        R: `(joint, 3, 3, sample)` rotations.
-        origin: `(joint, 3, sample)` m.
-        spin: `(joint, 3, sample)` rad/s, the angular velocity.
-        spin_rate: `(joint, 3, sample)` rad/s².
-        acceleration: `(joint, 3, sample)` m/s², of the origin less gravity.
+    Rotations are `(joint, 3, 3, sample)`. `(joint, 3, sample)` are the origins in m, the angular velocities in rad/s,
+    their rates in rad/s², and the accelerations of the origins less gravity in m/s².
     """
 
     R: Array

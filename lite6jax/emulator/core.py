@@ -75,18 +75,13 @@ class Core:
     """The controller without its sockets, in emulated time, which `advance` increases.
 
     With effects the poses that the controller computes differ from the true ones: `computed_pose` is by the kinematics
-    of its calibration, `true` the pose of the body. The class has more than twelve methods because all of them read or
-    change one state, which must be consistent at each request.
+    of its calibration, `true_poses` those of the body.
 
     Attributes:
-        body: the arm.
-        faults: of the controller.
         path: the motion from the start; None for rest at zero.
-        timeline: the commanded positions of the joints.
+        tool, payload: `(6,)` mm and rad, and `(4,)` kg and centre of mass in mm, as set by `set_load`.
         time: s since the start.
         requests: the number of requests of each register.
-        tool: `(6,)` the tool offset in mm and rad, as set by `set_load`.
-        payload: `(4,)` kg and centre of mass in mm, likewise.
     """
 
     body: Body
@@ -195,11 +190,7 @@ class Core:
         self.enqueue(Move(request, client, client.feedback, goal, speed, acceleration))
 
     def servo(self, goal: Array) -> None:
-        """Moves to `(joint,)` rad immediately, within the limit of speed.
-
-        Raises:
-            RefusedError: another mode than `SERVO`.
-        """
+        """Moves to `(joint,)` rad immediately, within the limit of speed; refused in another mode than `SERVO`."""
         if self._may_move(goal, SERVO):
             here = self.commanded(np.array([self.time]))[0][0]
             self.timeline.then(servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
@@ -218,11 +209,7 @@ class Core:
         return True
 
     def enqueue(self, queued: Move) -> None:
-        """Appends a move after all planned ones.
-
-        Raises:
-            RefusedError: a full queue.
-        """
+        """Appends a move after all planned ones; refused by a full queue."""
         if len(self.queue) >= MOST_COMMANDS:
             raise RefusedError
         queued.start = queued.end = max(self.time, self.timeline.end)

@@ -23,12 +23,7 @@ MAX_ACCELERATION = float(np.deg2rad(1146.0))
 @final
 @dataclass(frozen=True, eq=False)
 class Polynomials:
-    """A path of polynomials in time, of which the last is constant, or a cycle of them.
-
-    Attributes:
-        pieces: the polynomials of all joints.
-        duration: s, the start of the constant one; infinite for a cycle.
-    """
+    """A path of polynomials in time, of which the last is constant, or a cycle of them, of infinite duration (s)."""
 
     pieces: PPoly
     duration: float

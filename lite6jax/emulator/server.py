@@ -241,16 +241,10 @@ class Controller:
         def look(core: Core) -> Snapshot:
             ports = [*self._readers.values()]
             connections = {port: ports.count(port) for port in self._report_ports}
-            return Snapshot(
-                core.time,
-                core.state,
-                core.mode,
-                core.error,
-                core.measured(np.array([core.time]))[0][0],
-                dict(core.requests),
-                {protocol.CONTROL_PORT: len(self._clients)} | connections,
-                self._given_up,
-            )
+            joints = core.measured(np.array([core.time]))[0][0]
+            connections |= {protocol.CONTROL_PORT: len(self._clients)}
+            state = (core.time, core.state, core.mode, core.error, joints)
+            return Snapshot(*state, dict(core.requests), connections, self._given_up)
 
         return self.call(look)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from types import MappingProxyType
 from typing import NamedTuple, final
 
 import jax
@@ -42,16 +41,14 @@ class Instrument(NamedTuple):
     pose_source: PoseSource
 
 
-INSTRUMENTS: Mapping[str, Instrument] = MappingProxyType(
-    {
-        "tracker": Instrument(SENSORS["tracker"], "laser_tracker"),
-        "tracker_6d": Instrument(SENSORS["tracker_6d"], "laser_tracker"),
-        "motion_capture": Instrument(SENSORS["motion_capture"], "motion_capture"),
-        "camera": Instrument(SENSORS["camera"], "camera"),
-        # 32-bit floats on the wire: 3.4e-8 m on average, 6e-7 rad at most
-        "controller_fk": Instrument(Sensor("pose", 3e-8, 3e-7), "controller_fk"),
-    }
-)
+INSTRUMENTS: Mapping[str, Instrument] = {
+    "tracker": Instrument(SENSORS["tracker"], "laser_tracker"),
+    "tracker_6d": Instrument(SENSORS["tracker_6d"], "laser_tracker"),
+    "motion_capture": Instrument(SENSORS["motion_capture"], "motion_capture"),
+    "camera": Instrument(SENSORS["camera"], "camera"),
+    # 32-bit floats on the wire: 3.4e-8 m on average, 6e-7 rad at most
+    "controller_fk": Instrument(Sensor("pose", 3e-8, 3e-7), "controller_fk"),
+}
 """By name."""
 
 
@@ -82,14 +79,14 @@ class UndeclaredNoise:
     outlier_size: float = 5e-3
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value, limits, inside = getattr(self, field.name), "0 or more", True
-            if field.name == "correlation":
-                limits, inside = "0 to below 1", value < 1
-            elif field.name == "outlier_share":
-                limits, inside = "0 to 1", value <= 1
-            if not (inside and 0 <= value < np.inf):
-                raise InputError(f"simulation: {field.name} is {value}; give a number, {limits}")
+        inside = {
+            "correlation": (self.correlation < 1, "0 to below 1"),
+            "outlier_share": (self.outlier_share <= 1, "0 to 1"),
+        }
+        for name in (field.name for field in fields(self)):
+            (below, limits), value = inside.get(name, (True, "0 or more")), getattr(self, name)
+            if not (below and 0 <= value < np.inf):
+                raise InputError(f"simulation: {name} is {value}; give a number, {limits}")
 
 
 class Measurement(NamedTuple):
@@ -113,14 +110,10 @@ class Measurement(NamedTuple):
         return frames.compare_transforms(self.poses, self.rigid)[0]
 
     @property
-    def turn(self) -> Array:
-        """`(sample,)` rad by which the effects rotate the tool."""
-        return frames.compare_transforms(self.poses, self.rigid)[1]
-
-    @property
     def rms(self) -> tuple[float, float]:
-        """Root mean squares of displacement (m) and turn (rad)."""
-        return float(np.sqrt(np.mean(self.displacement**2))), float(np.sqrt(np.mean(self.turn**2)))
+        """Root mean squares of the displacement (m) and of the angle (rad) by which the effects rotate the tool."""
+        distance, angle = frames.compare_transforms(self.poses, self.rigid)
+        return float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean(angle**2)))
 
 
 def measure(
@@ -218,8 +211,8 @@ def measure(
     if turn is not None:
         turn[hit] += size / OUTLIER_LEVER_M * _draw_directions(rng, hit.size)
         quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()))
-    joint_noise = np.hypot(probe.joint_noise, undeclared.joint_noise)
-    read_out = joint_noise * make_generator(seed, "joints").standard_normal(motion.joint_position.shape)
+    sigma = np.hypot(probe.joint_noise, undeclared.joint_noise)
+    read_out = sigma * make_generator(seed, "joints").standard_normal(motion.joint_position.shape)
     read_out[:, arm.slides] = 0.0
 
     settings = replace(
