@@ -23,7 +23,7 @@ from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia
+from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 
@@ -196,6 +196,12 @@ class Body:
         """The effects on poses but clock offsets, with their values."""
         return self.physics.part(self.values, [e.name != "time_offset" for e in self.physics.effects])
 
+    @cached_property
+    def _inertia(self) -> Inertia | None:
+        if self.arm.mass is None or self.arm.center_of_mass is None:
+            return None
+        return inertia_of(self.arm.mass, self.arm.center_of_mass)
+
     def true_poses(self, sample: Sample, load: Load) -> Array:
         """`(sample, 4, 4)` the true poses of the tool, with all effects; the joints are those after `clock_offset`."""
         physics, values = self._bending
@@ -203,9 +209,8 @@ class Body:
             return self.flange(sample.position) @ load.T_flange_tool
         # JAX converts NumPy arrays at the call
         model: Any = (self.kinematics.ravel(), np.eye(4), self.arm.T_joint_flange @ load.T_flange_tool)
-        masses: Any = (self.arm.mass, self.arm.center_of_mass, load.center, _GRAVITY)
-        inertia, form = None if self.arm.mass is None else Inertia(*masses), SixParameterForm(self.arm.dof)
-        poses = []
+        inertia = self._inertia and self._inertia._replace(payload_center=load.center)
+        form, poses = SixParameterForm(self.arm.dof), []
         for first in range(0, len(sample.time), BLOCK):
             block = Sample(*(part[first : first + BLOCK] for part in sample))
             motion = self._motion(block, load.payload, BLOCK)

@@ -244,15 +244,15 @@ def _fill_realtime(
     encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
     # accelerations are one-sided, so that a later command does not change earlier reports
     earlier = [read(time - DIFFERENCE_S)[1] for read in (core.commanded, core.measured)]
-    parts = zip(("target", "joint"), ("target_pose", "pose"), (commanded, measured), earlier, strict=True)
-    for prefix, pose, (q, dq), before in parts:
-        T, speed = _pose_and_speed(core, q, dq)
-        if pose == "pose" and (core.body.physics.effects or core.faults.nominal_kinematics):
-            T = core.true_poses(time)
+    T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
+    if core.body.physics.effects or core.faults.nominal_kinematics:
+        T[len(time) :] = core.true_poses(time)
+    records["target_pose"], records["pose"] = np.split(encode(T), 2)
+    records["target_pose_speed"], records["pose_speed"] = np.split(speed, 2)
+    for prefix, (q, dq), before in zip(("target", "joint"), (commanded, measured), earlier, strict=True):
         records[f"{prefix}_position"] = protocol.pad_joints(q)
         records[f"{prefix}_velocity"] = protocol.pad_joints(dq)
         records[f"{prefix}_acceleration"] = protocol.pad_joints((dq - before) / DIFFERENCE_S)
-        records[pose], records[f"{pose}_speed"] = encode(T), speed
 
 
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
