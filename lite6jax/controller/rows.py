@@ -123,13 +123,13 @@ class Rows:
         self.gaps = Gaps()
         self.names: tuple[str, ...] = ()
         self._dof = station.arm.dof
-        self._conditioned = station.condition is not None  # whether there are columns of the 5 Hz report
+        self._has_condition = station.condition is not None  # whether there are columns of the 5 Hz report
         self._warms = station.condition is not None and station.condition.temperature is not None
         rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
         self._links = frames.transform_from_row(rows)
         self._tool = np.eye(4) if station.condition is None else station.condition.T_flange_tool
         self._convention: str | None = None  # of orientations; empty if none fits the chain
-        self._decided = False
+        self._certain = False
         self._torque_noise, self._window = TorqueNoise(), np.zeros((0, 2, protocol.JOINTS))
         self._connection = self._clock = self._time_us = 0  # the clock in µs, of the last row
         self._heard = 0.0
@@ -241,7 +241,7 @@ class Rows:
         for name, (pattern, _) in _FIELDS.items():
             values = reports[name].astype(float)
             table |= {pattern.format(i + 1): values[:, i] for i in joints}
-        if self._conditioned and self.condition is not None:
+        if self._has_condition and self.condition is not None:
             if self._warms:
                 degrees = self.condition.temperature
                 table |= {
@@ -274,7 +274,7 @@ class Rows:
             return None
         finite = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
         safe = np.where(finite[:, None], numbers, 0.0)
-        if not self._decided and finite.any():
+        if not self._certain and finite.any():
             some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
             expected = frames.chain(self._links, q[some]) @ self._tool
             found, off = expected.copy(), {}
@@ -286,7 +286,7 @@ class Rows:
                 self._convention = ""
                 return None
             self._convention = best
-            self._decided = max(off.values()) - off[best] > _DISTINCT_RAD
+            self._certain = max(off.values()) - off[best] > _DISTINCT_RAD
         quaternions = _CONVENTIONS[self._convention or "roll pitch yaw"](safe).as_quat(scalar_first=True)
         quaternions[~finite] = np.nan
         return quaternions
@@ -303,7 +303,7 @@ class Rows:
             notes.append(
                 "orientations are omitted: in both conventions they differ from the chain's by over 3°; check the tool"
             )
-        elif self._decided:
+        elif self._certain:
             notes.append(
                 f"the controller's orientations are {self._convention}: the other convention contradicts the chain"
             )

@@ -19,7 +19,7 @@ READS = (1, 13, 14, 15, 44)
 """The permitted registers, which are read only: version, state, commands waiting, errors, forward kinematics."""
 
 
-def only_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
+def allow_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
     """The SDK's write function, of a port and bytes, restricted to `READS`; `refused` receives the other registers."""
 
     def guarded(port: Any, data: bytes) -> int:
@@ -47,7 +47,7 @@ def serve(host: str, port: int, home: str) -> None:
         from xarm.wrapper import XArmAPI
 
         setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", port)  # noqa: B010 (typed as the constant 502)
-        setattr(Port, "write", only_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
+        setattr(Port, "write", allow_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
         # Without reports, connecting would clear the controller's warnings. With Unix domain sockets permitted, the SDK
         # would connect to another program's socket in /tmp instead of the arm.
         arm = XArmAPI(host, is_radian=True, enable_report=True, forbid_uds=True)

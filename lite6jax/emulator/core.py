@@ -74,7 +74,7 @@ class Move:
 class Core:
     """The controller without its sockets, in emulated time, which `advance` increases.
 
-    With effects the poses that the controller computes differ from the true ones: `computed_pose` is by the kinematics
+    With effects the poses that the controller computes differ from the true ones: `compute_pose` is by the kinematics
     of its calibration, `true_poses` those of the body.
 
     Attributes:
@@ -125,12 +125,12 @@ class Core:
         """Follows a path, which must start at the present position, until a command stops it."""
         self.enabled = self.every_motor
         self.state, self.following = State.MOVING, True
-        self.timeline.then(path, self.time)
+        self.timeline.append(path, self.time)
 
     def advance(self, time: float) -> None:
         """Advances the clock to `time` s, and notifies of the moves that have begun or ended."""
         instants = np.linspace(self.time, time, 1 + math.ceil((time - self.time) / SPACING_S))[1:]
-        self.direction = _directions(self.measured(instants)[1], self.direction)[-1]
+        self.direction = _directions(self.read_encoders(instants)[1], self.direction)[-1]
         self.time = time
         while self.queue and self.queue[0].start <= time:
             queued = self.queue[0]
@@ -192,8 +192,8 @@ class Core:
     def servo(self, goal: Array) -> None:
         """Moves to `(joint,)` rad immediately, within the limit of speed; refused in another mode than `SERVO`."""
         if self._may_move(goal, SERVO):
-            here = self.commanded(np.array([self.time]))[0][0]
-            self.timeline.then(servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
+            here = self.read_commands(np.array([self.time]))[0][0]
+            self.timeline.append(servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
             self.state = State.MOVING
 
     def _may_move(self, goal: Array, mode: int) -> bool:
@@ -202,7 +202,7 @@ class Core:
             return False
         if self.mode != mode:
             raise RefusedError
-        if self.beyond_limits(goal):
+        if self.exceeds_limits(goal):
             self.error = JOINT_LIMIT_ERROR
             self.halt(State.STOPPED)
             return False
@@ -214,9 +214,9 @@ class Core:
             raise RefusedError
         queued.start = queued.end = max(self.time, self.timeline.end)
         if queued.goal is not None:
-            here = self.commanded(np.array([queued.start]))[0][0]
+            here = self.read_commands(np.array([queued.start]))[0][0]
             path = move(here, queued.goal, queued.speed, queued.acceleration)
-            self.timeline.then(path, queued.start)
+            self.timeline.append(path, queued.start)
             queued.end += path.duration
             self.state = State.MOVING
         self.queue.append(queued)
@@ -234,7 +234,7 @@ class Core:
     @property
     def identity(self) -> protocol.Identity:
         """The content of register 1."""
-        dof, kind = self.faults.stated_model or (self.body.arm.dof, self.body.type)
+        dof, kind = self.faults.model or (self.body.arm.dof, self.body.type)
         prefix, box = {9: "LI", 12: "FX"}.get(kind, "XI"), "DL1000" if kind == 9 else "AC1300"
         return protocol.Identity(dof, kind, f"{prefix}1006", box, self.faults.firmware)
 
@@ -248,26 +248,26 @@ class Core:
             | (0 if self.can_move else Status.CANNOT_MOVE)
         )
 
-    def beyond_limits(self, q: Array) -> bool:
+    def exceeds_limits(self, q: Array) -> bool:
         """Whether a joint exceeds its limits by more than 0.1° or is not finite."""
         lower, upper = self.body.arm.joint_limits.T
         return not ((q >= lower - LIMIT_TOLERANCE) & (q <= upper + LIMIT_TOLERANCE) & np.isfinite(q)).all()
 
-    def commanded(self, time: Array) -> tuple[Array, Array]:
+    def read_commands(self, time: Array) -> tuple[Array, Array]:
         """The commanded positions and velocities `(sample, joint)` at `(sample,)` s."""
         return self.timeline.at(time)
 
-    def measured(self, time: Array) -> tuple[Array, Array]:
+    def read_encoders(self, time: Array) -> tuple[Array, Array]:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
         return self.timeline.at(time - LAG_S)
 
-    def computed_pose(self, q: ArrayLike) -> Array:
+    def compute_pose(self, q: ArrayLike) -> Array:
         """`(..., 4, 4)` the tool pose by the controller's kinematics: its calibration and the tool offset."""
         return self.body.flange(q, self.faults.nominal_kinematics) @ self.load.T_flange_tool
 
     def true_poses(self, time: Array) -> Array:
         """`(sample, 4, 4)` the true tool poses with all effects, at the measured joints."""
-        position, velocity = self.measured(time + self.body.clock_offset)
+        position, velocity = self.read_encoders(time + self.body.clock_offset)
         sample = Sample(time, position, velocity, _directions(velocity, self.direction))
         return self.body.true_poses(sample, self.load)
 
@@ -275,8 +275,8 @@ class Core:
         """`(sample, joint)` N·m, the motor torques as they are read at `(sample,)` s: with effects and noise."""
         offsets, torque = self.body.torque_offset, self.body.draw_torque_noise(time)
         for offset in np.unique(offsets):
-            (q, dq), half = self.measured(time + offset), DIFFERENCE_S / 2
-            later, earlier = (self.measured(time + offset + shift)[1] for shift in (half, -half))
+            (q, dq), half = self.read_encoders(time + offset), DIFFERENCE_S / 2
+            later, earlier = (self.read_encoders(time + offset + shift)[1] for shift in (half, -half))
             sample = Sample(time + offset, q, dq, np.sign(dq))
             exerted = self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.load)
             torque[:, offsets == offset] += exerted[:, offsets == offset]

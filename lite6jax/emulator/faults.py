@@ -26,7 +26,7 @@ class Faults:
     """The faults of an emulated controller; by default none. `describe_faults` describes them.
 
     With `ALL` in `silent` no register has a reply; connections are accepted all the same. NaN in `kinematics` are those
-    of registers 41 to 45, 55 and 91. `stated_model` are the axes and the type that registers 1 and 8 state.
+    of registers 41 to 45, 55 and 91. `model` are the axes and the type that registers 1 and 8 state.
     """
 
     silent: frozenset[int] = _fault(
@@ -46,7 +46,7 @@ class Faults:
     status: int = _fault(0, "status", "adds bits to every status", "BITS", "8", 0, 255)
     latency: float = _fault(0.0, "latency", "delays each reply", "S", "0.5")
     nan: frozenset[str] = _fault(frozenset(), "nan", f"gives NaN in {', '.join(NAN_PLACES)}", "WHERE", "calibration")
-    stated_model: tuple[int, int] | None = _fault(None, "type", "reports another model", "AXES/TYPE", "6/6", 0, 255)
+    model: tuple[int, int] | None = _fault(None, "type", "reports another model", "AXES/TYPE", "6/6", 0, 255)
     firmware: tuple[int, int, int] = _fault(
         (2, 7, 1), "firmware", "is older: no calibration below 2.3.0, no reply to its request from 1.12.1", "VERSION",
         "1.12.1",

@@ -126,7 +126,7 @@ class Timeline:
         start, path = self._paths[-1]
         return start + path.duration if path.duration else start
 
-    def then(self, path: Path, start: float) -> None:
+    def append(self, path: Path, start: float) -> None:
         """Appends `path` from `start` s on, not before the start of the last one."""
         while len(self._paths) > 1 and self._paths[1][0] < start - self.KEEP:
             del self._paths[0]
@@ -136,7 +136,7 @@ class Timeline:
         """Removes later paths and brakes."""
         position, velocity = (part[0] for part in self.at(np.array([now])))
         self._paths = [entry for entry in self._paths if entry[0] <= now]
-        self.then(brake(position, velocity), now)
+        self.append(brake(position, velocity), now)
 
     def at(self, time: Array) -> tuple[Array, Array]:
         """Positions and velocities `(sample, joint)` at increasing times `(sample,)` s."""

@@ -124,7 +124,7 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
             *q, speed, acceleration, _ = protocol.read_floats(body[:40], 10)
             goal = np.array(q[:dof])
             if any(body[40:41]):  # only a check is requested
-                error = JOINT_LIMIT_ERROR if core.beyond_limits(goal) else 0
+                error = JOINT_LIMIT_ERROR if core.exceeds_limits(goal) else 0
                 return struct.pack(">HB", len(core.queue), error)
             core.move(goal, speed, acceleration, request, client)
             return struct.pack(">H", len(core.queue))
@@ -142,19 +142,19 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
             core.set_load(core.tool, _check_plausible(protocol.read_floats(body, 4)))
             return b""
         case Register.POSE:
-            return protocol.encode_pose(core.computed_pose(core.commanded(now)[0][0]))
+            return protocol.encode_pose(core.compute_pose(core.read_commands(now)[0][0]))
         case Register.POSE_AXIS_ANGLE:
-            return protocol.encode_axis_angle(core.computed_pose(core.commanded(now)[0][0]))
+            return protocol.encode_axis_angle(core.compute_pose(core.read_commands(now)[0][0]))
         case Register.JOINTS:
             if not body:
-                return protocol.pad_joints(core.commanded(now)[0][0])
+                return protocol.pad_joints(core.read_commands(now)[0][0])
             blocks = body[0] & 0x0F
             if not 1 <= blocks <= 3:
                 raise RefusedError
-            return protocol.pad_joints(np.concatenate([*core.measured(now), core.torque(now)])[:blocks])
+            return protocol.pad_joints(np.concatenate([*core.read_encoders(now), core.torque(now)])[:blocks])
         case Register.INVERSE_KINEMATICS:
             flange = protocol.read_pose(_check_plausible(protocol.read_floats(body[:24], 6)))
-            reference = core.commanded(now)[0][0]
+            reference = core.read_commands(now)[0][0]
             if len(body) > 25:
                 reference = _check_plausible(protocol.read_floats(body[25:], protocol.JOINTS))[:dof]
             flange = flange @ np.linalg.inv(core.load.T_flange_tool)
@@ -164,10 +164,10 @@ def _execute(core: Core, request: Frame, client: Client) -> bytes | Array:
             return protocol.pad_joints(q)
         case Register.FORWARD_KINEMATICS:
             q = protocol.read_floats(body[: 4 * protocol.JOINTS], protocol.JOINTS)[:dof]
-            return protocol.encode_pose(core.computed_pose(q))
+            return protocol.encode_pose(core.compute_pose(q))
         case Register.JOINT_LIMIT:
             q = protocol.read_floats(body[: 4 * protocol.JOINTS], protocol.JOINTS)[:dof]
-            return bytes([core.beyond_limits(q)])
+            return bytes([core.exceeds_limits(q)])
         case Register.TORQUE:
             return protocol.pad_joints(core.torque(now)[0])
         case Register.DH:  # modified DH (Craig) of the nominal arm, rad and mm; alpha and a precede the joint
@@ -200,7 +200,7 @@ def report(core: Core, port: int, time: Array) -> bytes:
     records["length"] = records.dtype.itemsize
     records["state_mode"] = core.state | core.mode << 4
     records["commands"] = len(core.queue)
-    commanded, measured, torque = core.commanded(time), core.measured(time), core.torque(time)
+    commanded, measured, torque = core.read_commands(time), core.read_encoders(time), core.torque(time)
     current = protocol.pad_joints(AMPERE_PER_NM * torque + AMPERE_PER_RAD_PER_S * measured[1])
     records["torque"] = protocol.pad_joints(torque)
     if port == protocol.REALTIME:
@@ -243,7 +243,7 @@ def _fill_realtime(
     records["time_us"] = np.round(time * 1e6).astype(np.uint64) + core.clock_us(0.0)
     encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
     # accelerations are one-sided, so that a later command does not change earlier reports
-    earlier = [read(time - DIFFERENCE_S)[1] for read in (core.commanded, core.measured)]
+    earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]
     T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
     if core.body.physics.effects or core.faults.nominal_kinematics:
         T[len(time) :] = core.true_poses(time)
@@ -258,7 +258,7 @@ def _fill_realtime(
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
     """Poses `(sample, 4, 4)` m by the controller's kinematics, and their speeds `(sample, 6)`, mm/s and rad/s."""
     half = DIFFERENCE_S / 2 * dq
-    before, here, after = np.split(core.computed_pose(np.concatenate([q - half, q, q + half])), 3)
+    before, here, after = np.split(core.compute_pose(np.concatenate([q - half, q, q + half])), 3)
     shift = (after[:, :3, 3] - before[:, :3, 3]) * protocol.MM
     turn = (after[:, :3, :3] - before[:, :3, :3]) @ np.swapaxes(here[:, :3, :3], 1, 2)
     spin = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], -1)

@@ -58,7 +58,7 @@ class Snapshot(NamedTuple):
         joints: `(joint,)` rad, measured.
         requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
-        given_up: the number of connections closed because their clients did not read.
+        slow_readers: the number of connections closed because their clients did not read.
     """
 
     time: float
@@ -68,7 +68,7 @@ class Snapshot(NamedTuple):
     joints: Array
     requests: dict[int, int]
     connections: dict[int, int]
-    given_up: int
+    slow_readers: int
 
 
 class Controller:
@@ -142,7 +142,7 @@ class Controller:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
         self._garbage = np.random.default_rng(0)
-        self._given_up = 0
+        self._slow_readers = 0
         self._held_since = self._looked = 0.0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
@@ -241,10 +241,10 @@ class Controller:
         def look(core: Core) -> Snapshot:
             ports = [*self._readers.values()]
             connections = {port: ports.count(port) for port in self._report_ports}
-            joints = core.measured(np.array([core.time]))[0][0]
+            joints = core.read_encoders(np.array([core.time]))[0][0]
             connections |= {protocol.CONTROL_PORT: len(self._clients)}
             state = (core.time, core.state, core.mode, core.error, joints)
-            return Snapshot(*state, dict(core.requests), connections, self._given_up)
+            return Snapshot(*state, dict(core.requests), connections, self._slow_readers)
 
         return self.call(look)
 
@@ -324,7 +324,7 @@ class Controller:
         elif fast and now - self._held_since <= GIVE_UP_S:
             return True
         for writer in slow:
-            self._given_up += not writer.transport.is_closing()
+            self._slow_readers += not writer.transport.is_closing()
             writer.transport.abort()
         return False
 

@@ -233,7 +233,7 @@ def test_an_emulated_arm_is_read_over_any_line(faults):
         (Faults(close_after=0), "closed the connection after 0 of 179 bytes"),
         (Faults(close_after=90), "closed the connection after 90 of 179 bytes"),
         (Faults(garbage=True), "which is not a calibration"),
-        (Faults(stated_model=(6, 12)), "not a lite6"),
+        (Faults(model=(6, 12)), "not a lite6"),
         (Faults(nan=frozenset({"calibration"})), "not finite"),
     ],
 )

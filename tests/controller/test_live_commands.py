@@ -85,7 +85,7 @@ def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsy
 
 
 def test_read_of_another_arm_needs_its_name(capsys):
-    with emulated(faults=Faults(stated_model=(6, 12))) as (_, address):
+    with emulated(faults=Faults(model=(6, 12))) as (_, address):
         assert "--arm uf850" in refused(capsys, "read", "--ip", address)
 
 

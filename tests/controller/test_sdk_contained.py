@@ -16,7 +16,7 @@ from live_arm import ARM, KINEMATICS, emulated, new_host, serving
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address
 from lite6jax.controller.sdk import SdkError, connect_sdk
-from lite6jax.controller.sdk_worker import READS, only_reads
+from lite6jax.controller.sdk_worker import READS, allow_reads
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
@@ -70,7 +70,7 @@ def test_the_registers_that_the_sdk_sends_are_these_and_no_others():
 def test_it_asks_for_what_it_may_and_nothing_that_changes_the_arm():
     assert not set(READS) & set(CHANGES)
     sent, refused = [], []
-    write = only_reads(lambda port, data: sent.append(data) or 0, refused)
+    write = allow_reads(lambda port, data: sent.append(data) or 0, refused)
     for register in range(256):
         frame = protocol.Frame(register).encode()
         assert write(None, frame) == (0 if register in READS else -1)
@@ -92,7 +92,7 @@ def test_the_way_out_is_shut_for_the_real_sdk(tmp_path):
         XCONF.SocketConf.TCP_CONTROL_PORT = int(sys.argv[2])
         refused = []
         if sys.argv[4] == "shut":
-            Port.write = worker["only_reads"](Port.write, refused)
+            Port.write = worker["allow_reads"](Port.write, refused)
         arm = XArmAPI(sys.argv[1], enable_report=False, forbid_uds=True)
         arm.motion_enable(True)
         arm.set_mode(0)

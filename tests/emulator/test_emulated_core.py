@@ -45,5 +45,5 @@ def test_nothing_that_is_asked_breaks_it(lite6, requests, enabled):
         core.advance(core.time + 0.1)
         for port in protocol.RATES:
             assert len(report(core, port, np.array([core.time, core.time + 0.01]))) == 2 * protocol.LENGTHS[port]
-    assert np.isfinite(core.measured(np.array([core.time]))[0]).all()
+    assert np.isfinite(core.read_encoders(np.array([core.time]))[0]).all()
     assert core.state in (1, 2, 3, 4, 5)

@@ -105,9 +105,9 @@ def test_acceleration_of_the_arm():
 def test_a_timeline_is_its_paths_in_turn():
     line = Timeline(HERE)
     assert line.end == -np.inf
-    line.then(PATHS["move"], 1.0)
+    line.append(PATHS["move"], 1.0)
     assert line.end == 1.0 + PATHS["move"].duration
-    line.then(move(THERE, HERE, 1.0, 5.0), line.end)
+    line.append(move(THERE, HERE, 1.0, 5.0), line.end)
     t = np.linspace(-1, line.end + 1, 3001)
     q, dq = line.at(t)
     assert np.abs(np.diff(q, axis=0)).max() < 0.01
@@ -119,8 +119,8 @@ def test_a_timeline_is_its_paths_in_turn():
 
 def test_stopping_brakes_and_forgets_the_rest():
     line = Timeline(HERE)
-    line.then(PATHS["move"], 0.0)
-    line.then(move(THERE, HERE), line.end)
+    line.append(PATHS["move"], 0.0)
+    line.append(move(THERE, HERE), line.end)
     before = line.at(np.array([1.0]))
     line.stop(1.0)
     after = line.at(np.array([1.0, 1.0 + 1e-6]))
@@ -135,7 +135,7 @@ def test_stopping_brakes_and_forgets_the_rest():
 def test_a_timeline_does_not_grow_for_ever():
     line = Timeline(np.zeros(1))
     for k in range(5000):
-        line.then(servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
+        line.append(servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
     assert len(line._paths) < 1300
 
 

@@ -350,7 +350,7 @@ def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
         until(lambda: controller.snapshot().time > 1.5)
         frozen = 1.7
         commanded, measured = controller.call(
-            lambda core: (core.commanded(np.array([frozen]))[0][0], core.measured(np.array([frozen]))[0][0])
+            lambda core: (core.read_commands(np.array([frozen]))[0][0], core.read_encoders(np.array([frozen]))[0][0])
         )
         assert np.abs(commanded - measured).max() > 1e-3
         np.testing.assert_allclose(commanded, path.at(np.array([frozen]))[0][0])

@@ -33,7 +33,7 @@ def waiting(controller):
 def connected(controller):
     """The connections to port 30000 that are or were there."""
     seen = controller.snapshot()
-    return seen.connections[protocol.REALTIME] + seen.given_up
+    return seen.connections[protocol.REALTIME] + seen.slow_readers
 
 
 @pytest.mark.parametrize("speed", [1.0, 20.0])
@@ -52,11 +52,11 @@ def test_two_hundred_clients_of_which_most_never_read(lite6, monkeypatch, speed)
             lines.append(stack.enter_context(idle(controller, protocol.REALTIME)))
             seen.append(waiting(controller))
 
-        def given_up():
+        def slow_readers():
             seen.append(waiting(controller))
-            return controller.snapshot().given_up >= 20
+            return controller.snapshot().slow_readers >= 20
 
-        until(given_up, 30.0)
+        until(slow_readers, 30.0)
         # what is sent between two looks comes on top; a fast clock waits before much does
         assert (0 if speed > 1 else most / 4) < max(seen) < most + len(lines) * 200_000 / 2
         assert {line.ask(13)[6] for line in asking} == {13}
