@@ -16,7 +16,7 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory
     from lite6jax.controller import calibration as controller_calibration
-    from lite6jax.controller import exchange
+    from lite6jax.controller import connection
     from lite6jax.controller import verification as verifying
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
@@ -140,7 +140,7 @@ class Fit:
             if verified:
                 try:
                     with screen.progress(self.fk_samples, "asking the controller") as advance:
-                        address = exchange.parse_address(title)
+                        address = connection.parse_address(title)
                         verification = verifying.verify(source, address, self.fk_samples, self.seed, advance)
                 except InputError as error:  # the fit is good all the same: it is shown and written first
                     refusal = error
@@ -168,7 +168,7 @@ class Fit:
 
     def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
         if self.source is None:
-            return controller_calibration.read_calibration(exchange.parse_address(str(self.ip)), nominal).calibration
+            return controller_calibration.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
         return sources.read_source(
             self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
         )

@@ -20,7 +20,7 @@ from lite6jax.interruption import list_signals
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import factory, files
-    from lite6jax.controller import calibration, computed_poses, exchange, recorded, recorder, station
+    from lite6jax.controller import calibration, connection, recorder, station
     from lite6jax.report import live, screen
 
 PATIENCE_S = 10.0
@@ -58,7 +58,7 @@ class Read:
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
         arm, written = None if self.arm is None else files.read_arm(self.arm), []
-        read = calibration.read_calibration(exchange.parse_address(self.ip), arm, self.timeout)
+        read = calibration.read_calibration(connection.parse_address(self.ip), arm, self.timeout)
         if self.out:
             written.append(factory.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
         return command.present(self.json, read, live.calibration_report(read), written)
@@ -88,14 +88,14 @@ class Record:
 
     def run(self) -> int:
         """Records and prints the result."""
-        recorded.check_targets(self.out, self.force)
-        outputs = [self.out, self.out.with_suffix(".yaml"), recorded.factory_path(self.out)]
+        recorder.check_targets(self.out, self.force)
+        outputs = [self.out, self.out.with_suffix(".yaml"), station.factory_path(self.out)]
         command.check_outputs(outputs, [self.poses, self.arm], self.force)
         if self.poses is not None and self.seconds is not None:
             raise InputError("--seconds and --poses: a list of joints has its own end; leave one out")
         if self.seconds is not None and not 0 < self.seconds < float("inf"):
             raise InputError(f"--seconds {self.seconds:g}: give more than zero")
-        address = exchange.parse_address(self.ip)
+        address = connection.parse_address(self.ip)
         arm = files.read_arm(self.arm or "lite6")
         limits = arm.joint_limits
         poses = recordings.read_recording(self.poses, arm=arm, joint_limits=limits) if self.poses else None
@@ -104,7 +104,7 @@ class Record:
             options: dict[str, Any] = {"overwrite": self.force, "stop": stop}
             if poses is not None:
                 with screen.progress(poses.samples, "requesting") as advance:
-                    found = computed_poses.record_poses(address, self.out, given, poses, advance=advance, **options)
+                    found = recorder.record_poses(address, self.out, given, poses, advance=advance, **options)
             else:
                 with live.recording_progress() as show:
                     found = recorder.record(address, self.out, given, seconds=self.seconds, show=show, **options)

@@ -220,7 +220,7 @@ class Simulate:
         if self.factory_uncertainty is None:
             return declared, declared
         length, angle = self.factory_uncertainty
-        return declared, simulation.perturbed(declared, length / 1e3, math.radians(angle), self.seed)
+        return declared, simulation.perturb(declared, length / 1e3, math.radians(angle), self.seed)
 
     def _settings(self, calibration: Path) -> "recordings.RecordingSettings":
         factory, uncertainty = calibration if self.tolerance else self.factory, None
@@ -237,7 +237,7 @@ class Simulate:
         )
 
     def _page(
-        self, arm: "arms.Arm", physics: "composition.Physics", values: "np.ndarray", measured: "simulation.Measured"
+        self, arm: "arms.Arm", physics: "composition.Physics", values: "np.ndarray", measured: "simulation.Measurement"
     ) -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
         from rich.text import Text

@@ -136,6 +136,19 @@ class Marginal:
         acting[rows] = True
         return white @ left, white @ white.T - inside @ inside.T, *self._of_groups(acting)
 
+    def of_noise(self, column: Array) -> Evidence:
+        """The evidence that a component moves by a number of its own in each sample: the site is known, its cause not.
+
+        Beside a model of much fewer numbers than samples; that it takes up some of them is left out.
+
+        Args:
+            column: `(row, sample)`.
+        """
+        white = self.test.whitened(column) / self.test.scale[0]
+        eigenvalues = np.sum(white**2, 0)
+        squares = np.sum(white * self.test.left[: white.size].reshape(white.shape), 0) ** 2
+        return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
+
     def of_names(self, groups: Sequence[Array]) -> list[Evidence]:
         """The evidence of named terms, whose numbers have no prior: all their directions count as equally determined.
 

@@ -2,14 +2,19 @@
 
 1. Add the term whose evidence most exceeds the cost of its choice, if by a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
-3. Drop the term that is least worth its cost, as long as one is not.
-4. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+3. Put names, one or several, in the place of a process where that is likelier.
+4. Drop the term that is least worth its cost, as long as one is not.
+5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+
+A site has one process: what that does not describe is not told apart from what else may act there. Nor is anything
+found elsewhere that explains less than noise would at the component of a process.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem, acts_on
@@ -47,11 +52,11 @@ class Selector:
         """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
         f = state.fit
         white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
-        found = self._possible(self.scan.ranked(score_test(self.problem, white, self.options)), state)
-        worth = self._apart([one for one in found if one.net >= self.options.margin], state)
+        test, other = score_test(self.problem, white, self.options), replace(state, fit=white)
+        worth = self._worth(self.scan.ranked(test), test, other, set())
         if not worth:
             return None
-        more = self._within_bounds(self._estimated(self._with(replace(state, fit=white), *worth)))
+        more = self._within_bounds(self._estimated(self._with(other, *worth)))
         return self._dropped(replace(more, fit=self.in_own_noise(more.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
@@ -67,40 +72,52 @@ class Selector:
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
-        while len(state.tested) < self.options.most_terms:
+        while True:
             test = score_test(self.problem, state.fit, self.options)
             # what nearly every arm has is there before anything rare is asked for
             for found in (self.scan.usual, self.scan.ranked):
-                worth = [one for one in self._possible(found(test), state) if one.net >= self.options.margin]
-                worth = self._apart([one for one in worth if one.key not in tried], state)
+                worth = self._worth(found(test), test, state, tried)
                 if worth:
                     break
-            if not worth:
-                break
+            else:
+                return state
             tried |= {one.key for one in worth}
             more = self._estimated(self._with(state, *worth))
+            for new in (one for one in worth if one.process):
+                places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
+                more = next((named for k in places if (named := self._named(more, k)) is not None), more)
             more = self._dropped(self._within_bounds(more))
             if not more.fit.noise.white:
                 more = replace(more, fit=self.in_own_noise(more.fit))
             state = more
-        return state
 
-    @staticmethod
-    def _possible(ranked: list[Ranked], state: State) -> list[Ranked]:
-        refused = {term.label for term in state.refused}
-        return [one for one in ranked if one.process or one.cause[0] not in refused]
+    def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
+        """The terms that are worth their cost, of each row the likeliest alone.
 
-    def _apart(self, ranked: list[Ranked], state: State) -> list[Ranked]:
-        """Those that act on no row on which a likelier one acts."""
-        taken, found = np.zeros(self.problem.rows, bool), list[Ranked]()
-        for one in ranked:
-            if taken.all():
+        A further term at the rows of a process that explains less than noise of its own would at the component of that
+        process may be a part of what it does not describe.
+        """
+        model, marginal = state.fit.terms.terms, Marginal(test)
+        counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
+        there = {term.site: self._process_of(term)[0].column for term in model if term.nonparametric}
+        noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in there.values()]
+        taken, found = counts >= self.options.most_terms, list[Ranked]()
+        for one in self._possible(ranked, test, state):
+            if one.net < self.options.margin or taken.all():
                 break
+            if one.key in tried or one.site in there:
+                continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
-                found.append(one)
                 taken |= rows
+                if all(one.gain >= gain for own, gain in noises if (own & rows).any()):
+                    found.append(one)
         return found
+
+    @staticmethod
+    def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
+        refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
+        return [one for one in ranked if one.process or one.cause[0] not in refused]
 
     def _rows(self, term: Term, state: State) -> Mask:
         return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
@@ -216,12 +233,16 @@ class Selector:
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None."""
+        rows = self._rows(state.tested[k].term, state)
         trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
             test = score_test(self.problem, trial.fit, self.options, within=None)
-            best = max(self.scan.named(test), key=lambda one: one.net, default=None)
-            if best is None or best.net < self.options.margin or best.cause[0] in {t.label for t in trial.refused}:
+            known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
+            names = [one for one in self.scan.named(test) if one.cause[0] not in known]
+            names = sorted((one for one in names if one.net >= self.options.margin), key=lambda one: -one.net)
+            best = next((one for one in names if (self._rows(one.make(), trial) & rows).any()), None)
+            if best is None:
                 break
             more = self._within_bounds(self._with(trial, best))
             if len(more.tested) <= len(trial.tested):
@@ -236,7 +257,8 @@ class Selector:
         key = id(state.fit), k
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
-            self._known[key] = self._possible(self.scan.ranked(self.beside(state, k), rows=rows), state)
+            test = self.beside(state, k)
+            self._known[key] = self._possible(self.scan.ranked(test, rows=rows), test, state)
         return self._known[key]
 
     def with_alternatives(self, state: State) -> State:

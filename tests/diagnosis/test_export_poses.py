@@ -15,7 +15,7 @@ from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_chain
 from lite6jax.domains.pose.predict import predict
 from lite6jax.recordings import write_recording
-from lite6jax.simulation.simulate import simulate
+from lite6jax.simulation import simulate
 from tests.oracles.chains import six_parameter_poses
 
 OFFSETS = (
