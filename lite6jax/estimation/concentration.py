@@ -96,14 +96,14 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     samples. Of many samples in white noise, one in several is looked at, and stands for those between.
 
     Args:
-        problem: the data. The sites are those of its `curves` that move several rows.
+        problem: the data. The sites are those of its periodic families that move several rows.
         fit: the model.
         options: thresholds.
     """
     every = max(fit.training.size // options.first_samples, 1) if fit.noise.white else 1
     if every > 1:
         problem, fit = problem.thinned(every), fit.thinned(every)
-    families = [family for family in problem.curves if np.count_nonzero(family.column.any(1)) > 1]
+    families = [family for family in problem.periodic if np.count_nonzero(family.column.any(1)) > 1]
     if not families:
         return None
     test = score_test(problem, fit, options)
