@@ -194,7 +194,7 @@ def verify(
         assert isinstance(tested.term, Effect)
         rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        gain, std, share = tested.score.gain, tested.chosen_std, tested.input_share
+        gain, std, share = tested.gain, tested.chosen_std, tested.input_share
         findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
     found = tuple(findings)
     if not found or not errors.rejects(selection, kept, folds, options):
