@@ -67,7 +67,7 @@ class Process:
 
     Attributes:
         driver: the phrase of a `Driver`, such as "position of joint 3"; two are joined by " and ".
-        lower: of the first driver's range, in its unit; beyond it the process keeps its value there.
+        lower: of the first driver's range, in its unit; beyond it the process goes back to its prior.
         upper: of the first driver's range.
         kernel: of `kernels`; for two drivers one of each, such as "smooth*line".
         further: lower and upper of the second driver.
@@ -122,6 +122,13 @@ class Process:
     def functions_at(self, values: Array, run: Array | None = None) -> Array:
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers; `run` as of a `Motion`."""
         return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
+
+    def unknown_at(self, values: Array) -> Array:
+        """The variance `(sample,)`, in the square of its unit, of what the coefficients do not say of the process: beyond its range.
+
+        None of a process without a prior, of which nothing is known there.
+        """
+        return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
 
 
 @final
