@@ -124,7 +124,7 @@ class Process:
         return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
 
     def unknown_at(self, values: Array) -> Array:
-        """The variance `(sample,)`, in the square of its unit, of what the coefficients do not say of the process: beyond its range.
+        """The variance `(sample,)` of what the coefficients do not say of the process: beyond its range.
 
         None of a process without a prior, of which nothing is known there.
         """

@@ -89,7 +89,7 @@ class Marginal:
         known = _DECLARED * problem.declared
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
-    def _of_groups(self, rows: Array) -> tuple[float, float]:
+    def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool; of all that nuisance couples."""
         squares, freedom = self._by_group
         coupled = len(self.test.problem.precision) > 0

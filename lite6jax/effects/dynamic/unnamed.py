@@ -47,11 +47,20 @@ class UnnamedTorque(Process, JointTorque):
         deviation = np.inf if self.spread is None else self.spread
         return tuple(self.number(f"coefficient{k + 1}_Nm", "Nm", 0.1, deviation) for k in range(self.functions))
 
+    @property
+    def is_friction(self) -> bool:
+        """Whether it depends on the motion of its own joint alone, as friction does."""
+        own = [self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")]
+        return set(self.drivers) <= set(own)
+
+    def values_in(self, dynamics: Dynamics) -> Array:
+        """The values of the drivers, `(driver, sample)`."""
+        loads = dynamics.loads if any(driver.loaded for driver in self.drivers) else None
+        return np.stack([np.asarray(driver.values(dynamics.motion, loads)) for driver in self.drivers])
+
     def functions_of(self, dynamics: Dynamics) -> Array:
         """The functions that coefficients multiply, `(function, sample)`."""
-        loads = dynamics.loads if any(driver.loaded for driver in self.drivers) else None
-        values = [np.asarray(driver.values(dynamics.motion, loads)) for driver in self.drivers]
-        return np.asarray(self.functions_at(np.stack(values), dynamics.motion.run))  # type: ignore[arg-type]
+        return np.asarray(self.functions_at(self.values_in(dynamics), dynamics.motion.run))  # type: ignore[arg-type]
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values @ self.functions_of(dynamics)
