@@ -267,7 +267,7 @@ def test_a_process_passes_through_its_partial_residuals(signed):
     text = paged(found)
     times = " and the direction of motion of joint 2" if signed else ""
     of = f"a torque at joint2 that is a function of the position of joint 2{times}"
-    assert "Joint 2 has a torque that no effect of the catalogue names: " in text
+    assert "has a torque that no effect of the catalogue names: " in text
     assert f"No effect of the catalogue explains {of}: it contributes " in text
     assert "peak to peak" in text
     assert not re.search(r"coefficient|level|step\d", text)
