@@ -49,6 +49,8 @@ _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
+_NEARLY = 2.0
+"""Log odds within which the priority of names decides."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
@@ -122,8 +124,9 @@ class Scan:
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of one of the catalogue's names at one site; even odds where nearly every arm has it."""
-        return float(np.log(2.0) if term.usual else _KINDS + np.log(max(len(self.names), 1)))
+        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every arm has it."""
+        number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
+        return float(np.log(2.0) if term.usual else _KINDS + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
@@ -211,7 +214,7 @@ class Scan:
         if self._among is not None:
             few = [self.alike(test, *one) for one in self._processes]
             found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
-            return sorted(found, key=lambda one: -one.net)
+            return _in_order(found)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
         found += singles
@@ -220,9 +223,9 @@ class Scan:
         found.sort(key=lambda one: -one.net)
         self.considered |= {one.key for one in [one for one in found if one.process][:_CONSIDERED]}
         if test.fit.noise.white:
-            return found
+            return _in_order(found)
         exact = [weighed.exact(one) for one in found[:_EXACT]]
-        return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
+        return _in_order([one for one in exact if one.gain > 0])
 
     @cached_property
     def _processes(self) -> list[tuple[Component, tuple[int, ...]]]:
@@ -480,6 +483,16 @@ class _Weighed:
         process: tuple[Any, ...] = (),
     ) -> Ranked:
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+
+
+def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
+    """The likeliest first; of names that are nearly as likely as a first name, the one of the highest priority."""
+    ordered = sorted(found, key=lambda one: -one.net)
+    if not ordered or ordered[0].process:
+        return ordered
+    near = [one for one in ordered if not one.process and one.net > ordered[0].net - _NEARLY]
+    first = min(near, key=lambda one: (one.make().specificity, -one.net))
+    return [first, *(one for one in ordered if one is not first)]
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
