@@ -32,7 +32,7 @@ from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.data_faults import fault_statement
 from lite6jax.search.state import SelectedTerm
-from lite6jax.simulation import UndeclaredNoise, draw_calibration, draw_sensor_frame, perturbed, simulate
+from lite6jax.simulation import UndeclaredNoise, draw_calibration, draw_sensor_frame, perturb, simulate
 
 OURS = "lite6jax"
 LITE6 = load_bundled("lite6")
@@ -117,7 +117,7 @@ def simulation_of(folder: Path, geometry: Geometry, seed: int, mounted: bool) ->
         written = kinematics
         if geometry == "uncertain":
             uncertainty = FactoryUncertainty(UNCERTAINTY, UNCERTAINTY)
-            written = perturbed(kinematics, UNCERTAINTY, UNCERTAINTY, seed)
+            written = perturb(kinematics, UNCERTAINTY, UNCERTAINTY, seed)
         write_factory(written, declared, overwrite=True)
     declaration = RecordingSettings(factory_calibration=declared, factory_uncertainty=uncertainty)
     mount = {"T_sensor_base": draw_sensor_frame(seed), "tool": TOOL, "tool_known": False} if mounted else {}

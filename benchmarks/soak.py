@@ -13,9 +13,8 @@ import numpy as np
 
 from benchmarks.measure import Record, timed
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.recorded import Recorded
-from lite6jax.controller.recorder import record
+from lite6jax.controller.connection import Address
+from lite6jax.controller.recorder import LiveRecording, record
 from lite6jax.controller.station import read_station
 from lite6jax.emulator import Body, Controller, draw_sines
 from lite6jax.recordings import read_recording
@@ -52,7 +51,7 @@ def soak(seconds: float = 600.0) -> Iterator[Record]:
             yield Record("soak", kind, "peak memory of the process", peak, "MB", "lower")
 
 
-def wrong_rows(done: Recorded, out: Path, rows: int) -> str:
+def wrong_rows(done: LiveRecording, out: Path, rows: int) -> str:
     """Why a recording is not every report once, in order, in one run; empty where it is."""
     if done.unwritten or done.runs != 1:
         return f"{done.unwritten} rows unwritten, {done.runs} runs"
@@ -87,6 +86,6 @@ def _in_real_time() -> Iterator[Address]:
 @contextmanager
 def _compressed() -> Iterator[Address]:
     arm = load_bundled("lite6")
-    path = draw_sines(arm.joint_limits)
+    path = draw_sines(arm)
     with Controller(Body(arm, arm.kinematics), path=path, address=HOST, control_port=PORT, speed=SPEED):
         yield Address(HOST, PORT)

@@ -68,6 +68,16 @@ def row_from_transform(transform: ArrayLike) -> Array:
     return np.concatenate([T[..., :3, 3], rpy_from_rotation(T[..., :3, :3])], -1)
 
 
+def compare_transforms(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+    """Distances `(...,)` in m and angles `(...,)` in rad between transforms `(..., 4, 4)`.
+
+    The angle follows from the chord between the matrices, because the arccos of the trace is zero below 1e-8.
+    """
+    difference = np.asarray(a, float) - np.asarray(b, float)
+    chord = np.linalg.norm(difference[..., :3, :3], axis=(-2, -1))
+    return np.linalg.norm(difference[..., :3, 3], axis=-1), 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+
+
 def frames_at_zero(kinematics: ArrayLike) -> Array:
     """`(..., joint, 4, 4)`, each joint's frame in the base where every joint is at zero.
 

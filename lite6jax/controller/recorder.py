@@ -1,55 +1,44 @@
-"""Recording a live arm: the 250 Hz and the 5 Hz report as rows of a table that is written during the recording."""
+"""Recording a live arm: its reports as rows of a growing table, or the poses that it computes for given joints."""
 
 import math
-import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
-from lite6jax.controller.condition import Condition, condition_of
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.growing import GrowingTable, growing_table
-from lite6jax.controller.recorded import Recorded, check_targets, factory_path
-from lite6jax.controller.rows import SOURCES, Rows
-from lite6jax.controller.station import Station
-from lite6jax.controller.stream import Lost, ReportPort, Reports
+from lite6jax.controller.connection import Address, ReportPort, Reports
+from lite6jax.controller.rows import SOURCES, Gaps, Rows
+from lite6jax.controller.sdk import compute_poses
+from lite6jax.controller.station import Station, factory_path, parse_condition
+from lite6jax.controller.table import TableWriter
 from lite6jax.errors import InputError
-from lite6jax.recordings import sidecar_path, write_settings
+from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
 from lite6jax.recordings.checksums import TABLES, table_checksum
+from lite6jax.recordings.stream import stream_path
+from lite6jax.storage import check_writable
 
 FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 SLOW_S = 0.25
 """The time without a report after which the connection, not the controller's clock, is late."""
-MOST_AT_ONCE = 2500
-"""Rows written together, where more wait than are written every second."""
 MOST_WAITING = 150_000
 """Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
-
-Columns = Mapping[str, NDArray]
+MOST_IN_SIDECAR = 100
+"""Gaps listed in a sidecar, the longest; the columns `missing` and `gap` of the table have all."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a recording.
-
-    Attributes:
-        rows: their number.
-        time: s, of the last row.
-        rate: Hz, the recent rate of rows by the controller's clock.
-        run: of the last row.
-        missing: the number of missing reports, by the controller's clock.
-        trouble: the present problem; empty without one.
-    """
+    """The progress of a recording: the number of rows; time (s) and run of the last one; the rate of rows within runs
+    (Hz) and the number of missing reports, both by the controller's clock; the present problem, empty without one."""
 
     rows: int
     time: float
@@ -57,6 +46,77 @@ class Progress:
     run: int
     missing: int
     trouble: str
+
+
+@dataclass(frozen=True, eq=False)
+class LiveRecording:
+    """A completed recording of a live arm.
+
+    Attributes:
+        written: the files.
+        rows: the number of rows on disk.
+        sources: the source of each column, as a phrase.
+        settings: the content of the sidecar.
+        notes: remarks, one sentence each.
+        gaps: the missing reports, or joint positions, with row, length and reason.
+        duration: s, by the controller's clock; by this computer's for computed poses.
+        asked: the number of rows asked for, or None.
+        short: whether there are fewer.
+        unwritten: the number of rows that could not be written.
+        refusal: why rows are not written, or why no further ones could come.
+        rate: Hz, the rate of rows within runs, by the controller's clock.
+        runs: the number of connections with rows.
+        repeated: the number of duplicate reports, which are removed.
+    """
+
+    written: tuple[Path, ...]
+    rows: int
+    sources: Mapping[str, str]
+    settings: RecordingSettings
+    notes: tuple[str, ...]
+    gaps: Gaps
+    duration: float
+    asked: int | None
+    short: bool
+    unwritten: int = 0
+    refusal: str = ""
+    rate: float = 0.0
+    runs: int = 1
+    repeated: int = 0
+
+    @property
+    def missing(self) -> int:
+        """The number of missing reports within and between runs, or of missing joint positions."""
+        return self.gaps.within + self.gaps.between
+
+    def account(self) -> dict[str, Any]:
+        """What the sidecar says about the recording itself, in plain numbers and phrases."""
+        return {
+            "complete": not self.short and not self.unwritten,
+            "rows": self.rows,
+            **({} if self.asked is None else {"rows_asked_for": self.asked}),
+            "rows_not_written": self.unwritten,
+            "runs": self.runs,
+            "duplicates_removed": self.repeated,
+            "reports_missing_within_runs": self.gaps.within,
+            "reports_missing_between_runs": self.gaps.between,
+            "gaps": self.gaps.count,
+            "longest_gaps": [asdict(gap) for gap in self.gaps.longest(MOST_IN_SIDECAR)],
+            "notes": list(self.notes),
+        }
+
+
+def check_targets(out: Path, overwrite: bool, factory: bool = True) -> None:
+    """Checks that the files of a recording can be written, before the connection to the arm.
+
+    Raises:
+        InputError: a file exists and `overwrite` is false, another suffix, or no such folder.
+    """
+    if out.suffix.lower() not in (".csv", ".parquet"):
+        raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")
+    stream = [stream_path(out)] if out.suffix.lower() == ".parquet" else []
+    for path in (out, *stream, sidecar_path(out), *([factory_path(out)] if factory else [])):
+        check_writable(path, overwrite)
 
 
 def record(
@@ -68,7 +128,7 @@ def record(
     overwrite: bool = False,
     stop: threading.Event | None = None,
     show: Callable[[Progress], object] = lambda progress: None,
-) -> Recorded:
+) -> LiveRecording:
     """Records an arm in motion or at standstill. Nothing is sent to it.
 
     Rows are written during the recording. A lost connection is replaced by a new one, with the next `run`. On a full
@@ -91,223 +151,164 @@ def record(
     check_targets(out, overwrite, station.calibration is not None)
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"--seconds {seconds:g}: give more than zero")
-    stop = stop or threading.Event()
-    rows = Rows(station, seconds)
-    table = growing_table(out, overwrite, SOURCES)
-    buffer = _Buffer(table)
-    written: list[Path] = []
-    with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
-        try:
-            ended = _stream(
-                fast, slow, rows, buffer, lambda: written.extend(_declare(out, station, overwrite)), stop, show
-            )
-        finally:
-            unwritten, refusal = buffer.finish()
-    if unwritten:
+    settings = station.sidecar_settings(out)
+    declared: list[Path] = []
+
+    def declare() -> None:  # before the first row, so that an interrupted recording is complete
+        files = []
+        if station.calibration is not None:
+            files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
+        account = {"complete": False}  # until it is replaced at the end
+        declared.extend([write_settings(settings, sidecar_path(out), overwrite, account=account), *files])
+
+    rows, table = Rows(station, seconds), TableWriter(out, overwrite, SOURCES)
+    try:
+        ended = _take_rows(address, rows, table, declare, stop or threading.Event(), show)
+    finally:
+        table.close()
+    count, refusal = rows.count - table.waiting, table.refusal
+    if table.waiting:
         refusal = (
-            f"{out}: the disk took {rows.count - unwritten} rows and not the last {unwritten} ({refusal}); free space"
-            " before the next recording"
+            f"{out}: the disk took {count} rows and not the last {table.waiting} ({refusal}); free space before the"
+            " next recording"
         )
     notes = (*station.notes, *rows.notes())
     if seconds is not None and not rows.complete:
         left = max(seconds - rows.time, 0.0) if rows.count else seconds
         notes += (f"ended {left:.3g} s before {seconds:g} s: {rows.stopped or ended}",)
-    recorded = Recorded(
-        written=(table.file, *written) if rows.count > unwritten else tuple(written),
-        rows=rows.count - unwritten,
-        unwritten=unwritten,
-        refusal=refusal or rows.stopped,
+    recording = LiveRecording(
+        written=(*([table.file] if count else []), *declared),
+        rows=count,
+        sources={name: SOURCES[name] for name in rows.names},
+        settings=replace(settings, torque_source="estimated" if rows.torques_computed else "unknown"),
+        notes=notes,
+        gaps=rows.gaps,
+        duration=rows.time,
         asked=None if seconds is None else math.ceil(seconds * protocol.RATES[protocol.REALTIME] - 1e-6),
         short=seconds is not None and bool(rows.missing or not rows.complete),
-        duration=rows.time,
+        unwritten=table.waiting,
+        refusal=refusal or rows.stopped,
         rate=rows.rate,
         runs=rows.run + 1 if rows.count else 0,
-        gaps=rows.gaps,
         repeated=rows.repeated,
-        sources={name: SOURCES[name] for name in rows.names},
-        settings=replace(
-            station.settings_beside(out), torque_source="estimated" if rows.torques_computed else "unknown"
-        ),
-        notes=notes,
     )
-    if written:
+    if declared:
         with suppress(InputError):  # a full disk; the gaps are in the table as well
             tables = {TABLES[out.suffix.lower()]: table_checksum(out)} if out.exists() else None
-            write_settings(recorded.settings, sidecar_path(out), True, tables, recorded.account())
-    return recorded
+            write_settings(recording.settings, sidecar_path(out), True, tables, recording.account())
+    return recording
 
 
-def _stream(
-    fast: ReportPort,
-    slow: ReportPort,
+def _take_rows(
+    address: Address,
     rows: Rows,
-    buffer: "_Buffer",
+    table: TableWriter,
     declare: Callable[[], None],
     stop: threading.Event,
     show: Callable[[Progress], object],
 ) -> str:
     """Records until an end, and returns the reason of it as a phrase."""
-    started = shown = heard = time.monotonic()
-    trouble = ""
-    while not rows.complete and not rows.stopped:
-        if stop.is_set():
-            return "it was stopped"
-        if (condition := _latest(slow)) is not None:
-            rows.condition = condition
-        events = _gathered(fast)
-        now = time.monotonic()
-        for event in events:
-            trouble = event.reason if isinstance(event, Lost) else ""
-            if isinstance(event, Lost):
-                rows.lost = event.reason
-                if not rows.count:
-                    raise InputError(_no_reports(fast, trouble))
-                continue
-            heard, first = event.heard, not rows.count
-            if (columns := rows.take(event)) is not None:
-                if first:
-                    declare()
-                buffer.add(columns)
-        if not rows.count and now - started > FIRST_REPORT_S:
-            raise InputError(_no_reports(fast, trouble))
-        if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
-            silent = now - heard
-            slow_clock = "the controller's clock is slow"
-            return trouble or (f"no report for {silent:.1f} s" if silent > SLOW_S else slow_clock)
-        buffer.write()
-        if buffer.waiting > MOST_WAITING and buffer.refusal:
-            return "the disk took no more rows"
-        if now - shown > 0.2:
-            shown = now
-            full = f"the disk cannot be written ({buffer.refusal}): {buffer.waiting} rows are kept in memory"
-            problem = full if buffer.refusal else trouble
-            show(Progress(rows.count, rows.time, rows.recent_rate, rows.run, rows.missing, problem))
-    return ""
+    with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
+        started = shown = heard = time.monotonic()
+        trouble = ""
+        while not rows.complete and not rows.stopped:
+            if stop.is_set():
+                return "it was stopped"
+            time.sleep(GATHER_S)
+            for event in slow.drain():
+                if isinstance(event, Reports):
+                    with suppress(InputError):  # an incomplete report: the last condition remains valid
+                        rows.condition = parse_condition(event.reports[-1], slow.place)
+            events = fast.drain()
+            now = time.monotonic()
+            for event in events:
+                if isinstance(event, str):
+                    trouble = rows.lost = event
+                    continue
+                trouble, heard, first = "", event.heard, not rows.count
+                if (columns := rows.take(event)) is not None:
+                    if first:
+                        declare()
+                    table.append(columns)
+            if not rows.count and (trouble or now - started > FIRST_REPORT_S):
+                problem = trouble or f"{fast.place}: no report within {FIRST_REPORT_S:g} s"
+                remedy = "; check that the firmware has this port (2.x), and restart the control box"
+                raise InputError(problem if ";" in problem else problem + remedy)
+            if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
+                silence = f"no report for {now - heard:.1f} s"
+                return trouble or (silence if now - heard > SLOW_S else "the controller's clock is slow")
+            if table.waiting > MOST_WAITING and table.refusal:
+                return "the disk took no more rows"
+            if now - shown > 0.2:
+                shown = now
+                full = f"the disk cannot be written ({table.refusal}): {table.waiting} rows are kept in memory"
+                problem = full if table.refusal else trouble
+                show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, problem))
+        return ""
 
 
-def _gathered(port: ReportPort) -> list[Reports | Lost]:
-    """The events of `GATHER_S`, with the reports of a connection merged, which is much faster to process."""
-    time.sleep(GATHER_S)
-    events: list[Reports | Lost] = []
-    while True:
-        try:
-            event = port.events.get_nowait()
-        except queue.Empty:
-            return events
-        last = events[-1] if events else None
-        if isinstance(event, Reports) and isinstance(last, Reports) and event.connection == last.connection:
-            last.reports.extend(event.reports)
-            events[-1] = Reports(event.connection, last.reports, event.heard)
-        else:
-            events.append(event)
+def record_poses(
+    address: Address,
+    out: Path,
+    station: Station,
+    poses: Recording,
+    *,
+    overwrite: bool = False,
+    stop: threading.Event | None = None,
+    advance: Callable[[int], object] = lambda done: None,
+) -> LiveRecording:
+    """Records the controller's forward kinematics of the flange, or of the tool, at given joint positions.
 
+    The arm does not move. Joint positions are recorded as sent, rounded to 32 bits. After a lost connection the row is
+    requested again; rows that the controller refuses are omitted and noted.
 
-def _latest(slow: ReportPort) -> Condition | None:
-    condition = None
-    while True:
-        try:
-            event = slow.events.get_nowait()
-        except queue.Empty:
-            return condition
-        if isinstance(event, Reports):
-            with suppress(InputError):  # an incomplete report: the last condition remains valid
-                condition = condition_of(protocol.read_report(slow.port, event.reports[-1]), slow.address.host)
+    Args:
+        address, out, station, overwrite, stop: as in `record`.
+        poses: the joint positions and the notes about omitted rows; other columns are ignored.
+        advance: called with 1 after each row.
 
-
-def _no_reports(port: ReportPort, reason: str) -> str:
-    problem = reason or f"{port.address.host}: port {port.port}: no report within {FIRST_REPORT_S:g} s"
-    return (
-        problem
-        if ";" in problem
-        else f"{problem}; check that the firmware has this port (2.x), and restart the control box"
+    Raises:
+        InputError: the files cannot be written, the number of joints differs, or no pose was received.
+    """
+    check_targets(out, overwrite, station.calibration is not None)
+    if poses.dof != station.arm.dof:
+        raise InputError(f"{poses.source}: has {poses.dof} joints, the {station.arm.name} {station.arm.dof}")
+    joints, started, stop = protocol.round_floats(poses.joint_position), time.monotonic(), stop or threading.Event()
+    answers, failure, _ = compute_poses(address, joints, stop, lambda row: advance(1))
+    rows = [i for i, answer in enumerate(answers) if not isinstance(answer, str)]
+    refused = [(int(poses.row[i]), answer) for i, answer in enumerate(answers) if isinstance(answer, str)]
+    settings, written, sources = station.sidecar_settings(out, computed=True), [], {}
+    if not rows and not stop.is_set():
+        first = f"the first with {refused[0][1]}" if refused else ""
+        raise InputError(failure or f"{address}: refuses all joints of {poses.source}, {first}; check them")
+    if rows:
+        T = protocol.read_pose(np.array([answers[i] for i in rows]))
+        quaternion = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
+        recording = Recording.assembled(
+            joints[rows], position=T[:, :3, 3], quaternion=quaternion, settings=settings, source=str(address)
+        )
+        for name in recording.columns():
+            requested = name[0] == "q" and name[1].isdigit()
+            sources[name] = (
+                "as requested, not measured" if requested else "computed by the controller, for these joints"
+            )
+        written += [write_recording(recording, out, overwrite), sidecar_path(out)]
+        if station.calibration is not None:
+            written.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
+    notes = [*station.notes, *(note for note in poses.notes if note.startswith("dropped"))]
+    if refused:
+        row, reason = refused[0]
+        notes.append(f"{len(refused)} rows were refused and are omitted, the first is row {row}: {reason}")
+    missing = len(joints) - len(answers)
+    return LiveRecording(
+        written=tuple(written),
+        rows=len(rows),
+        sources=sources,
+        settings=settings,
+        notes=tuple(notes),
+        gaps=Gaps(count=bool(missing), within=missing),
+        duration=time.monotonic() - started,
+        asked=len(joints),
+        short=len(rows) < len(joints),
+        refusal=failure,
     )
-
-
-def _declare(out: Path, station: Station, overwrite: bool) -> list[Path]:
-    """Writes the sidecar and the calibration before the first row, so that an interrupted recording is complete."""
-    files = []
-    if station.calibration is not None:
-        files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
-    account = {"complete": False}  # until it is replaced at the end
-    return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite, account=account), *files]
-
-
-class _Buffer:
-    """Rows in memory until a slow or full disk accepts them."""
-
-    def __init__(self, table: GrowingTable) -> None:
-        self._table = table
-        self._pool = ThreadPoolExecutor(1)
-        self._writing: Future[None] | None = None
-        self._piece: Columns = {}
-        self._pending: list[Columns] = []
-        self._not_before = 0.0
-        self.waiting = 0
-        self.refusal = ""
-
-    def add(self, columns: Columns) -> None:
-        self._pending.append(columns)
-        self.waiting += _length(columns)
-
-    def write(self) -> None:
-        """Starts writing in another thread if there are enough rows."""
-        if self._writing is not None and self._writing.done():
-            self._collect()
-        if self._writing is None and self.waiting >= self._table.rows_at_once and time.monotonic() >= self._not_before:
-            self._piece, rest = _split(self._pending, MOST_AT_ONCE)
-            self._pending = [rest]
-            self._writing = self._pool.submit(self._table.append, self._piece)
-
-    def finish(self) -> tuple[int, str]:
-        """Writes the remaining rows as far as possible; returns the number of unwritten rows and the reason."""
-        if self._writing is not None:
-            self._collect()
-        size = MOST_AT_ONCE
-        while self.waiting and size:
-            piece, rest = _split(self._pending, size)
-            self._pending = [piece, rest]
-            try:
-                self._table.append(piece)
-            except OSError as error:
-                self.refusal = error.strerror or str(error)
-                size //= 2
-                continue
-            self._pending = [rest]
-            self.waiting -= _length(piece)
-        if not self.waiting:
-            self.refusal = ""
-        try:
-            self._table.close()
-        except OSError as error:
-            self.refusal = self.refusal or error.strerror or str(error)
-        finally:
-            self._pool.shutdown()
-        return self.waiting, self.refusal
-
-    def _collect(self) -> None:
-        assert self._writing is not None
-        writing, self._writing = self._writing, None
-        try:
-            writing.result()
-        except OSError as error:
-            self.refusal = error.strerror or str(error)
-            self._pending = [self._piece, *self._pending]
-            self._not_before = time.monotonic() + 1.0
-        else:
-            self.waiting -= _length(self._piece)
-            self.refusal = ""
-
-
-def _length(columns: Columns) -> int:
-    return len(next(iter(columns.values()))) if columns else 0
-
-
-def _split(parts: list[Columns], size: int) -> tuple[Columns, Columns]:
-    """The first `size` rows, and the remaining ones."""
-    parts = [part for part in parts if _length(part)]
-    if not parts:
-        return {}, {}
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return {name: values[:size] for name, values in whole.items()}, {
-        name: values[size:] for name, values in whole.items()
-    }

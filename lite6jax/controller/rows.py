@@ -1,6 +1,8 @@
 """Reports of 250 Hz as rows of a recording: units, clock, duplicates, gaps and the convention of orientations."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -9,28 +11,33 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.controller import protocol
-from lite6jax.controller.condition import Condition
-from lite6jax.controller.gaps import Gap, Gaps
-from lite6jax.controller.station import Station
-from lite6jax.controller.stream import SILENCE_S, Reports
+from lite6jax.controller.connection import SILENCE_S, Reports
+from lite6jax.controller.station import Condition, Station
 from lite6jax.recordings.torque_source import WINDOW, TorqueNoise
 
 Array = NDArray[np.floating]
 
 PERIOD_US = round(1e6 / protocol.RATES[protocol.REALTIME])
+MOST_LISTED = 1000
+"""Gaps kept one by one, the longest; the recording itself has all."""
 _STOPPED_CLOCK = 100
 """The number of consecutive reports with the same time after which the clock counts as stopped."""
 _DISTINCT_RAD = 0.02
 """Two conventions of orientation are distinguished by a larger difference of their errors."""
 _IMPLAUSIBLE_RAD = 0.05
 """A convention with a larger error relative to the chain is rejected; assembly tolerances are smaller."""
+_CONVENTIONS = {"roll pitch yaw": partial(Rotation.from_euler, "xyz"), "a rotation vector": Rotation.from_rotvec}
+_FIELDS = {
+    "joint_position": ("q{}_rad", "measured, encoders"),
+    "joint_velocity": ("dq{}_rad_per_s", "measured, encoders"),
+    "torque": ("tau{}_Nm", "estimated by the controller"),
+    "current": ("current{}_A", "measured"),
+}
+"""Of each field of a report with a number per joint, the columns and their source."""
 
 SOURCES: Mapping[str, str] = {
     "time_s": "controller's clock",
-    **{f"q{i}_rad": "measured, encoders" for i in range(1, 8)},
-    **{f"dq{i}_rad_per_s": "measured, encoders" for i in range(1, 8)},
-    **{f"tau{i}_Nm": "estimated by the controller" for i in range(1, 8)},
-    **{f"current{i}_A": "measured" for i in range(1, 8)},
+    **{pattern.format(i): source for pattern, source in _FIELDS.values() for i in range(1, 8)},
     **{f"temp{i}_degC": "measured, at 5 Hz" for i in range(1, 8)},
     "payload_kg": "as set",
     "run": "counts connections, and jumps of the clock",
@@ -39,6 +46,54 @@ SOURCES: Mapping[str, str] = {
     **dict.fromkeys(("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"), "computed by the controller, from measured joints"),
 }
 """The source of each column."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Reports that are missing before a row, or a new run without any.
+
+    Attributes:
+        row: the data row after it, from 1.
+        run: of that row.
+        missing: the number of reports, by the controller's clock, or by this computer's where that one jumps.
+        seconds: s, from the row before.
+        reason: as a phrase.
+        starts_run: whether the run starts with that row.
+    """
+
+    row: int
+    run: int
+    missing: int
+    seconds: float
+    reason: str
+    starts_run: bool
+
+
+@dataclass
+class Gaps:
+    """The number of gaps of a recording, and of missing reports within and between runs.
+
+    `listed` are at least the `MOST_LISTED` gaps with the most missing reports.
+    """
+
+    count: int = 0
+    within: int = 0
+    between: int = 0
+    listed: list[Gap] = field(default_factory=list)
+
+    def add(self, gap: Gap) -> None:
+        """Counts a gap."""
+        self.count += 1
+        self.between += gap.missing * gap.starts_run
+        self.within += gap.missing * (not gap.starts_run)
+        self.listed.append(gap)
+        if len(self.listed) >= 2 * MOST_LISTED:
+            self.listed = self.longest(MOST_LISTED)
+
+    def longest(self, most: int) -> list[Gap]:
+        """The gaps with the most missing reports, in the order of their rows."""
+        first = sorted(self.listed, key=lambda gap: (gap.missing, gap.seconds), reverse=True)[:most]
+        return sorted(first, key=lambda gap: gap.row)
 
 
 class Rows:
@@ -64,24 +119,23 @@ class Rows:
         self.lost = ""
         self.seconds, self.complete, self.stopped = seconds, False, ""
         self.count = self.repeated = self.run = 0
-        self.time = self.recent_rate = 0.0
+        self.time = 0.0
         self.gaps = Gaps()
         self.names: tuple[str, ...] = ()
-        self._torque_noise = TorqueNoise()
-        self._window: list[Array] = []
-        self._station = station
+        self._dof = station.arm.dof
+        self._has_condition = station.condition is not None  # whether there are columns of the 5 Hz report
+        self._warms = station.condition is not None and station.condition.temperature is not None
         rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
-        self._links = np.stack([frames.transform_from_row(row) for row in rows])
-        self._payload = station.condition is not None
-        self._temperature = station.condition is not None and station.condition.temperature is not None
-        self._orientations: _Orientations | None = None
-        self._connection = 0
-        self._clock = 0  # µs, of the last row by the controller
-        self._time_us = 0  # of the last row in the recording
+        self._links = frames.transform_from_row(rows)
+        self._tool = np.eye(4) if station.condition is None else station.condition.T_flange_tool
+        self._convention: str | None = None  # of orientations; empty if none fits the chain
+        self._certain = False
+        self._torque_noise, self._window = TorqueNoise(), np.zeros((0, 2, protocol.JOINTS))
+        self._connection = self._clock = self._time_us = 0  # the clock in µs, of the last row
         self._heard = 0.0
         self._steps = self._elapsed_us = 0
         self._still = self._set_back = self._jumped = self._not_finite = 0
-        self._span = (0.0, 0.0, 0.0, 0.0)  # first and last time of the first connection, and when they were heard
+        self._first_run = (0.0, 0.0, 0.0)  # when its first and its last row were heard, and the time of the last, s
 
     @property
     def missing(self) -> int:
@@ -95,44 +149,40 @@ class Rows:
 
     @property
     def rate(self) -> float:
-        """Hz, the rate of rows within runs."""
+        """Hz, the rate of rows within runs, by the controller's clock."""
         return 1e6 * self._steps / self._elapsed_us if self._elapsed_us else 0.0
 
     def take(self, event: Reports) -> dict[str, NDArray] | None:
         """The columns of new reports; None if all are duplicates."""
         parts = []
         for length, same in groupby(event.reports, len):
-            layout = protocol.report_layout(protocol.REALTIME, length)
-            parts += self._segments(np.frombuffer(b"".join(same), layout), event)
+            reports = np.frombuffer(b"".join(same), protocol.report_layout(protocol.REALTIME, length))
+            # modulo 2⁶⁴, which the clock may exceed
+            steps = np.diff(reports["time_us"].astype(np.uint64)).view(np.int64)
+            cuts = np.flatnonzero((steps < 0) | (steps > self._largest_step_us(event))) + 1
+            parts += [self._continue(part, event) for part in np.split(reports, cuts)]
+        parts = [part for part in parts if part is not None]
         if not parts:
             return None
-        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        self.names = self.names or tuple(columns)
-        return columns
-
-    def _segments(self, reports: NDArray, event: Reports) -> list[dict[str, NDArray]]:
-        """The columns of reports of equal length, cut where the clock is not continuous."""
-        steps = np.diff(reports["time_us"].astype(np.uint64)).view(np.int64)  # modulo 2⁶⁴, which the clock may exceed
-        cuts = np.flatnonzero((steps < 0) | (steps > self._largest_step_us(event))) + 1
-        made = [self._columns(part, event) for part in np.split(reports, cuts)]
-        return [columns for columns in made if columns is not None]
+        return {name: np.concatenate([part[name] for part in parts]) for name in self.names}
 
     def _largest_step_us(self, event: Reports) -> float:
         """µs between two reports beyond which the clock has jumped, as a silent connection would have been closed.
 
         A connection that was lost for longer leaves a step as long as it lasted, at the rate of the controller's clock.
         """
-        began, ended, first, last = self._span
-        rate = max(1.0, (ended - began) / (last - first)) if last > first else 1.0
+        first, last, time = self._first_run
+        rate = max(1.0, time / (last - first)) if last > first else 1.0
         return 1e6 * (SILENCE_S + 2 * rate * (event.heard - self._heard if self.count else 0.0))
 
-    def _columns(self, reports: NDArray, event: Reports) -> dict[str, NDArray] | None:
+    def _continue(self, reports: NDArray, event: Reports) -> dict[str, NDArray] | None:
+        """The columns of reports with a continuous clock; None if all are duplicates or too late."""
         clock = reports["time_us"].astype(np.uint64)
         elapsed = (clock - clock[0]).view(np.int64)
-        new_connection = event.connection != self._connection
+        reconnected = event.connection != self._connection
         step = int(clock[0]) - self._clock if self.count else 0
-        onwards = step % 2**64  # as the clock counts
-        continuous = onwards <= self._largest_step_us(event)
+        forward = step % 2**64  # as the clock counts
+        continuous = forward <= self._largest_step_us(event)
         new = np.diff(elapsed, prepend=-1) > 0
         if self.count and step == 0:
             new[0] = False
@@ -143,104 +193,103 @@ class Rows:
                 f"port {protocol.REALTIME}: the controller's clock has stopped at {int(clock[-1])} µs; update the"
                 " firmware"
             )
-        paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
-        start = self._time_us + (onwards if continuous else paused) if self.count else 0
-        time_us = start + elapsed
+        pause = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if reconnected else PERIOD_US)
+        time_us = elapsed + (self._time_us + (forward if continuous else pause) if self.count else 0)
         if self.seconds is not None:
             late = time_us / 1e6 >= self.seconds - 1e-9
             self.complete = self.complete or bool(late.any())
             new &= ~late
         if not new.any():
             return None
-        run = self.run + bool(self.count and (new_connection or not continuous))
-        gaps = self._gaps(np.diff(time_us[new], prepend=self._time_us), run, new_connection, 0 if continuous else step)
-        if not self.count:
-            self._span = (0.0, 0.0, event.heard, event.heard)
-        if run != self.run:
-            self._window.clear()
-        self._account(time_us[new], run, event)
-        self._clock = int(clock[new][-1])
-        return self._table(reports[new], time_us[new] / 1e6, gaps)
-
-    def _gaps(self, steps: NDArray[np.int64], run: int, new_connection: bool, jump: int) -> list[Gap]:
-        """The gaps before rows with these steps in µs; `jump` is that of the clock before the first row, or zero."""
+        reports, time_us = reports[new], time_us[new]
+        steps = np.diff(time_us, prepend=self._time_us)
         missing = np.maximum(np.rint(steps / PERIOD_US).astype(np.int64), 1) - 1
-        first = ""
-        if self.count and run != self.run:
-            reasons = [f"connection lost ({self.lost})" if self.lost else "new connection"] if new_connection else []
-            if jump:
-                how = "was set back" if jump < 0 else "jumped"
-                reasons.append(f"the controller's clock {how} by {abs(jump) / 1e6:.6g} s")
-                self._set_back, self._jumped = self._set_back + (jump < 0), self._jumped + (jump > 0)
-            first = "; ".join(reasons)
-        gaps = []
-        for i in map(int, np.flatnonzero((missing > 0) | ((np.arange(len(missing)) == 0) & bool(first)))):
-            reason = first if i == 0 and first else "reports not received"
-            starts = bool(i == 0 and first)
-            gaps.append(Gap(self.count + i + 1, run, int(missing[i]), float(steps[i]) / 1e6, reason, starts))
-        return gaps
-
-    def _account(self, time_us: NDArray[np.int64], run: int, event: Reports) -> None:
-        """Updates the counts of rows, and the rates."""
-        within = self.count and run == self.run
-        steps = np.diff(time_us, prepend=self._time_us) if within else np.diff(time_us)
-        self._steps += len(steps)
-        self._elapsed_us += int(steps.sum())
-        if len(steps):
-            weight = min(1.0, len(steps) / 250)  # over about a second
-            rate = 1e6 * len(steps) / max(int(steps.sum()), 1)
-            self.recent_rate += (weight if self.recent_rate else 1.0) * (rate - self.recent_rate)
-        self._connection, self._heard, self.run = event.connection, event.heard, run
+        gap = np.full(len(missing), None, object)
+        gap[missing > 0] = "reports not received"
+        reasons = []
+        if self.count and reconnected:
+            reasons.append(f"connection lost ({self.lost})" if self.lost else "new connection")
+        if self.count and not continuous:
+            how = "was set back" if step < 0 else "jumped"
+            reasons.append(f"the controller's clock {how} by {abs(step) / 1e6:.6g} s")
+            self._set_back, self._jumped = self._set_back + (step < 0), self._jumped + (step > 0)
+        if reasons:
+            gap[0] = "; ".join(reasons)
+            self.run += 1
+            self._window = self._window[:0]
+        for i in map(int, np.flatnonzero(gap.astype(bool))):
+            starts = i == 0 and bool(reasons)
+            found = Gap(self.count + i + 1, self.run, int(missing[i]), float(steps[i]) / 1e6, gap[i], starts)
+            self.gaps.add(found)
+        within = steps[1:] if reasons or not self.count else steps
+        self._steps, self._elapsed_us = self._steps + len(within), self._elapsed_us + int(within.sum())
+        if self.run == 0:
+            first = self._first_run[0] if self.count else event.heard
+            self._first_run = (first, event.heard, time_us[-1] / 1e6)
+        self._connection, self._heard, self._clock = event.connection, event.heard, int(clock[new][-1])
         self.count += len(time_us)
         self._time_us = int(time_us[-1])
         self.time = self._time_us / 1e6
-        if self.run == 0:
-            self._span = (self._span[0], self.time, self._span[2], event.heard)
+        table = self._convert(reports, time_us / 1e6) | {"missing": missing, "gap": gap}
+        self.names = self.names or tuple(table)
+        return table
 
-    def _table(self, reports: NDArray, time: Array, gaps: list[Gap]) -> dict[str, NDArray]:
-        dof, count = self._station.arm.dof, len(reports)
-        fields = {
-            "q{}_rad": "joint_position",
-            "dq{}_rad_per_s": "joint_velocity",
-            "tau{}_Nm": "torque",
-            "current{}_A": "current",
-        }
+    def _convert(self, reports: NDArray, time: Array) -> dict[str, NDArray]:
+        """The columns of new reports, in SI units."""
+        count, joints = len(reports), range(self._dof)
         table: dict[str, NDArray] = {"time_s": time}
-        self._observe_torques(np.stack([reports["joint_position"], reports["torque"]], 1).astype(float))
-        for pattern, field in fields.items():
-            values = reports[field].astype(float)
-            table |= {pattern.format(i + 1): values[:, i] for i in range(dof)}
-        if self.condition is not None:
-            if self._temperature and self.condition.temperature is not None:
-                table |= {f"temp{i + 1}_degC": np.full(count, self.condition.temperature[i]) for i in range(dof)}
-            if self._payload:
-                table["payload_kg"] = np.full(count, max(float(self.condition.payload[0]), 0.0))
+        for name, (pattern, _) in _FIELDS.items():
+            values = reports[name].astype(float)
+            table |= {pattern.format(i + 1): values[:, i] for i in joints}
+        if self._has_condition and self.condition is not None:
+            if self._warms:
+                degrees = self.condition.temperature
+                table |= {
+                    f"temp{i + 1}_degC": np.full(count, np.nan if degrees is None else degrees[i]) for i in joints
+                }
+            table["payload_kg"] = np.full(count, max(float(self.condition.payload[0]), 0.0))
         table["run"] = np.full(count, self.run)
         pose = reports["pose"].astype(float)
         table |= {f"{axis}_m": pose[:, i] / protocol.MM for i, axis in enumerate("xyz")}
-        q = reports["joint_position"][:, :dof].astype(float)
-        if self._orientations is None:
-            self._orientations = _Orientations(self._links, self._station.T_flange_tool)
-        quaternions = self._orientations.quaternions(q, pose[:, 3:])
+        q = reports["joint_position"].astype(float)
+        quaternions = self._read_orientations(q[:, : self._dof], pose[:, 3:])
         if quaternions is not None:
             table |= {name: quaternions[:, i] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
         finite = np.isfinite(np.column_stack([values for name, values in table.items() if name != "run"]))
         self._not_finite += int((~finite.all(axis=1)).sum())
-        table["missing"], table["gap"] = np.zeros(count, np.int64), np.full(count, None, object)
-        for gap in gaps:
-            self.gaps.add(gap)
-            row = gap.row - 1 - (self.count - count)
-            table["missing"][row], table["gap"][row] = gap.missing, gap.reason
+        # whole windows of consecutive rows show the noise of torques; the rest waits for the next ones
+        self._window = np.concatenate([self._window, np.stack([q, reports["torque"].astype(float)], 1)])
+        while len(self._window) >= WINDOW:
+            self._torque_noise.add(self._window[:WINDOW, 0], self._window[:WINDOW, 1])
+            self._window = self._window[WINDOW:]
         return table
 
-    def _observe_torques(self, both: Array) -> None:
-        """Whole windows of consecutive joint positions and torques `(row, 2, joint)`; the rest waits for the next."""
-        both = np.concatenate([*self._window, both])
-        whole = len(both) // WINDOW * WINDOW
-        for start in range(0, whole, WINDOW):
-            position, torque = np.swapaxes(both[start : start + WINDOW], 0, 1)
-            self._torque_noise.add(position, torque)
-        self._window = [both[whole:]]
+    def _read_orientations(self, q: Array, numbers: Array) -> Array | None:
+        """`(sample, 4)` quaternions, scalar first, or None if neither convention fits the orientation of the chain.
+
+        The vendor calls the numbers rx ry rz on port 30000 without a definition. Whether they are roll pitch yaw or a
+        rotation vector follows from the chain. At many poses, including the zero pose, both agree.
+        """
+        if self._convention == "":
+            return None
+        finite = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
+        safe = np.where(finite[:, None], numbers, 0.0)
+        if not self._certain and finite.any():
+            some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
+            expected = frames.chain(self._links, q[some]) @ self._tool
+            found, off = expected.copy(), {}
+            for name, read in _CONVENTIONS.items():
+                found[:, :3, :3] = read(safe[some]).as_matrix()
+                off[name] = float(frames.compare_transforms(expected, found)[1].max())
+            best = min(off, key=lambda name: off[name])
+            if self._convention is None and not self.names and off[best] > _IMPLAUSIBLE_RAD:
+                self._convention = ""
+                return None
+            self._convention = best
+            self._certain = max(off.values()) - off[best] > _DISTINCT_RAD
+        quaternions = _CONVENTIONS[self._convention or "roll pitch yaw"](safe).as_quat(scalar_first=True)
+        quaternions[~finite] = np.nan
+        return quaternions
 
     def notes(self) -> tuple[str, ...]:
         """Remarks about the rows, one sentence each."""
@@ -250,71 +299,20 @@ class Rows:
                 "the torques have no noise, not even at rest: the controller computes them from its own model, and they"
                 " say nothing of friction or load that it does not know"
             )
-        if self._orientations is not None:
-            notes += self._orientations.notes()
+        if self._convention == "":
+            notes.append(
+                "orientations are omitted: in both conventions they differ from the chain's by over 3°; check the tool"
+            )
+        elif self._certain:
+            notes.append(
+                f"the controller's orientations are {self._convention}: the other convention contradicts the chain"
+            )
         if self._not_finite:
             notes.append(f"{self._not_finite} rows contain values that are not finite, as sent by the controller")
         for times, how in ((self._set_back, "was set back"), (self._jumped, "jumped")):
             if times:
                 notes.append(f"the controller's clock {how} {times} times; each time starts a run")
-        began, ended, first, last = self._span
-        if last - first > 5 and not 0.95 < (ended - began) / (last - first) < 1.05:
-            notes.append(
-                f"the controller's clock runs {(ended - began) / (last - first):.3g} times as fast as this one"
-            )
+        first, last, time = self._first_run
+        if last - first > 5 and not 0.95 < time / (last - first) < 1.05:
+            notes.append(f"the controller's clock runs {time / (last - first):.3g} times as fast as this one")
         return tuple(notes)
-
-
-class _Orientations:
-    """Interprets the three numbers of an orientation as roll pitch yaw or as a rotation vector, by the chain.
-
-    The vendor calls them rx ry rz on port 30000 without a definition. At many poses, including the zero pose, both
-    conventions agree.
-    """
-
-    def __init__(self, links: Array, T_flange_tool: Array) -> None:
-        self._links, self._tool = links, T_flange_tool
-        self._choice: str | None = None
-        self._decided = False
-        self._omitted = False
-
-    def quaternions(self, q: Array, numbers: Array) -> Array | None:
-        """`(sample, 4)` scalar first, or None if neither convention fits the orientation of the chain."""
-        if self._omitted:
-            return None
-        finite = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
-        safe = np.where(finite[:, None], numbers, 0.0)
-        conventions = {
-            "roll pitch yaw": Rotation.from_euler("xyz", safe),
-            "a rotation vector": Rotation.from_rotvec(safe),
-        }
-        if not self._decided and finite.any():
-            some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
-            expected = (frames.chain(self._links, q[some]) @ self._tool)[:, :3, :3]
-            off = {name: _largest_angle(expected, turns.as_matrix()[some]) for name, turns in conventions.items()}
-            best = min(off, key=lambda name: off[name])
-            if self._choice is None and off[best] > _IMPLAUSIBLE_RAD:
-                self._omitted = True
-                return None
-            self._choice = best
-            self._decided = max(off.values()) - off[best] > _DISTINCT_RAD
-        choice = self._choice or "roll pitch yaw"
-        quaternions = conventions[choice].as_quat(scalar_first=True)
-        quaternions[~finite] = np.nan
-        return quaternions
-
-    def notes(self) -> list[str]:
-        """The convention, once it is determined."""
-        if self._omitted:
-            return [
-                "orientations are omitted: in both conventions they differ from the chain's by over 3°; check the tool"
-            ]
-        if not self._decided:
-            return []
-        return [f"the controller's orientations are {self._choice}: the other convention contradicts the chain"]
-
-
-def _largest_angle(a: Array, b: Array) -> float:
-    """rad, the largest angle between rotations `(sample, 3, 3)`."""
-    chord = np.linalg.norm(a - b, axis=(1, 2))
-    return float(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)).max())

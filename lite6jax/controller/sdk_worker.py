@@ -15,17 +15,12 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-READS = {1: "version", 13: "state", 14: "commands waiting", 15: "error and warning", 44: "forward kinematics"}
-"""The permitted registers, which are read only."""
+READS = (1, 13, 14, 15, 44)
+"""The permitted registers, which are read only: version, state, commands waiting, errors, forward kinematics."""
 
 
-def only_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
-    """The SDK's write function, restricted to the registers in `READS`.
-
-    Args:
-        write: the original function, of a port and the bytes to send; returns 0 on success.
-        refused: receives the blocked registers.
-    """
+def allow_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
+    """The SDK's write function, of a port and bytes, restricted to `READS`; `refused` receives the other registers."""
 
     def guarded(port: Any, data: bytes) -> int:
         if len(data) > 6 and data[6] in READS and data[2] == 0 and data[3] in (2, 3):
@@ -52,7 +47,7 @@ def serve(host: str, port: int, home: str) -> None:
         from xarm.wrapper import XArmAPI
 
         setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", port)  # noqa: B010 (typed as the constant 502)
-        setattr(Port, "write", only_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
+        setattr(Port, "write", allow_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
         # Without reports, connecting would clear the controller's warnings. With Unix domain sockets permitted, the SDK
         # would connect to another program's socket in /tmp instead of the arm.
         arm = XArmAPI(host, is_radian=True, enable_report=True, forbid_uds=True)

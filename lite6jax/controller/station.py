@@ -1,26 +1,121 @@
-"""The connected arm before a recording: calibration, tool, payload and mounting, as the content of a sidecar."""
+"""The connected arm before a recording: its calibration and its condition, as the content of a sidecar."""
 
 import os
-from dataclasses import dataclass
+import queue
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.controller import protocol
 from lite6jax.controller.calibration import SilentError, UncalibratedError, read_calibration
-from lite6jax.controller.condition import Condition, read_condition
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.recorded import factory_path
+from lite6jax.controller.connection import Address, ReportPort, Reports
 from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.settings import LONGEST_OFFSET_M
 
+Array = NDArray[np.floating]
+
+NO_OFFSET_MM, NO_OFFSET_RAD = 1e-4, 1e-7
+"""Smaller offsets count as zero: the rounding of decimetres to 32 bits."""
 STREAM_NOISE = 5e-8, 5e-7
 """m and rad, one standard deviation: the rounding of joints and poses in reports to 32 bits."""
 FK_NOISE = 3e-8, 3e-7
 """m and rad, one standard deviation: the rounding of poses alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """An arm's condition at one 5 Hz report.
+
+    Attributes:
+        error, warning: the codes of the controller; 0 for none.
+        joint_position: `(7,)` rad, those of the arm first.
+        tool_offset: `(6,)` x y z roll pitch yaw of the tool in the flange's frame, mm and rad.
+        world_offset: `(6,)` likewise, of the base in the frame of the poses; zero if the report omits it.
+        payload: `(4,)` kg and the centre of mass in the flange's frame, mm, as set in the controller.
+        gravity_direction: `(3,)` unit vector in the base's frame, as set in the controller.
+        temperature: `(7,)` °C, or None if the report omits it.
+    """
+
+    error: int
+    warning: int
+    joint_position: Array
+    tool_offset: Array
+    world_offset: Array
+    payload: Array
+    gravity_direction: Array
+    temperature: Array | None
+
+    @property
+    def has_tool(self) -> bool:
+        """Whether a tool offset is set."""
+        return _is_offset(self.tool_offset)
+
+    @property
+    def has_world(self) -> bool:
+        """Whether poses refer to another frame than the base."""
+        return _is_offset(self.world_offset)
+
+    @property
+    def T_flange_tool(self) -> Array:
+        """`(4, 4)` m, the tool in the flange's frame."""
+        return protocol.read_pose(self.tool_offset)
+
+
+def _is_offset(offset: Array) -> bool:
+    return bool(np.abs(offset[:3]).max() > NO_OFFSET_MM or np.abs(offset[3:]).max() > NO_OFFSET_RAD)
+
+
+def parse_condition(message: bytes, place: str) -> Condition:
+    """The condition in a whole report of port 30002.
+
+    Raises:
+        InputError: the report ends before the tool offset, or contains values that are not finite.
+    """
+    report = np.frombuffer(message, protocol.report_layout(protocol.RICH, len(message)))[0]
+    names = report.dtype.names
+    if "gravity_direction" not in names:
+        raise InputError(f"{place}: reports of {len(message)} bytes end before the tool offset; update the firmware")
+    for name in ("joint_position", "tool_offset", "payload", "world_offset"):
+        if name in names and not np.isfinite(report[name]).all():
+            raise InputError(
+                f"{place}: the report's {name.replace('_', ' ')} is not finite; restart the control box, and try again"
+            )
+    gravity = np.array(report["gravity_direction"], float)
+    length = float(np.linalg.norm(gravity))
+    return Condition(
+        error=int(report["error"]),
+        warning=int(report["warning"]),
+        joint_position=np.array(report["joint_position"], float),
+        tool_offset=np.array(report["tool_offset"], float),
+        world_offset=np.array(report["world_offset"], float) if "world_offset" in names else np.zeros(6),
+        payload=np.array(report["payload"], float),
+        gravity_direction=gravity / length if 0.5 < length < 2 else np.array([0.0, 0.0, -1.0]),
+        temperature=np.array(report["temperature"], float) if "temperature" in names else None,
+    )
+
+
+def read_condition(address: Address, seconds: float = 3.0) -> Condition:
+    """The condition in the next report of port 30002, which sends five a second.
+
+    Raises:
+        InputError: no report within `seconds`, or as `parse_condition`.
+    """
+    with ReportPort(address, protocol.RICH) as port:
+        try:
+            event = port.events.get(timeout=seconds)
+        except queue.Empty:
+            event = f"{port.place}: no report within {seconds:g} s"
+    if isinstance(event, Reports):
+        return parse_condition(event.reports[-1], port.place)
+    remedy = "" if ";" in event else "; check that the controller has finished starting, and try again"
+    raise InputError(event + remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,47 +136,36 @@ class Station:
     condition: Condition | None
     notes: tuple[str, ...]
 
-    @property
-    def T_flange_tool(self) -> np.ndarray:
-        """`(4, 4)` m, the tool in the flange's frame; the identity if the tool is unknown."""
-        return np.eye(4) if self.condition is None else self.condition.T_flange_tool
-
-    def settings_beside(self, out: Path, joints: str = "measured") -> RecordingSettings:
-        """The content of the sidecar of a recording of this arm.
-
-        Args:
-            out: the recording; sidecar and calibration are beside it.
-            joints: "measured" for a recorded motion, "commanded" for poses that the controller computed.
-        """
+    def sidecar_settings(self, out: Path, computed: bool = False) -> RecordingSettings:
+        """The content of the sidecar of a recording `out` of a motion, or of poses that the controller `computed`."""
         arm = self.arm_name
         if arm not in bundled_arms():
             arm = Path(os.path.relpath(Path(arm).resolve(), out.resolve().parent)).as_posix()
-        tool = "unknown" if self.condition is None else "none"
-        com, gravity = (0.0, 0.0, 0.0), (0.0, 0.0, -9.81)
-        base = False
-        if (condition := self.condition) is not None:
-            base = not condition.has_world
-            if condition.has_tool:
-                tool = (*(condition.tool_offset[:3] / 1e3).tolist(), *condition.tool_offset[3:].tolist())
-            if condition.payload[0] > 0 and np.linalg.norm(condition.payload[1:]) < 1e3 * LONGEST_OFFSET_M:
-                com = tuple((condition.payload[1:] / 1e3).tolist())
-            if np.abs(condition.gravity_direction - [0, 0, -1]).max() > 1e-6:
-                gravity = tuple((9.81 * condition.gravity_direction).tolist())
-        computed = joints == "commanded"
-        noise = FK_NOISE if computed else STREAM_NOISE
-        return RecordingSettings(
+        settings = RecordingSettings(
             arm=arm,
             factory_calibration=None if self.calibration is None else factory_path(out).name,
             joint_source="commanded" if computed else "measured",
             pose_source="controller_fk",
             motion="static" if computed else "trajectory",
-            pose_frame="base" if base else "unknown",
-            tool=tool,
-            position_noise_m=noise[0],
-            orientation_noise_rad=noise[1],
-            payload_com_m=com,
-            gravity_m_per_s2=gravity,
+            position_noise_m=(FK_NOISE if computed else STREAM_NOISE)[0],
+            orientation_noise_rad=(FK_NOISE if computed else STREAM_NOISE)[1],
+            tool="unknown",
         )
+        if (condition := self.condition) is None:
+            return settings
+        changed: dict[str, Any] = {"pose_frame": "unknown" if condition.has_world else "base", "tool": "none"}
+        if condition.has_tool:
+            changed["tool"] = (*(condition.tool_offset[:3] / protocol.MM).tolist(), *condition.tool_offset[3:].tolist())
+        if condition.payload[0] > 0 and np.linalg.norm(condition.payload[1:]) < protocol.MM * LONGEST_OFFSET_M:
+            changed["payload_com_m"] = tuple((condition.payload[1:] / protocol.MM).tolist())
+        if np.abs(condition.gravity_direction - [0, 0, -1]).max() > 1e-6:
+            changed["gravity_m_per_s2"] = tuple((9.81 * condition.gravity_direction).tolist())
+        return replace(settings, **changed)
+
+
+def factory_path(out: Path) -> Path:
+    """The file beside a recording for the calibration of its arm."""
+    return out.with_name(f"{out.stem}_factory.yaml")
 
 
 def read_station(address: Address, arm: Arm, arm_name: str) -> Station:
@@ -93,8 +177,7 @@ def read_station(address: Address, arm: Arm, arm_name: str) -> Station:
     notes = []
     calibration = condition = None
     try:
-        read = read_calibration(address, arm)
-        calibration = read.calibration
+        calibration = read_calibration(address, arm).calibration
     except (UncalibratedError, SilentError) as error:
         reason = str(error).partition(": ")[2].partition(";")[0]
         notes.append(f"the geometry stays unknown: {reason}")

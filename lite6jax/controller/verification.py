@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.frames import compare_transforms
 from lite6jax.controller import protocol
-from lite6jax.controller.condition import Condition, read_condition, require_no_error
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.sdk import Sdk, connected
+from lite6jax.controller.connection import Address
+from lite6jax.controller.sdk import compute_poses
+from lite6jax.controller.station import Condition, read_condition
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -90,92 +91,65 @@ def verify(
     limits = np.where(np.isfinite(arm.joint_limits), arm.joint_limits, [-np.pi, np.pi])
     q = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (samples, arm.dof))
     condition = read_condition(address)
-    require_no_error(condition, address)
-    with connected(address) as sdk:
-        here = condition.joint_position[: arm.dof]
-        at_rest = _computed_poses(sdk, here[None], address, lambda done: None)
-        computed = _computed_poses(sdk, q, address, advance)
-        version = sdk.version
+    if condition.error:
+        raise InputError(
+            f"{address}: the controller reports error {condition.error}, during which its tool offset is "
+            "unreliable; clear the error with the vendor's program, and try again"
+        )
+    here = condition.joint_position[: arm.dof]
+    answers, failure, version = compute_poses(address, np.vstack([here, q]), None, lambda row: row and advance(1))
+    for joints, answer in zip((here, *q), answers, strict=False):
+        if isinstance(answer, str):
+            shown = " ".join(f"{value:.1f}" for value in np.degrees(joints))
+            raise InputError(
+                f"{address}: the SDK's forward kinematics at {shown} deg gives {answer}; read again, and check "
+                "that the firmware fits the SDK"
+            )
+    if failure:
+        raise InputError(failure)
+    at_rest, *_ = computed = protocol.read_pose(np.array(answers))
+    computed = computed[1:]
 
-    links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
-    at_rest_expected = frames.chain(links, here[None])
+    links, q_sent = frames.transform_from_row(calibration.kinematics), protocol.round_floats(q)
     tools = {"none": np.eye(4)}
     if condition.has_tool:
         tools = {"applied": condition.T_flange_tool, "omitted by the controller": np.eye(4)}
-    apart = {name: np.concatenate(differences(at_rest_expected @ T, at_rest)) for name, T in tools.items()}
-    tool = min(apart, key=lambda name: float(apart[name][0] + 0.1 * apart[name][1]))
-    expected = frames.chain(links, as_sent(q)) @ tools[tool]
-    position, orientation = differences(expected, computed)
-    passed = _agree(position, orientation)
+    at_rest_expected = frames.chain(links, here)
+    agreement = {name: np.array(compare_transforms(at_rest_expected @ T, at_rest)) for name, T in tools.items()}
+    tool = min(agreement, key=lambda name: agreement[name] @ [1.0, 0.1])
+    expected = frames.chain(links, q_sent) @ tools[tool]
+    position, orientation = compare_transforms(expected, computed)
+    other_chain = offset = None
+    if not _agree(position, orientation):
+        offset = find_offset(expected, computed)
+        for other in map(load_bundled, bundled_arms()):
+            if other.dof == arm.dof and other_chain is None:
+                poses = frames.chain(other.links, q_sent) @ tools[tool]
+                other_chain = other.name if _agree(*compare_transforms(poses, computed)) else None
     return Verification(
         q,
         position,
         orientation,
-        *differences(frames.chain(links, q) @ tools[tool], computed),
+        *compare_transforms(frames.chain(links, q) @ tools[tool], computed),
         condition=condition,
         tool=tool,
-        tool_agrees=apart[tool],
-        hidden_tool=None if passed else hidden_tool(expected, computed),
-        other_chain=None if passed else _other_chain(q, tools[tool], computed),
+        tool_agrees=agreement[tool],
+        hidden_tool=offset,
+        other_chain=other_chain,
         version=version,
     )
 
 
-def as_sent(joints: Array) -> Array:
-    """Joint positions in rad as received by the controller, rounded to 32 bits."""
-    return np.asarray(joints).astype(np.float32).astype(float)
-
-
-def differences(a: Array, b: Array) -> tuple[Array, Array]:
-    """`(sample,)` distances in m and angles in rad between transforms `(sample, 4, 4)`."""
-    distance = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=-1)
-    # from the chord between the matrices, because arccos of the trace is zero below 1e-8
-    chord = np.linalg.norm(a[:, :3, :3] - b[:, :3, :3], axis=(-2, -1))
-    return distance, 2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1))
-
-
-def hidden_tool(expected: Array, computed: Array) -> Array | None:
-    """`(6,)` mm and rad, the constant transform after the flange that explains a difference; None if there is none.
-
-    Args:
-        expected: `(sample, 4, 4)` poses by the calibration.
-        computed: `(sample, 4, 4)` poses by the controller.
-    """
+def find_offset(expected: Array, computed: Array) -> Array | None:
+    """`(6,)` mm and rad, the constant transform after the flange that explains the difference between `(sample, 4, 4)`
+    poses by the calibration and by the controller; None if there is none."""
     if len(expected) < 3:
         return None
-    T = np.linalg.inv(expected) @ computed
-    mean = T.mean(axis=0)
+    mean = (np.linalg.inv(expected) @ computed).mean(axis=0)
     U, _, Vt = np.linalg.svd(mean[:3, :3])
     mean[:3, :3] = U @ Vt
-    return protocol.wire_pose(mean) if _agree(*differences(expected @ mean, computed)) else None
-
-
-def _other_chain(q: Array, T_flange_tool: Array, computed: Array) -> str | None:
-    """The bundled arm whose nominal chain reproduces the controller's poses; or None."""
-    for name in bundled_arms():
-        arm = load_bundled(name)
-        if arm.dof != q.shape[1]:
-            continue
-        if _agree(*differences(frames.chain(arm.links, as_sent(q)) @ T_flange_tool, computed)):
-            return name
-    return None
+    return protocol.encode_pose(mean) if _agree(*compare_transforms(expected @ mean, computed)) else None
 
 
 def _agree(position: Array, orientation: Array) -> bool:
     return bool(position.max() <= GATE_M and orientation.max() <= GATE_RAD)
-
-
-def _computed_poses(sdk: Sdk, q: Array, address: Address, advance: Callable[[int], object]) -> Array:
-    """`(sample, 4, 4)` m, the poses that the controller computes at `q` `(sample, joint)` rad."""
-    poses = []
-    for joints in q:
-        pose = sdk.forward_kinematics(joints)
-        if pose.values is None:
-            shown = " ".join(f"{value:.1f}" for value in np.degrees(joints))
-            raise InputError(
-                f"{address}: the SDK's forward kinematics at {shown} deg gives {pose.refusal}; read again, and check "
-                "that the firmware fits the SDK"
-            )
-        poses.append(pose.values)
-        advance(1)
-    return protocol.transform_of_wire_pose(np.array(poses))

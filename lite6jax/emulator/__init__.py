@@ -2,9 +2,9 @@
 
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.faults import Faults, describe_faults, parse_faults
-from lite6jax.emulator.paths import played, visits
-from lite6jax.emulator.programs import draw_places, draw_sines, read_path
+from lite6jax.emulator.paths import interpolate, read_path, visit
 from lite6jax.emulator.server import Controller, Snapshot
+from lite6jax.simulation.motions import draw_sines
 
 __all__ = [
     "Body",
@@ -12,10 +12,9 @@ __all__ = [
     "Faults",
     "Snapshot",
     "describe_faults",
-    "draw_places",
     "draw_sines",
+    "interpolate",
     "parse_faults",
-    "played",
     "read_path",
-    "visits",
+    "visit",
 ]

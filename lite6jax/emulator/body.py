@@ -1,4 +1,8 @@
-"""The emulated arm: its kinematics, motors, temperature and true poses."""
+"""The emulated arm: its kinematics, its true poses, and the torques of its motors.
+
+The dynamics are those of Newton and Euler in the base frame, in NumPy. They share no code with the inverse dynamics by
+which a recording is diagnosed, and take no time to compile.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,16 +11,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import recognise
-from lite6jax.controller import protocol
+from lite6jax.arms.inertia import six_entries
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.dynamic.bodies import PayloadTorque
+from lite6jax.effects.dynamic.motors import TorqueTimeOffset
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import Inertia, inertia_of
-from lite6jax.emulator.motors import Hidden, Motors, inertial_numbers, seen_by_motors
+from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 
@@ -24,15 +31,19 @@ Array = NDArray[np.floating]
 
 TYPES = {"lite6": 9, "xarm5": 5, "xarm6": 6, "xarm7": 7, "uf850": 12}
 """The vendor's numbers of the bundled models that have such a controller."""
-
 SPACING_S = 0.02
-"""s, the spacing of the samples around a block that a clock offset requires."""
+"""s, between the instants at which directions of motion are looked at, and between those of padding."""
 LONGEST_OFFSET_S = 1.0
 """s, the largest clock offset."""
 MOST_WARM_UP = 100.0
 """K; the temperatures of reports range from -128 to 127 °C."""
 BLOCK = 128
 """The number of samples of the compiled prediction; shorter blocks are padded."""
+_GRAVITY = np.array(STANDARD_GRAVITY)
+_CAUSES_OF_BOTH = {kind.name: kind for kind in (PayloadTorque, TorqueTimeOffset)}
+"""Causes that a sensor of poses and one of torques both see: the same payload and the same clock."""
+_REACH = 0.1
+"""m per rad, the weight of orientation errors relative to position errors in inverse kinematics."""
 
 
 class Sample(NamedTuple):
@@ -44,22 +55,12 @@ class Sample(NamedTuple):
     direction: Array
 
 
-class Carried(NamedTuple):
-    """Tool and payload at the flange, from `Body.carrying`.
-
-    Attributes:
-        T_flange_tool: `(4, 4)` m.
-        payload: kg.
-        center: `(3,)` m, the payload's centre of mass in the last joint's frame.
-        model: the chain up to the tool.
-        inertia: the masses, or None if they are unknown.
-    """
+class Load(NamedTuple):
+    """Tool `(4, 4)` m at the flange, payload in kg, and its centre of mass `(3,)` m in the last joint's frame."""
 
     T_flange_tool: Array
     payload: float
     center: Array
-    model: ArmModel
-    inertia: Inertia | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,181 +87,263 @@ class Body:
     physics: Physics = Physics()  # noqa: RUF009 (frozen)
     values: Array = field(default_factory=lambda: np.zeros(0))
     warm_up: float = 12.0
-    torque_effects: tuple[Hidden, ...] = ()
+    torque_effects: Sequence[tuple[TorqueEffect, Array]] = ()
     torque_noise: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if self.arm.dof not in (5, 6, 7):
-            raise InputError(f"{self.arm.name}: has {self.arm.dof} joints, but a UFACTORY controller drives 5, 6 or 7")
+        name, dof = self.arm.name, self.arm.dof
+        if dof not in (5, 6, 7):
+            raise InputError(f"{name}: has {dof} joints, but a UFACTORY controller drives 5, 6 or 7")
         if self.arm.sliding:
             raise InputError(
-                f"{self.arm.name}: joint {self.arm.sliding[0] + 1} is prismatic, and a UFACTORY controller drives "
+                f"{name}: joint {self.arm.sliding[0] + 1} is prismatic, and a UFACTORY controller drives "
                 "revolute joints (its linear track is no joint of the arm); name the chain without it, such as "
                 "robot.urdf#base:tip, or make recordings of the whole arm with `lite6jax simulate`"
             )
         object.__setattr__(self, "kinematics", self.kinematics.astype(np.float32).astype(float))
-        if self.kinematics.shape != (self.arm.dof, 6):
+        if self.kinematics.shape != (dof, 6):
             raise InputError(
-                f"{self.arm.name}: a calibration {self.kinematics.shape}; it must be {(self.arm.dof, 6)}: give that "
-                "of this arm"
+                f"{name}: a calibration {self.kinematics.shape}; it must be {(dof, 6)}: give that of this arm"
             )
         if self.values.shape != (self.physics.size,):
-            raise InputError(f"{self.arm.name}: {self.values.size} values of effects that take {self.physics.size}")
-        noise = self.torque_noise if self.torque_noise.size else np.zeros(self.arm.dof)
+            raise InputError(f"{name}: {self.values.size} values of effects that take {self.physics.size}")
+        noise = self.torque_noise if self.torque_noise.size else np.zeros(dof)
         object.__setattr__(self, "torque_noise", noise)
-        if noise.shape != (self.arm.dof,) or not ((noise >= 0) & np.isfinite(noise)).all():
-            raise InputError(f"{self.arm.name}: the noise of torques; give one Nm per joint, {self.arm.dof}, 0 or more")
+        if noise.shape != (dof,) or not ((noise >= 0) & np.isfinite(noise)).all():
+            raise InputError(f"{name}: the noise of torques; give one Nm per joint, {dof}, 0 or more")
         if not abs(self.warm_up) <= MOST_WARM_UP:
-            raise InputError(
-                f"{self.arm.name}: warms up by {self.warm_up:g} K; give at most {MOST_WARM_UP:g} either way"
-            )
+            raise InputError(f"{name}: warms up by {self.warm_up:g} K; give at most {MOST_WARM_UP:g} either way")
         if abs(self.clock_offset) > LONGEST_OFFSET_S:
             raise InputError(f"time_offset: an emulator supports at most {LONGEST_OFFSET_S:g} s; give a smaller offset")
         if self.physics.effects:
-            zero = np.zeros((1, self.arm.dof))
-            self.physics.check(self._motion(Sample(np.zeros(1), zero, zero, zero), 0.0, 1), self.arm.mass is not None)
+            zero = np.zeros((1, dof))
+            self.physics.check(self._motion(Sample(np.zeros(1), zero, zero, zero), 0.0), self.arm.mass is not None)
         for effect, _ in self.torque_effects:
-            if effect.joints_needed > self.arm.dof:
+            if effect.joints_needed > dof:
                 raise InputError(
-                    f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {self.arm.dof} joints; "
-                    "choose one of them"
+                    f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {dof} joints; choose "
+                    "one of them"
                 )
         if self.torque_effects and self.arm.mass is None:
-            raise InputError(f"{self.arm.name}: has no masses, which torques need; add `inertial` to its description")
-        if np.abs(self.motors.offsets).max() > LONGEST_OFFSET_S:
+            raise InputError(f"{name}: has no masses, which torques need; add `inertial` to its description")
+        if np.abs(self.torque_offset).max() > LONGEST_OFFSET_S:
             raise InputError(
-                f"{self.arm.name}: an emulator's torques are at most {LONGEST_OFFSET_S:g} s late or early; give a "
-                "smaller time_offset or torque_lag"
+                f"{name}: an emulator's torques are at most {LONGEST_OFFSET_S:g} s late or early; give a smaller "
+                "time_offset or torque_lag"
             )
 
     @cached_property
     def type(self) -> int:
         """The vendor's number of the model; for other arms that of the xArm with as many joints."""
-        if self.arm.name in TYPES:
-            return TYPES[self.arm.name]
-        names = [f"joint{i + 1}" for i in range(self.arm.dof)]
-        try:
-            model = recognise(self.arm.kinematics, names, self.arm.name, None, self.arm.T_joint_flange).name
-        except InputError:
-            return self.arm.dof
-        return TYPES.get(model, self.arm.dof)
-
-    @property
-    def clock_offset(self) -> float:
-        """s, the sum of the clock offsets."""
-        offsets = [
-            values[0]
-            for effect, values in zip(self.physics.effects, self._split, strict=True)
-            if effect.name == "time_offset"
-        ]
-        return float(sum(offsets))
+        name = self.arm.name
+        if name not in TYPES:
+            joints = [f"joint{i + 1}" for i in range(self.arm.dof)]
+            try:
+                name = recognise(self.arm.kinematics, joints, name, None, self.arm.T_joint_flange).name
+            except InputError:
+                return self.arm.dof
+        return TYPES.get(name, self.arm.dof)
 
     @cached_property
-    def motors(self) -> Motors:
-        """With effects on torques, and those on poses that motors see as well."""
-        both = zip(self.physics.effects, self._split, strict=True)
-        shared = [hidden for effect, values in both for hidden in seen_by_motors(effect, values)]
-        numbers = inertial_numbers(self.arm)
-        return Motors(self._links, numbers, (*self.torque_effects, *shared), self.torque_noise)
-
-    @property
-    def _split(self) -> list[Array]:
-        return [self.values[part] for part in self.physics.slices]
-
-    @cached_property
-    def _links(self) -> Array:
-        return np.stack([frames.transform_from_row(row) for row in self.kinematics])
+    def links(self) -> Array:
+        """`(joint, 4, 4)` m of the calibrated chain, before each joint's rotation."""
+        return frames.transform_from_row(self.kinematics)
 
     def flange(self, q: ArrayLike, nominal: bool = False) -> Array:
         """`(..., 4, 4)` T_base_flange at `(..., joint)` rad by the calibrated or the nominal chain."""
-        return frames.chain(self.arm.links if nominal else self._links, q) @ self.arm.T_joint_flange
+        return frames.chain(self.arm.links if nominal else self.links, q) @ self.arm.T_joint_flange
 
-    def joint_frames(self, q: Array) -> Array:
-        """`(joint, ..., 4, 4)` the frame after each joint's rotation, in the base frame."""
-        turns = frames.joint_motions(q)
-        T, found = np.eye(4), []
-        for i, link in enumerate(self._links):
-            T = T @ link @ turns[..., i, :, :]
-            found.append(T)
-        return np.stack(found)
+    def inverse_kinematics(self, goal: Array, reference: Array, limited: bool = True) -> Array | None:
+        """`(joint,)` rad at which the flange is at `goal` `(4, 4)`, close to the reference; None if none is found.
 
-    def carrying(self, T_flange_tool: Array, payload: float, center: Array) -> "Carried":
-        """Tool and payload at the flange with the quantities derived from them.
-
-        Args:
-            T_flange_tool: `(4, 4)` m.
-            payload: kg.
-            center: `(3,)` m, its centre of mass in the flange's frame.
+        Damped Gauss-Newton from the reference and, if that does not converge, from 64 other joint positions, of whose
+        solutions the closest is chosen. Joint limits hold if `limited`.
         """
-        T_flange = self.arm.T_joint_flange
-        payload_center = T_flange[:3, :3] @ center + T_flange[:3, 3]
-        inertia = None
-        if self.arm.mass is not None and self.arm.center_of_mass is not None:
-            inertia = inertia_of(self.arm.mass, self.arm.center_of_mass, payload_center)
-        arrays: Any = (self.kinematics.ravel(), np.eye(4), T_flange @ T_flange_tool)  # JAX converts them at the call
-        return Carried(T_flange_tool, payload, payload_center, ArmModel(*arrays), inertia)
+        lower, upper = self.arm.joint_limits.T
+        rng = np.random.default_rng(0)
+        others = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (64, self.arm.dof))
+        for q in (reference[None], others):
+            for _ in range(60):
+                T = np.stack([*frames.walk(self.links, q)][1:], 1)
+                flange = T[:, -1] @ self.arm.T_joint_flange
+                axis, lever = T[..., :3, 2], flange[:, None, :3, 3] - T[..., :3, 3]
+                J = np.swapaxes(np.concatenate([np.cross(axis, lever), _REACH * axis], -1), 1, 2)
+                normal = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(self.arm.dof)
+                slope = np.swapaxes(J, 1, 2) @ _weighted_twist(flange, goal)[..., None]
+                step = np.linalg.solve(normal, slope)[..., 0]
+                q = q + step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / 0.5)
+            q = q[np.linalg.norm(_weighted_twist(self.flange(q), goal), axis=1) < 1e-8]
+            q = q + 2 * np.pi * np.round((reference - q) / (2 * np.pi))
+            if limited:
+                q = q - 2 * np.pi * (q > upper + 1e-9) + 2 * np.pi * (q < lower - 1e-9)
+                q = q[((q >= lower - 1e-9) & (q <= upper + 1e-9)).all(axis=1)]
+            if len(q):
+                return q[np.argmin(np.abs(q - reference).max(axis=1))]
+        return None
 
-    def torque(self, sample: Sample, acceleration: Array, carried: "Carried") -> Array:
+    def temperature(self, time: Array) -> Array:
+        """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""
+        rise = self.warm_up * -np.expm1(-np.asarray(time) / 1200.0)
+        return 25.0 + np.outer(rise, np.linspace(1.0, 0.8, self.arm.dof))
+
+    @property
+    def clock_offset(self) -> float:
+        """s by which poses belong to a later motion than they are stamped with: the sum of the clock offsets."""
+        return float(self.physics.part(self.values, [e.name == "time_offset" for e in self.physics.effects])[1].sum())
+
+    @cached_property
+    def _bending(self) -> tuple[Physics, Array]:
+        """The effects on poses but clock offsets, with their values."""
+        return self.physics.part(self.values, [e.name != "time_offset" for e in self.physics.effects])
+
+    @cached_property
+    def _inertia(self) -> Inertia | None:
+        if self.arm.mass is None or self.arm.center_of_mass is None:
+            return None
+        return inertia_of(self.arm.mass, self.arm.center_of_mass)
+
+    def true_poses(self, sample: Sample, load: Load) -> Array:
+        """`(sample, 4, 4)` the true poses of the tool, with all effects; the joints are those after `clock_offset`."""
+        physics, values = self._bending
+        if not physics.effects:
+            return self.flange(sample.position) @ load.T_flange_tool
+        # JAX converts NumPy arrays at the call
+        model: Any = (self.kinematics.ravel(), np.eye(4), self.arm.T_joint_flange @ load.T_flange_tool)
+        inertia = self._inertia and self._inertia._replace(payload_center=load.center)
+        form, poses = SixParameterForm(self.arm.dof), []
+        for first in range(0, len(sample.time), BLOCK):
+            block = Sample(*(part[first : first + BLOCK] for part in sample))
+            motion = self._motion(block, load.payload, BLOCK)
+            found = predict_poses(form, physics, ArmModel(*model), values, motion, inertia)
+            poses.append(np.asarray(found)[: len(block.time)])
+        return np.concatenate(poses)
+
+    def _motion(self, sample: Sample, payload: float, size: int = 0, acceleration: Array | None = None) -> Motion:
+        """The samples, padded with the last one to `size`."""
+        count = len(sample.time)
+        extra = max(size - count, 0)
+        position, velocity, direction, rise = (
+            np.pad(values, ((0, extra), (0, 0)), "edge").T
+            for values in (*sample[1:], self.temperature(sample.time) - 25.0)
+        )
+        # the times of the padding increase, because times must be in order
+        time = np.concatenate([sample.time, sample.time[-1] + SPACING_S * np.arange(1, extra + 1)])
+        run = np.stack([np.zeros(len(time), int), np.full(len(time), count - 1)])
+        ddq = None if acceleration is None else acceleration.T
+        arrays: Any = (position, velocity, direction, time, run, rise.mean(0), np.full(len(time), payload), ddq, rise)
+        return Motion(*arrays)
+
+    @cached_property
+    def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
+        """The effects on torques, and those on poses of which the motors see the cause as well."""
+        both = zip(self.physics.effects, self.physics.slices, strict=True)
+        shared = ((_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in both if e.name in _CAUSES_OF_BOTH)
+        return [*self.torque_effects, *shared]
+
+    @property
+    def torque_offset(self) -> Array:
+        """`(joint,)` s by which torques belong to a later motion than they are stamped with."""
+        dof, zero = self.arm.dof, np.zeros(self.arm.dof)
+        return sum((e.offset(values[0], dof) for e, values in self._motor_effects if isinstance(e, Delaying)), zero)
+
+    @cached_property
+    def _inertial_numbers(self) -> Array:
+        """`(joint, 10)` of each link about its frame's origin: m, m·c, and the tensor's xx yy zz xy xz yz.
+
+        Links without tensors are points.
+        """
+        assert self.arm.mass is not None
+        assert self.arm.center_of_mass is not None
+        links = zip(self.arm.mass, self.arm.center_of_mass, strict=True)
+        numbers = np.stack([point_mass(float(mass), center) for mass, center in links])
+        if self.arm.inertia is not None:
+            numbers[:, 4:] += six_entries(self.arm.inertia)
+        return numbers
+
+    def torque(self, sample: Sample, acceleration: Array, load: Load) -> Array:
         """`(sample, joint)` N·m that the motors exert about +z of the joints, without noise; zero without masses.
 
-        Args:
-            sample: the joints.
-            acceleration: `(sample, joint)` rad/s².
-            carried: tool and payload.
+        The acceleration is `(sample, joint)` rad/s².
         """
         if self.arm.mass is None:
             return np.zeros_like(sample.position)
-        rise = self.temperature(sample.time).T - 25.0
-        count = len(sample.time)
-        arrays: Any = (  # NumPy arrays, of which all here is made
-            *(part.T for part in sample[1:]),
-            sample.time,
-            np.stack([np.zeros(count, int), np.full(count, count - 1)]),
-            rise.mean(0),
-            np.full(count, carried.payload),
-            acceleration.T,
-            rise,
-        )
-        return self.motors.torque(Motion(*arrays), carried.center)
+        q, dq, ddq = sample.position.T, sample.velocity.T, acceleration.T
+        links = _LinkMotion.compute(self.links, q, dq, ddq, _GRAVITY)
+        numbers = self._inertial_numbers.copy()
+        numbers[-1] += point_mass(load.payload, load.center)
+        total = links.torque(numbers)
+        if self._motor_effects:
+            still = np.zeros_like(q)
+            dynamics = Dynamics(
+                motion=self._motion(sample, load.payload, acceleration=acceleration),
+                torque=total,
+                links=self._inertial_numbers,
+                payload_center=load.center,
+                of_inertia=links.torque,
+                of_gravity=lambda g: _LinkMotion.compute(self.links, q, still, still, g).torque(numbers),
+                gravity=_GRAVITY,
+            )
+            added = [e.torque(values, dynamics) for e, values in self._motor_effects if not isinstance(e, Scaling)]
+            total = total + sum(added)
+            for effect, values in self._motor_effects:
+                if isinstance(effect, Scaling):
+                    total = total + effect.torque(values, dynamics._replace(torque=total))
+        return total.T
 
-    def temperature(self, time: Array, reference: float = 25.0) -> Array:
-        """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""
-        rise = self.warm_up * -np.expm1(-np.asarray(time) / 1200.0)
-        return reference + np.outer(rise, np.linspace(1.0, 0.8, self.arm.dof))
-
-    def true_poses(self, sample: Sample, carried: "Carried") -> Array:
-        """`(sample, 4, 4)` the true poses of the tool, with all effects.
-
-        Args:
-            sample: at most `BLOCK` instants. With a clock offset they include those of `clock_offset` before and after
-                the requested ones, which the caller removes.
-            carried: tool and payload.
-        """
-        if not self.physics.effects:
-            return self.flange(sample.position) @ carried.T_flange_tool
-        motion = self._motion(sample, carried.payload, BLOCK)
-        form = SixParameterForm(self.arm.dof)
-        poses = predict_poses(form, self.physics, carried.model, self.values, motion, carried.inertia)
-        return np.asarray(poses)[: len(sample.time)]
-
-    def _motion(self, sample: Sample, payload: float, size: int) -> Motion:
-        """The samples, padded with the last one to `size`."""
-        pad = ((0, size - len(sample.time)), (0, 0))
-        position, velocity, direction, temperature = (
-            np.pad(values, pad, "edge").T for values in (*sample[1:], self.temperature(sample.time) - 25.0)
-        )
-        # the times of the padding increase, because times must be in order
-        ahead = np.arange(1, size - len(sample.time) + 1) * SPACING_S
-        time = np.concatenate([sample.time, sample.time[-1] + ahead])
-        run = np.stack([np.zeros(size, int), np.full(size, len(sample.time) - 1)])
-        # JAX converts NumPy arrays at the call
-        arrays: Any = (position, velocity, direction, time, run, temperature.mean(0), np.full(size, payload))
-        return Motion(*arrays)
+    def draw_torque_noise(self, time: Array) -> Array:
+        """`(sample, joint)` Nm at `(sample,)` s: the same at an instant, whoever reads it and how often."""
+        if not self.torque_noise.any():
+            return np.zeros((len(time), self.arm.dof))
+        streams = (np.random.Philox(key=int(instant)) for instant in np.round(time * 1e6))
+        return self.torque_noise * np.stack([np.random.Generator(it).standard_normal(self.arm.dof) for it in streams])
 
 
-def identity_of(body: Body, firmware: Sequence[int], stated: tuple[int, int] | None = None) -> protocol.Identity:
-    """The content of register 1 for a body, or for the (axes, type) that a fault states."""
-    dof, kind = stated or (body.arm.dof, body.type)
-    major, minor, patch = firmware
-    prefix = {9: "LI", 12: "FX"}.get(kind, "XI")
-    return protocol.Identity(dof, kind, f"{prefix}1006", "DL1000" if kind == 9 else "AC1300", (major, minor, patch))
+def _weighted_twist(here: Array, goal: Array) -> Array:
+    """`(..., 6)` from one frame to another: translation in m, then rotation vector in rad times `_REACH`."""
+    turn = Rotation.from_matrix(goal[:3, :3] @ np.swapaxes(here[..., :3, :3], -1, -2)).as_rotvec()
+    return np.concatenate([goal[:3, 3] - here[..., :3, 3], _REACH * turn], -1)
+
+
+class _LinkMotion(NamedTuple):
+    """Each link's frame and how it moves, in the base frame.
+
+    Rotations are `(joint, 3, 3, sample)`. `(joint, 3, sample)` are the origins in m, the angular velocities in rad/s,
+    their rates in rad/s², and the accelerations of the origins less gravity in m/s².
+    """
+
+    R: Array
+    origin: Array
+    spin: Array
+    spin_rate: Array
+    acceleration: Array
+
+    @classmethod
+    def compute(cls, links: Array, q: Array, dq: Array, ddq: Array, gravity: Array) -> "_LinkMotion":
+        """From fixed transforms `(joint, 4, 4)` and joints `(joint, sample)`."""
+        T = np.ascontiguousarray(np.moveaxis(np.stack([*frames.walk(links, q.T)][1:]), 1, -1))
+        origin, axis = T[:, :3, 3], T[:, :3, 2]
+        turn = dq[:, None] * axis
+        spin = np.cumsum(turn, axis=0)
+        rate = np.cumsum(ddq[:, None] * axis + _cross(spin - turn, turn), axis=0)
+        w, dw, arm = spin[:-1], rate[:-1], np.diff(origin, axis=0)
+        steps = np.empty_like(origin)  # the first link's frame does not move
+        steps[0], steps[1:] = -gravity[:, None], _cross(dw, arm) + _cross(w, _cross(w, arm))
+        return cls(T[:, :3, :3], origin, spin, rate, np.cumsum(steps, axis=0))
+
+    def torque(self, numbers: Array) -> Array:
+        """`(joint, sample)` Nm of the motors by inertial numbers `(joint, 10)`."""
+        w, dw, a = (np.einsum("jabs,jas->jbs", self.R, v) for v in (self.spin, self.spin_rate, self.acceleration))
+        h, (xx, yy, zz, xy, xz, yz) = numbers[:, 1:4, None], numbers[:, 4:].T
+        I = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
+        force = numbers[:, :1, None] * a + _cross(dw, h) + _cross(w, _cross(w, h))
+        moment = I @ dw + _cross(w, I @ w) + _cross(h, a)
+        F, M = (np.einsum("jabs,jbs->jas", self.R, v) for v in (force, moment))
+        outboard_F, outboard_M = (np.cumsum(v[::-1], axis=0)[::-1] for v in (F, M + _cross(self.origin, F)))
+        return np.sum(self.R[:, :, 2] * (outboard_M - _cross(self.origin, outboard_F)), 1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Of vectors `(..., 3, sample)`; `np.cross` takes ten times as long."""
+    ax, ay, az = (a[..., i, :] for i in range(3))
+    bx, by, bz = (b[..., i, :] for i in range(3))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -2)

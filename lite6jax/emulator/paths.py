@@ -1,15 +1,17 @@
-"""Paths: motions of the joints as functions of time."""
+"""Motions of the emulated joints as functions of time: paths, one after the other, and programs of them."""
 
-from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
-from lite6jax.simulation.motions import RUN_UP_S
+from lite6jax.arms.arm import Arm
+from lite6jax.errors import InputError
+from lite6jax.recordings import outside_limits, read_recording, recording_file
+from lite6jax.simulation.motions import Sines, draw_motion, draw_sines
 
 Array = NDArray[np.floating]
 
@@ -18,228 +20,178 @@ MAX_ACCELERATION = float(np.deg2rad(1146.0))
 """rad/s and rad/s², the limits of every joint of a Lite 6."""
 
 
-class Path(ABC):
-    """A motion that starts at time 0, with standstill before and after."""
-
-    @property
-    @abstractmethod
-    def duration(self) -> float:
-        """s, until standstill; infinite for an endless motion."""
-
-    @abstractmethod
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """Positions and velocities `(sample, joint)` in rad and rad/s at `(sample,)` s."""
-
-    @property
-    @final
-    def start(self) -> Array:
-        """`(joint,)` rad."""
-        return self.at(np.zeros(1))[0][0]
-
-    @property
-    @final
-    def end(self) -> Array:
-        """`(joint,)` rad, the final position."""
-        return self.at(np.array([self.duration]))[0][0]
-
-
 @final
 @dataclass(frozen=True, eq=False)
-class Rest(Path):
-    """Standstill for a time."""
+class Polynomials:
+    """A path of polynomials in time, of which the last is constant, or a cycle of them, of infinite duration (s)."""
 
-    position: Array
-    length: float = 0.0
-
-    @property
-    def duration(self) -> float:
-        """As given."""
-        return self.length
+    pieces: PPoly
+    duration: float
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """The position, and zero velocity."""
-        position = np.broadcast_to(self.position, (len(time), len(self.position)))
-        return position, np.zeros_like(position)
+        """Positions and velocities `(sample, joint)` in rad and rad/s at `(sample,)` s from 0 on."""
+        return self.pieces(time), self.pieces(time, 1)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class PointToPoint(Path):
+Path = Polynomials | Sines
+"""A motion from time 0 on."""
+
+_Piece = tuple[float, ArrayLike, ArrayLike, ArrayLike]
+"""Duration in s, half the acceleration, velocity at the start, position at the start, `(joint,)` each."""
+
+
+def _join(pieces: Iterable[_Piece], goal: Array) -> Polynomials:
+    """A path of pieces, and then standstill at `goal`."""
+    kept = [piece for piece in pieces if piece[0] > 0]
+    times = np.cumsum([0.0, *(piece[0] for piece in kept), 1.0])
+    zero = np.zeros_like(goal)
+    rows = [[np.broadcast_to(part, goal.shape) for part in piece[1:]] for piece in kept]
+    return Polynomials(PPoly(np.swapaxes([*rows, [zero, zero, goal]], 0, 1), times), float(times[-2]))
+
+
+def rest(position: ArrayLike) -> Polynomials:
+    """Standstill at `(joint,)` rad."""
+    return _join([], np.array(position, float))
+
+
+def move(origin: Array, goal: Array, speed: float = MAX_SPEED, acceleration: float = MAX_ACCELERATION) -> Polynomials:
     """From rest to rest, with all joints synchronous; the joint with the longest way determines the limits.
 
     The profile of the speed is a trapezoid, or a triangle on a short way.
     """
-
-    origin: Array
-    goal: Array
-    speed: float = MAX_SPEED
-    acceleration: float = MAX_ACCELERATION
-
-    @cached_property
-    def _times(self) -> tuple[float, float]:
-        """s, the durations of the acceleration and of the constant speed."""
-        way = float(np.abs(self.goal - self.origin).max())
-        ramp = min(self.speed / self.acceleration, np.sqrt(way / self.acceleration))
-        return (ramp, way / (self.acceleration * ramp) - ramp) if ramp else (0.0, 0.0)
-
-    @property
-    def duration(self) -> float:
-        """Both ramps and the constant speed."""
-        ramp, level = self._times
-        return 2 * ramp + level
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """A straight line in joint space."""
-        ramp, level = self._times
-        change = self.goal - self.origin
-        if not ramp:
-            return Rest(self.goal).at(time)
-        t = np.clip(time, 0.0, self.duration)
-        remaining = self.duration - t
-        pace = np.minimum(np.minimum(t, remaining) / ramp, 1.0) / (ramp + level)
-        share = np.where(
-            t <= ramp,
-            t**2 / (2 * ramp),
-            np.where(remaining <= ramp, ramp + level - remaining**2 / (2 * ramp), t - ramp / 2),
-        ) / (ramp + level)
-        inside = (time >= 0) & (time <= self.duration)
-        # from the nearer end, so that both ends are exact
-        near, after = np.outer(share, change), np.outer(1 - share, change)
-        position = np.where((share > 0.5)[:, None], self.goal - after, self.origin + near)
-        return position, np.outer(pace * inside, change)
+    return _join(_ramps(origin, goal, speed, acceleration), goal)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Brake(Path):
+def _ramps(origin: Array, goal: Array, speed: float, acceleration: float) -> list[_Piece]:
+    way = float(np.abs(goal - origin).max())
+    ramp = min(speed / acceleration, np.sqrt(way / acceleration))
+    if not ramp:
+        return []
+    level = max(way / (acceleration * ramp) - ramp, 0.0)
+    peak = (goal - origin) / (ramp + level)
+    half, zero = peak / (2 * ramp), np.zeros_like(goal)
+    return [
+        (ramp, half, zero, origin),
+        (level, zero, peak, origin + half * ramp**2),
+        (ramp, -half, peak, goal - half * ramp**2),
+    ]
+
+
+def brake(origin: Array, velocity: Array, deceleration: float = MAX_ACCELERATION) -> Polynomials:
     """From motion to rest at constant deceleration, with all joints synchronous."""
-
-    origin: Array
-    velocity: Array
-    deceleration: float = MAX_ACCELERATION
-
-    @property
-    def duration(self) -> float:
-        """The braking time of the fastest joint."""
-        return float(np.abs(self.velocity).max()) / self.deceleration
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """A parabola."""
-        t, T = np.clip(time, 0.0, self.duration), max(self.duration, 1e-9)
-        return self.origin + np.outer(t - t**2 / (2 * T), self.velocity), np.outer(1 - t / T, self.velocity)
+    duration = float(np.abs(velocity).max()) / deceleration
+    half = velocity / (2 * duration) if duration else 0.0
+    return _join([(duration, -np.asarray(half), velocity, origin)], origin + velocity * duration / 2)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Servo(Path):
-    """To a position at constant speed within one control period, or longer by the limit of speed."""
-
-    origin: Array
-    goal: Array
-    period: float
-
-    @property
-    def duration(self) -> float:
-        """At least one period."""
-        return max(self.period, float(np.abs(self.goal - self.origin).max()) / MAX_SPEED)
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """A line."""
-        share = np.clip(time / self.duration, 0.0, 1.0)
-        moving = (time >= 0) & (time < self.duration)
-        change = self.goal - self.origin
-        return self.goal - np.outer(1 - share, change), np.outer(moving / self.duration, change)
+def servo(origin: Array, goal: Array, period: float) -> Polynomials:
+    """To a position at constant speed within one control period in s, or longer by the limit of speed."""
+    duration = max(period, float(np.abs(goal - origin).max()) / MAX_SPEED)
+    return _join([(duration, 0.0, (goal - origin) / duration, origin)], goal)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Sines(Path):
-    """An endless sum of sines for each joint, from rest, within the limits of range and speed.
-
-    Attributes:
-        centre: `(joint,)` rad.
-        amplitude: `(sine, joint)` rad.
-        rate: `(sine, joint)` rad/s.
-        phase: `(sine, joint)` rad.
-    """
-
-    centre: Array
-    amplitude: Array
-    rate: Array
-    phase: Array
-
-    @property
-    def duration(self) -> float:
-        """Infinite."""
-        return np.inf
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """The sines, with a time scaling that starts from rest."""
-        x = np.clip(time / RUN_UP_S, 0.0, 1.0)
-        pace = x**3 * (10 - 15 * x + 6 * x * x)
-        clock = RUN_UP_S * x**4 * (2.5 - 3 * x + x * x) + np.maximum(time - RUN_UP_S, 0.0)
-        angle = clock[:, None, None] * self.rate + self.phase
-        velocity = (self.amplitude * self.rate * np.cos(angle)).sum(1)
-        return self.centre + (self.amplitude * np.sin(angle)).sum(1), pace[:, None] * velocity
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Visits(Path):
-    """An endless cycle of motions and pauses."""
-
-    parts: tuple[Path, ...]
-
-    @property
-    def duration(self) -> float:
-        """Infinite."""
-        return np.inf
-
-    @cached_property
-    def _starts(self) -> Array:
-        return np.cumsum([0.0, *(part.duration for part in self.parts)])
-
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """That of the part at this time of the cycle."""
-        within = np.where(time > 0, time % self._starts[-1], 0.0)
-        part = np.clip(np.searchsorted(self._starts, within, side="right") - 1, 0, len(self.parts) - 1)
-        dof = len(self.parts[0].start)
-        position, velocity = np.empty((len(time), dof)), np.empty((len(time), dof))
-        for i in np.unique(part):
-            rows = part == i
-            position[rows], velocity[rows] = self.parts[i].at(within[rows] - self._starts[i])
-        return position, velocity
-
-
-def visits(places: ArrayLike, pause: float = 1.0, speed: float = MAX_SPEED / 2, acceleration: float = 10.0) -> Visits:
-    """A cycle through positions `(place, joint)` rad with a pause of `pause` s at each."""
-    stops = np.asarray(places, float)
-    parts: list[Path] = []
+def visit(
+    places: ArrayLike, pause: float = 1.0, speed: float = MAX_SPEED / 2, acceleration: float = 10.0
+) -> Polynomials:
+    """An endless cycle through positions `(place, joint)` rad with a pause of `pause` s at each."""
+    stops, pieces = np.asarray(places, float), []
     for here, there in zip(stops, np.roll(stops, -1, axis=0), strict=True):
-        parts += [Rest(here, pause), PointToPoint(here, there, speed, acceleration)]
-    return Visits(tuple(parts))
+        pieces += [(pause, 0.0, 0.0, here), *_ramps(here, there, speed, acceleration)]
+    once = _join(pieces, stops[0]).pieces
+    return Polynomials(PPoly(once.c[:, :-1], once.x[:-1], extrapolate="periodic"), np.inf)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Played(Path):
-    """An interpolation of samples, once."""
+def interpolate(time: ArrayLike, position: ArrayLike) -> Polynomials:
+    """The cubic spline through samples `(sample, joint)` rad at increasing times `(sample,)` s, from rest to rest."""
+    t, q = np.asarray(time, float), np.asarray(position, float)
+    spline = CubicSpline(t - t[0], q, bc_type="clamped")
+    duration = float(spline.x[-1])
+    spline.extend(np.stack([*np.zeros((3, 1, q.shape[1])), q[-1:]]), [duration + 1.0])
+    return Polynomials(spline, duration)
 
-    spline: CubicSpline
+
+class Timeline:
+    """A sequence of paths, each valid from its start until that of the next one."""
+
+    KEEP = 5.0
+    """s, for which past paths are kept."""
+
+    def __init__(self, position: ArrayLike) -> None:
+        """Starts at rest at `(joint,)` rad."""
+        self._paths: list[tuple[float, Path]] = [(-np.inf, rest(position))]
 
     @property
-    def duration(self) -> float:
-        """The time of the last sample."""
-        return float(self.spline.x[-1])
+    def end(self) -> float:
+        """s, the end of the last path; infinite for an endless one."""
+        start, path = self._paths[-1]
+        return start + path.duration if path.duration else start
+
+    def append(self, path: Path, start: float) -> None:
+        """Appends `path` from `start` s on, not before the start of the last one."""
+        while len(self._paths) > 1 and self._paths[1][0] < start - self.KEEP:
+            del self._paths[0]
+        self._paths.append((start, path))
+
+    def stop(self, now: float) -> None:
+        """Removes later paths and brakes."""
+        position, velocity = (part[0] for part in self.at(np.array([now])))
+        self._paths = [entry for entry in self._paths if entry[0] <= now]
+        self.append(brake(position, velocity), now)
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """The cubic spline through the samples."""
-        t = np.clip(time, 0.0, self.duration)
-        inside = ((time >= 0) & (time <= self.duration))[:, None]
-        return self.spline(t), self.spline(t, 1) * inside
+        """Positions and velocities `(sample, joint)` at increasing times `(sample,)` s."""
+        pieces = np.split(time, np.searchsorted(time, [start for start, _ in self._paths[1:]], side="left"))
+        parts = [
+            path.at(piece - start if np.isfinite(start) else piece)
+            for (start, path), piece in zip(self._paths, pieces, strict=True)
+            if len(piece)
+        ]
+        positions, velocities = zip(*parts, strict=True)
+        return np.concatenate(positions), np.concatenate(velocities)
 
 
-def played(time: ArrayLike, position: ArrayLike) -> Played:
-    """The interpolation of samples `(sample, joint)` rad at increasing times `(sample,)` s, from rest to rest."""
-    t = np.asarray(time, float)
-    return Played(CubicSpline(t - t[0], np.asarray(position, float), bc_type="clamped"))
+PROGRAMS = ("rest", "sines", "poses")
+
+
+def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
+    """The motion of an arm: a program by name, or the motion in a recording.
+
+    Args:
+        what: `rest`; `sines`, an endless smooth motion; `poses`, an endless cycle of poses over the joints' ranges; or
+            the file of a recording: a trajectory is played once, static poses are repeated in a cycle.
+        arm: its joints and limits.
+        seed: of the drawing.
+
+    Returns:
+        None for rest.
+
+    Raises:
+        InputError: neither a program nor a recording, or a recording of another arm, beyond its limits or too fast.
+    """
+    if what == "rest":
+        return None
+    if what == "sines":
+        return draw_sines(arm, seed)
+    if what == "poses":
+        return visit(draw_motion(arm, samples=200, seed=seed).joint_position)
+    if recording_file(what) is None:
+        raise InputError(f"--motion {what!r}: is neither {', '.join(PROGRAMS)} nor a recording's file")
+    recording = read_recording(what, arm=arm, joint_limits=arm.joint_limits)
+    for outside in outside_limits(recording, arm.joint_limits):
+        raise InputError(
+            f"{what}: joint {outside.joint} is {np.rad2deg(outside.largest_excess_rad):.3g}° beyond its limits in row "
+            f"{outside.rows[0]}; give a motion that this arm can do"
+        )
+    if recording.motion == "static" or recording.time is None or recording.samples == 1:
+        return visit(recording.joint_position)
+    if (np.diff(recording.time) <= 0).any():
+        raise InputError(f"{what}: time does not increase from row to row; sort the rows, and keep one run")
+    path = interpolate(recording.time, recording.joint_position)
+    knots = path.pieces.x
+    speed = np.abs(path.at(np.concatenate([knots, (knots[1:] + knots[:-1]) / 2]))[1]).max()
+    if speed > 1.02 * MAX_SPEED:
+        raise InputError(
+            f"{what}: a joint moves at {np.rad2deg(speed):.0f}°/s, but the limit is {np.rad2deg(MAX_SPEED):.0f}°/s; "
+            "give a slower motion"
+        )
+    return path

@@ -1,12 +1,13 @@
-"""An emulated controller whose sockets run in a separate thread."""
+"""An emulated controller on the network: one arm, one clock, and sockets on an event loop in a separate thread."""
 
 import asyncio
 import errno
 import ipaddress
+import socket
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
-from types import TracebackType
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -14,20 +15,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.core import STOPPED, Core
+from lite6jax.emulator.core import Client, Core
 from lite6jax.emulator.faults import Faults
 from lite6jax.emulator.paths import Path
-from lite6jax.emulator.registers import PLAUSIBLE
-from lite6jax.emulator.reports import report
-from lite6jax.emulator.sockets import Sockets
+from lite6jax.emulator.replies import PLAUSIBLE, answer, report
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 _T = TypeVar("_T")
+_Writer = asyncio.StreamWriter
+_Handler = Callable[[asyncio.StreamReader, _Writer], Awaitable[None]]
 
 CALL_S = 30.0
 """s, the time limit of a call between threads."""
-_PRIVILEGED = 1024
+TICK_S = 1 / protocol.RATES[protocol.REALTIME]
+"""s, the real time between two rounds of sending, and the step of the emulated time."""
+MOST_AT_ONCE_S = 0.5
+"""s, the largest emulated time in one round."""
+CATCH_UP_S = 0.25
+"""s, the largest delay of a round that later rounds compensate."""
+FRAGMENT_PAUSE_S = 2e-4
+MOST_UNSENT = 1 << 26
+"""The number of bytes that may wait for the readers of reports together, each having an equal part, and half at most. A
+connection with more is closed: its reader does not read. A fast clock waits for it from half of its part on."""
+GIVE_UP_S = 30.0
+"""s, the real time that a fast clock waits for readers before it closes their connections."""
+LOOK_EVERY_S = 0.1
+"""s, the real time between two looks at what waits in real time: where many do not read, a look takes longer than a
+tick."""
+KERNEL_BUFFER = 1 << 18
+"""The number of bytes that the operating system may hold for a connection, beside those counted here."""
 
 
 class Snapshot(NamedTuple):
@@ -41,9 +58,7 @@ class Snapshot(NamedTuple):
         joints: `(joint,)` rad, measured.
         requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
-        unsent: the number of bytes that wait for clients to read them, of all connections, at the last look.
-        given_up: the number of connections closed because their clients did not read.
-        lost: the number of reports of each port that these were not sent, in part or at all.
+        slow_readers: the number of connections closed because their clients did not read.
     """
 
     time: float
@@ -53,9 +68,7 @@ class Snapshot(NamedTuple):
     joints: Array
     requests: dict[int, int]
     connections: dict[int, int]
-    unsent: int
-    given_up: int
-    lost: dict[int, int]
+    slow_readers: int
 
 
 class Controller:
@@ -68,8 +81,8 @@ class Controller:
     ```
 
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
-    an address of its own. The effects of the body appear only in the pose on port 30000; the module `reports` describes
-    each port. All methods may be called from any thread.
+    an address of its own. The effects of the body appear only in the pose on port 30000; the module `replies` describes
+    each port. All public methods may be called from any thread.
     """
 
     def __init__(
@@ -77,26 +90,24 @@ class Controller:
         body: Body,
         *,
         path: Path | None = None,
-        start: ArrayLike | None = None,
         faults: Faults = Faults(),  # noqa: B008 (frozen)
         tool: ArrayLike = (0.0,) * 6,
         payload: ArrayLike = (0.0,) * 4,
         address: str = "127.0.0.1",
         control_port: int = protocol.CONTROL_PORT,
         report_ports: Iterable[int] = tuple(protocol.RATES),
-        speed: float | int = 1.0,
+        speed: float = 1.0,
     ) -> None:
         """Nothing is opened before `open` or the `with` statement.
 
         Args:
             body: the arm.
-            path: the motion from the start; None for rest.
-            start: `(joint,)` rad, the position at rest; None for zero.
+            path: the motion from the start; None for rest at zero.
             faults: of the controller; `set_faults` changes them.
             tool: `(6,)` mm and rad, the tool offset.
             payload: `(4,)` kg at the flange and its centre of mass in mm.
             address: on loopback.
-            control_port: 502 requires privileges; 0 selects a free port.
+            control_port: 502 requires privileges; 0 selects a free port, which is then this attribute.
             report_ports: the emulated report ports.
             speed: of the controller's clock relative to real time; it waits for slow readers.
 
@@ -104,40 +115,36 @@ class Controller:
             InputError: an address outside loopback, a speed that is not positive, or an invalid tool or payload.
         """
         try:
-            if not ipaddress.IPv4Address(address).is_loopback:
-                raise InputError(
-                    f"{address}: is not on loopback: an emulator must not be reachable from a network; choose 127.x.y.z"
-                )
+            loopback = ipaddress.IPv4Address(address).is_loopback
         except ValueError as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(f"{address!r}: is not an address; write it like 127.0.0.1") from error
+        if not loopback:
+            raise InputError(
+                f"{address}: is not on loopback: an emulator must not be reachable from a network; choose 127.x.y.z"
+            )
         if not 0 < speed < np.inf:
             raise InputError(f"speed {speed}: the clock runs forward; give a number above 0")
         if not 0 <= control_port <= 65535:
             raise InputError(f"control port {control_port}: is not a port; give 0 to 65535")
-        for name, values in (("tool", np.array(tool, float)), ("payload", np.array(payload, float))):
+        offset, load = np.array(tool, float), np.array(payload, float)
+        for name, values in (("tool", offset), ("payload", load)):
             if not (np.abs(values) < PLAUSIBLE).all():
                 shown = " ".join(f"{value:g}" for value in values)
                 raise InputError(f"{name} {shown}: is implausible for an arm; give mm, radians and kg")
-        position = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
-        self.body = body
-        self._core = Core(
-            body, faults, path.start if path else position,
-            np.array(tool, float), np.array(payload, float),
-        )  # fmt: skip
-        if path is not None and not faults.error:
-            self._core.follow(path)
-        self.address, self.speed = address, speed
-        self._sockets = Sockets(self._core, address, control_port, report_ports, float(speed))
+        self.body, self.address, self.control_port, self.speed = body, address, control_port, float(speed)
+        self._core = Core(body, faults, path, offset, load)
+        self._report_ports = tuple(report_ports)
+        self._readers: dict[_Writer, int] = {}  # their ports
+        self._sent: dict[_Writer, int] = {}
+        self._clients: set[_Writer] = set()
+        self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
+        self._garbage = np.random.default_rng(0)
+        self._slow_readers = 0
+        self._held_since = self._looked = 0.0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
-
-    @property
-    def control_port(self) -> int:
-        """The bound control port."""
-        return self._sockets.control_port
 
     def open(self) -> "Controller":
         """Starts the thread and listens.
@@ -149,7 +156,7 @@ class Controller:
 
         def serve() -> None:
             try:
-                asyncio.run(self._sockets.serve(lambda: listening.set_result(None)))
+                asyncio.run(self._serve(listening))
             except Exception as error:
                 if listening.done():
                     self._failure = error
@@ -157,6 +164,7 @@ class Controller:
                     listening.set_exception(error)
 
         self._failure = None
+        self._stop.clear()
         self._thread = threading.Thread(target=serve, name=f"emulator {self.address}", daemon=True)
         self._thread.start()
         try:
@@ -166,90 +174,11 @@ class Controller:
             raise InputError(self._refusal(error)) from error
         return self
 
-    def close(self) -> None:
-        """Closes all connections and ends the thread.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._thread is not None:
-            self._sockets.stop()
-            self._thread.join()
-        if self._failure is not None:
-            raise self._failure
-
-    def __enter__(self) -> "Controller":
-        return self.open()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def call(self, do: Callable[[Core], _T]) -> _T:
-        """The result of `do` for the controller's core, between two steps of its clock."""
-        loop = self._sockets.loop
-        if loop is None or self._thread is None or not self._thread.is_alive():
-            return do(self._core)
-        done: Future[_T] = Future()
-
-        def act() -> None:
-            try:
-                done.set_result(do(self._core))
-            except BaseException as error:
-                done.set_exception(error)
-
-        loop.call_soon_threadsafe(act)
-        return done.result(CALL_S)
-
-    def set_faults(self, faults: Faults) -> None:
-        """Replaces the faults."""
-
-        def change(core: Core) -> None:
-            core.faults, core.error, core.warning = faults, faults.error, faults.warning
-
-        self.call(change)
-
-    def fail(self, code: int) -> None:
-        """Raises a controller error, which stops the arm; 0 clears it."""
-
-        def change(core: Core) -> None:
-            core.error = code
-            core.halt(STOPPED)
-
-        self.call(change)
-
-    def close_connections(self) -> None:
-        """Closes all connections; new ones are accepted."""
-
-        self.call(lambda _: self._sockets.close_connections())
-
-    def snapshot(self) -> Snapshot:
-        """The present state.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._failure is not None:
-            raise self._failure
-
-        def seen(core: Core) -> Snapshot:
-            joints = core.measured(np.array([core.time]))[0][0]
-            readers = {port: len(writers) for port, writers in self._sockets.readers.items()}
-            connections = {protocol.CONTROL_PORT: len(self._sockets.clients)} | readers
-            sockets = self._sockets
-            return Snapshot(
-                core.time, core.state, core.mode, core.error, joints, dict(core.requests), connections,
-                sockets.unsent, sockets.given_up, dict(sockets.lost),
-            )  # fmt: skip
-
-        return self.call(seen)
-
     def _refusal(self, error: OSError) -> str:
         where = f"{self.address}:{self.control_port}"
-        if error.errno in (errno.EACCES, errno.EPERM) and self.control_port < _PRIVILEGED:
+        if error.errno in (errno.EACCES, errno.EPERM) and self.control_port < 1024:
             return (
-                f"{where}: ports below {_PRIVILEGED} require privileges; add --control-port 5020, and before the "
+                f"{where}: ports below 1024 require privileges; add --control-port 5020, and before the "
                 "SDK connects run from xarm.core.config.x_config import XCONF; XCONF.SocketConf.TCP_CONTROL_PORT = 5020"
             )
         if error.errno == errno.EADDRINUSE:
@@ -263,3 +192,202 @@ class Controller:
                 f"{self.address}); choose that or add it"
             )
         return f"{where}: {error.strerror or error}; choose another address or --control-port"
+
+    def close(self) -> None:
+        """Closes all connections and ends the thread.
+
+        Raises:
+            Exception: the one that ended the thread.
+        """
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def __enter__(self) -> "Controller":
+        return self.open()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def call(self, do: Callable[[Core], _T]) -> _T:
+        """The result of `do` for the controller's core, between two steps of its clock."""
+        if self._loop is None or self._thread is None or not self._thread.is_alive():
+            return do(self._core)
+
+        async def act() -> _T:
+            return do(self._core)
+
+        return asyncio.run_coroutine_threadsafe(act(), self._loop).result(CALL_S)
+
+    def set_faults(self, faults: Faults) -> None:
+        """Replaces the faults; one with an error stops the arm."""
+        self.call(lambda core: core.set_faults(faults))
+
+    def close_connections(self) -> None:
+        """Closes all connections; new ones are accepted."""
+        self.call(lambda _: self._abort())
+
+    def snapshot(self) -> Snapshot:
+        """The present state.
+
+        Raises:
+            Exception: the one that ended the thread.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+        def look(core: Core) -> Snapshot:
+            ports = [*self._readers.values()]
+            connections = {port: ports.count(port) for port in self._report_ports}
+            joints = core.read_encoders(np.array([core.time]))[0][0]
+            connections |= {protocol.CONTROL_PORT: len(self._clients)}
+            state = (core.time, core.state, core.mode, core.error, joints)
+            return Snapshot(*state, dict(core.requests), connections, self._slow_readers)
+
+        return self.call(look)
+
+    async def _serve(self, listening: "Future[None]") -> None:
+        """Listens, and serves until it is stopped.
+
+        Raises:
+            OSError: a port is unavailable.
+            Exception: an error while serving.
+        """
+        self._loop = asyncio.get_running_loop()
+        servers: list[asyncio.Server] = []
+        try:
+            listeners = [(port, partial(self._listen, port)) for port in self._report_ports]
+            for port, handler in [(self.control_port, self._control), *listeners]:
+                servers.append(await asyncio.start_server(partial(self._handle, handler), self.address, port))
+            self.control_port = servers[0].sockets[0].getsockname()[1]
+            listening.set_result(None)
+            await self._run_clock()
+        finally:
+            for server in servers:
+                server.close()
+            # in which connections begin that were just accepted: one that is cancelled before is never closed
+            await asyncio.sleep(0.01)
+            self._abort()
+
+    def _abort(self) -> None:
+        for writer in (*self._clients, *self._readers):
+            writer.transport.abort()
+
+    async def _handle(self, handler: _Handler, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        """Serves a connection until it ends, or the controller does."""
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
+        try:
+            await handler(reader, writer)
+        except (ConnectionError, TimeoutError, asyncio.CancelledError):
+            pass
+        except Exception as error:
+            self._failure = error
+        finally:
+            writer.close()
+
+    async def _run_clock(self) -> None:
+        """Until it is stopped, sends the due reports and advances the emulated time at every tick."""
+        loop, core = asyncio.get_running_loop(), self._core
+        tick = loop.time()
+        origin = tick - core.time / self.speed
+        while not self._stop.is_set():
+            tick = max(tick + TICK_S, loop.time())
+            await asyncio.sleep(tick - loop.time())
+            due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
+            if self._wait_for_readers(loop.time()):
+                due = core.time
+            # a longer delay slows the emulated clock, so that readers lose no reports
+            origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
+            due = float(np.floor(due / TICK_S + 1e-9) * TICK_S)
+            if due <= core.time:
+                continue
+            for port in set(() if core.faults.silent_reports else self._readers.values()):
+                rate = protocol.RATES[port]
+                first, last = (int(np.floor(time * rate + 1e-6)) for time in (core.time, due))
+                if last > first:
+                    index = np.arange(first + 1, last + 1)
+                    self._send(port, index, report(core, port, index / rate))
+            core.advance(due)
+
+    def _wait_for_readers(self, now: float) -> bool:
+        """Whether a fast clock must wait for readers; closes the connections of those that do not read."""
+        fast = self.speed > 1
+        if not fast and now - self._looked < LOOK_EVERY_S:
+            return False
+        self._looked = now
+        part = MOST_UNSENT / max(len(self._readers), 2) / (2 if fast else 1)
+        slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > part]
+        if not slow:
+            self._held_since = now
+        elif fast and now - self._held_since <= GIVE_UP_S:
+            return True
+        for writer in slow:
+            self._slow_readers += not writer.transport.is_closing()
+            writer.transport.abort()
+        return False
+
+    def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
+        """Sends reports to all readers of a port, except those omitted by faults."""
+        faults, size = self._core.faults, len(reports) // len(index)
+        if faults.lose_every and port == protocol.REALTIME:
+            kept = [k for k, i in enumerate(index) if i % faults.lose_every]
+            reports = b"".join(reports[k * size : (k + 1) * size] for k in kept)
+        for writer in [writer for writer, its in self._readers.items() if its == port]:
+            if writer.transport.is_closing():
+                continue
+            if (whole := faults.close_reports_after) is not None:
+                left = whole * size + size // 2 - self._sent[writer]
+                if len(reports) >= left:
+                    writer.write(reports[: max(left, 0)])
+                    writer.close()
+                    continue
+            self._sent[writer] += len(reports)
+            piece = max(faults.fragment, size // 8) if faults.fragment else max(len(reports), 1)
+            for first in range(0, len(reports), piece):
+                writer.write(reports[first : first + piece])
+
+    async def _listen(self, port: int, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        self._readers[writer], self._sent[writer] = port, 0
+        try:
+            while await reader.read(4096):
+                pass  # a report port ignores input
+        finally:
+            del self._readers[writer], self._sent[writer]
+
+    async def _control(self, reader: asyncio.StreamReader, writer: _Writer) -> None:
+        received = bytearray()
+        client = Client(lambda frame: None if writer.is_closing() else writer.write(frame.encode()))
+        self._clients.add(writer)
+        try:
+            while chunk := await reader.read(65536):
+                received += chunk
+                for frame in protocol.take_frames(received):
+                    await self._reply(answer(self._core, frame, client), writer)
+        except protocol.MalformedError:
+            pass  # closes the connection
+        finally:
+            self._clients.remove(writer)
+
+    async def _reply(self, reply: protocol.Frame | None, writer: _Writer) -> None:
+        faults = self._core.faults
+        if reply is None:
+            return
+        if faults.latency:
+            await asyncio.sleep(faults.latency)
+        message = reply.encode()
+        if faults.garbage:
+            message = self._garbage.bytes(len(message))
+        cut = faults.close_after is not None and len(message) > faults.close_after
+        if cut:
+            message = message[: faults.close_after]
+        piece = faults.fragment or max(len(message), 1)
+        for first in range(0, len(message), piece):
+            writer.write(message[first : first + piece])
+            await writer.drain()
+            if faults.fragment:
+                await asyncio.sleep(FRAGMENT_PAUSE_S)
+        if cut:
+            writer.close()
+            raise ConnectionAbortedError

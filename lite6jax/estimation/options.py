@@ -56,12 +56,6 @@ class EngineOptions:
         "independent orders per order, over a full turn",
         "√(π gain / 3) at a gain of 14, where family-wise p-values meet the level (Baluev 2008)",
     )
-    searched_shapes: float = option(
-        400.0, "independent shapes that a number, or a curve, is chosen from", "places and widths of a step or bump"
-    )
-    searched_curves: float = option(
-        20.0, "independent curves that are searched at one site", "families x drivers x pieces of the curves tried"
-    )
     confounded: float = option(
         1e-6,
         "share of a column's square, outside the span of nuisance and model, below which it is confounded",
@@ -77,14 +71,6 @@ class EngineOptions:
     )
     least_in_block: int = option(6, "fewest samples in a block", "fewer make heavy-tailed sums")
     enough_blocks: int = option(20, "blocks below which they are made shorter", "a variance known to a third")
-    by_blocks: int = option(
-        4,
-        "numbers of a function without a name up to which blocks test it too",
-        "a name of one number has to pass them: a function in its place must not need less",
-    )
-    sure_blocks: int = option(
-        60, "samples from which blocks test functions", "fewer blocks need a much larger effect, as `most_blocks` says"
-    )
     block_times: float = option(2.0, "autocorrelation times in a block", "neighbouring blocks then correlate little")
     # noise model
     lags: int = option(32, "lags of the portmanteau statistic", "covers autocorrelation times to about ten samples")
@@ -148,64 +134,11 @@ class EngineOptions:
     better: float = option(
         0.5, "log evidence by which another term must be likelier to be exchanged for", "a refit may differ"
     )
-    exchanges: int = option(4, "most exchanges of terms", "two suffice mostly")
+    exchanges: int = option(2, "most exchanges of terms", "two suffice mostly")
+    names_for_process: int = option(3, "most names that take the place of a process", "as many orders as gears have")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
-    # forward selection
-    most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
-    refitted: int = option(4, "candidates that are refitted before one is added", "score and refit rank nearly alike")
-    refitted_share: float = option(0.8, "share of the best gain from which a candidate is refitted", "as above")
-    doubtful: int = option(3, "additions in a row that are not significant yet", "masked effects come in small groups")
+    most_terms: int = option(8, "most terms of one group of rows", "no arm had more")
     first_samples: int = option(2000, "samples that find the terms; all samples then fit them", "bounds the time")
-    nearest: int = option(3, "named terms reported beside a nonparametric one", "what fits on a screen")
-    refitted_without: int = option(2, "terms without which a model is refitted before one leaves", "as `refitted`")
-    # exchange
-    several: int = option(2, "terms from which sets of terms are exchanged", "one is compared with its alternatives")
-    exchanged: int = option(2, "alternatives of a term that are tried in its place", "those are nearly as likely")
-    # curves
-    curve_rounds: int = option(3, "rounds of replacing named terms by curves", "one curve a round")
-    merged: int = option(3, "harmonics at one site that are merged into one curve", "gears have one or two orders")
-    centres: int = option(40, "places of a step or bump that are tried first", "a tenth of the narrowest range")
-    closer: int = option(4, "rounds in which place and width are refined", "each is three times as fine")
-    least_varied: float = option(1e-6, "range of a driver, in its unit, below which it did not vary", "rounding")
-    # names
-    name_rounds: int = option(3, "rounds in which functions without a name challenge the names", "one a round")
-    samples_a_number: float = option(
-        3.0,
-        "samples for each number of several functions without a name at one site, at least",
-        "with fewer they describe the samples themselves",
-    )
-    functions: int = option(
-        3,
-        "sites whose likeliest function without a name is fitted in a round, of one driver and of several each",
-        "what is likely at one site imitates what is there at another",
-    )
-    ranked: int = option(
-        4,
-        "functions without a name, the likeliest of all, that are fitted in a round",
-        "in four trials with effects of many thresholds, the true function scored best beside the final terms",
-    )
-    rare: float = option(
-        3.0,
-        "log-likelihood that a rare function without a name costs beyond the others",
-        "one effect in twenty, and about as many of these functions as of the others",
-    )
-    named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
-    misfit: float = option(
-        0.1,
-        "share of what a function explains that a name at its site must explain beside it",
-        "a spline or a cubic describes what is missing to within that",
-    )
-    concentrated: float = option(
-        4.0,
-        "mean square of the residuals along the direction of one site over that across it, from which they act there; "
-        "and of one group of rows over that of the others",
-        "a deflection whose RMS is 1.7 times the noise",
-    )
-    together: float = option(
-        12.0,
-        "log-likelihood that each further name at a site must gain over one function",
-        "twice `close`: names are few",
-    )
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
     highest_order: float = option(400.0, "highest order of a spectrum", "twice the ratio of strain-wave gears to 200")
@@ -216,10 +149,6 @@ class EngineOptions:
     whole_share: float = option(
         2 / 3, "prior probability that an order is whole", "most gears have whole orders; 1.9 in log-likelihood"
     )
-    # harmonic shrinkage
-    named_numbers: int = option(12, "most numbers of named terms beside the curves", "as many as one curve")
-    shrinkage_rounds: int = option(3, "rounds of curves and named terms", "the set does not change later")
-    fade: float = option(0.2, "rad beyond the data within which a curve fades out", "half a period of order 15")
     # final estimates
     whole_within: float = option(2.0, "standard deviations within which an order is taken as whole", "95 %")
     wrong_input: float = option(0.1, "probability that an input such as a load is declared wrong", "one case in ten")

@@ -13,8 +13,7 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller.calibration import CalibrationRead
-from lite6jax.controller.recorded import Recorded
-from lite6jax.controller.recorder import Progress
+from lite6jax.controller.recorder import LiveRecording, Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.fitting.start import calibration_poses, check_positions
 from lite6jax.report import screen
@@ -166,7 +165,7 @@ def _progress_line(progress: Progress) -> str:
     return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (stop with Ctrl-C)"
 
 
-def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
+def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
     """The rows, gaps, sources of the columns and notes of a recording."""
     computed = recorded.settings.joint_source == "commanded"
     if not recorded.rows:
@@ -197,7 +196,7 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
     yield from screen.notes(recorded.notes)
 
 
-def _gaps(recorded: Recorded) -> Table:
+def _gaps(recorded: LiveRecording) -> Table:
     """The longest gaps; the columns of the recording have all."""
     gaps = recorded.gaps
     shown = gaps.longest(_MOST_GAPS)
@@ -207,7 +206,7 @@ def _gaps(recorded: Recorded) -> Table:
     return listing(*headers, rows=rows, left=[4], wrapped=[4])
 
 
-def _sources(recorded: Recorded) -> Table:
+def _sources(recorded: LiveRecording) -> Table:
     """The sources of the columns, with neighbouring columns of the same source in one row."""
     grouped: list[tuple[list[str], str]] = []
     for name, source in recorded.sources.items():

@@ -2,8 +2,12 @@
 
 1. Add the term whose evidence most exceeds the cost of its choice, if by a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
-3. Drop the term that is least worth its cost, as long as one is not.
-4. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+3. Put names, one or several, in the place of a process where that is likelier.
+4. Drop the term that is least worth its cost, as long as one is not.
+5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+
+A site has one process: what that does not describe is not told apart from what else may act there. Nor is anything
+found elsewhere that explains less than noise would at the component of a process.
 """
 
 from dataclasses import replace
@@ -16,15 +20,15 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import Ranked, Scan
+from lite6jax.search.scan import Considered, Ranked, Scan
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
 
 
 class Selector:
     """A problem with all that is tried in it."""
 
-    def __init__(self, problem: Problem, options: EngineOptions) -> None:
-        self.problem, self.options, self.scan = problem, options, Scan(problem, options)
+    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+        self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
         self._known: dict[tuple[int, int], list[Ranked]] = {}
 
@@ -56,22 +60,36 @@ class Selector:
         tried = set[object]()
         while len(state.tested) < self.options.most_terms:
             test = score_test(self.problem, state.fit, self.options)
+            taken = {one.term.site for one in state.tested if one.term.nonparametric}
             worth = [
-                one for one in self._ranked(test, state) if one.net >= self.options.margin and one.key not in tried
+                one
+                for one in self._ranked(test, state)
+                if one.net >= self.options.margin and one.key not in tried and one.site not in taken
             ]
-            if not worth:
+            if not worth or worth[0].gain < self._unexplained(test, state):
                 break
             tried.add(worth[0].key)
             more = self._estimated(self._with(state, worth[0]))
+            if worth[0].process and (named := self._named(more, len(more.tested) - 1)) is not None:
+                more = named
             more = self._dropped(self._within_bounds(more))
             if not more.fit.noise.white:
                 more = replace(more, fit=self.in_own_noise(more.fit))
             state = more
         return state
 
+    def _unexplained(self, test: ScoreTest, state: State) -> float:
+        """What noise of its own at the component of a process would explain: whatever that process does not describe.
+
+        A further term that explains less may be a part of that.
+        """
+        marginal = Marginal(test)
+        there = [self._process_of(term)[0] for term in state.fit.terms.terms if term.nonparametric]
+        return max((float(marginal.of_noise(component.column).gain) for component in there), default=-np.inf)
+
     def _ranked(self, test: ScoreTest, state: State) -> list[Ranked]:
-        refused = {term.label for term in state.refused}
-        return [one for one in self.scan.ranked(test) if one.place or one.cause[0] not in refused]
+        refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
+        return [one for one in self.scan.ranked(test) if one.process or one.cause[0] not in refused]
 
     def _with(self, state: State, ranked: Ranked) -> State:
         term = ranked.make()
@@ -103,7 +121,7 @@ class Selector:
         term = one.term
         if not term.nonparametric:
             columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
-            evidence, _ = Marginal(test).of_columns(columns)
+            (evidence,) = Marginal(test).of_names([columns])
             return replace(one, gain=float(evidence.gain), volume=float(evidence.volume))
         component, which = self._process_of(term)
         best = self.scan.alike(test, component, which)
@@ -153,11 +171,13 @@ class Selector:
     # -------------------------------------------------------------- exchange
 
     def _exchanged(self, state: State) -> State | None:
-        """The state with another term in the place of one, where that is likelier; None where none is."""
+        """The state with another term, or names, in the place of one, where that is likelier; None where none is."""
         for k in np.argsort([one.gain for one in state.tested]).tolist():
             one = state.tested[k]
             if one.term in self._preset:
                 continue
+            if one.term.nonparametric and (named := self._named(state, k)) is not None:
+                return named
             best = next(iter(self._in_place(state, k)), None)
             if best is None or best.net < one.net + self.options.better or self._is(best, one.term):
                 continue
@@ -165,6 +185,25 @@ class Selector:
             trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, best))))
             if trial.evidence > state.evidence + self.options.better:
                 return trial
+        return None
+
+    def _named(self, state: State, k: int) -> State | None:
+        """The state with names, one or several, in the place of a process, where that is likelier; else None."""
+        trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+        fewest = len(trial.tested)
+        while len(trial.tested) < fewest + self.options.names_for_process:
+            test = score_test(self.problem, trial.fit, self.options, within=None)
+            known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
+            names = (one for one in self.scan.named(test) if one.cause[0] not in known)
+            best = max(names, key=lambda one: one.net, default=None)
+            if best is None or best.net < self.options.margin:
+                break
+            more = self._within_bounds(self._with(trial, best))
+            if len(more.tested) <= len(trial.tested):
+                break
+            trial = self._estimated(more)
+            if trial.evidence > state.evidence:
+                return self._dropped(trial)
         return None
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:

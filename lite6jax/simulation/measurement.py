@@ -1,25 +1,29 @@
 """What a sensor measures of a simulated arm with effects in a motion, and what is true of it."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, final
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.design.sensor import SENSORS, Sensor
 from lite6jax.effects.composition import Physics
-from lite6jax.errors import InputError
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.serialization import parse_effect
+from lite6jax.errors import InputError, require_type
 from lite6jax.model import arm_model, predict_poses
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
+from lite6jax.recordings.settings import PoseSource
 from lite6jax.recordings.units import other_joints
-from lite6jax.simulation.draws import generator
-from lite6jax.simulation.instruments import AS_DECLARED, Instrument, UndeclaredNoise, correlated, instrument
+from lite6jax.simulation.motions import MotionKind, draw_motion, make_generator, make_motion
 
 Array = NDArray[np.floating]
 
@@ -30,7 +34,62 @@ _quaternions = jax.jit(quaternion_from_rotation)
 _beyond = jax.jit(Physics.beyond, static_argnums=0)
 
 
-class Measured(NamedTuple):
+class Instrument(NamedTuple):
+    """A sensor and its name in a sidecar."""
+
+    sensor: Sensor
+    pose_source: PoseSource
+
+
+INSTRUMENTS: Mapping[str, Instrument] = {
+    "tracker": Instrument(SENSORS["tracker"], "laser_tracker"),
+    "tracker_6d": Instrument(SENSORS["tracker_6d"], "laser_tracker"),
+    "motion_capture": Instrument(SENSORS["motion_capture"], "motion_capture"),
+    "camera": Instrument(SENSORS["camera"], "camera"),
+    # 32-bit floats on the wire: 3.4e-8 m on average, 6e-7 rad at most
+    "controller_fk": Instrument(Sensor("pose", 3e-8, 3e-7), "controller_fk"),
+}
+"""By name."""
+
+
+@final
+@dataclass(frozen=True)
+class UndeclaredNoise:
+    """How the true noise differs from the declared one; the defaults are noise as declared.
+
+    Attributes:
+        factor: ratio of the true standard deviation of the poses to the declared one; 0 is no noise.
+        correlation: autocorrelation of the noise from one sample of a run to the next, 0 to below 1 (first-order
+            autoregression with the same variance).
+        growth_per_m: relative growth of the standard deviation per m of distance between the measured point and the
+            base: it is 1 + growth_per_m · distance times larger.
+        joint_noise: standard deviation of the joints' read-outs in addition to the declared one, rad.
+        outlier_share: share of the rows that are outliers, 0 to 1.
+        outlier_size: m; an outlier is displaced by 0.5 to 2 times this in a random direction.
+
+    Raises:
+        InputError: a number outside these ranges.
+    """
+
+    factor: float = 1.0
+    correlation: float = 0.0
+    growth_per_m: float = 0.0
+    joint_noise: float = 0.0
+    outlier_share: float = 0.0
+    outlier_size: float = 5e-3
+
+    def __post_init__(self) -> None:
+        inside = {
+            "correlation": (self.correlation < 1, "0 to below 1"),
+            "outlier_share": (self.outlier_share <= 1, "0 to 1"),
+        }
+        for name in (field.name for field in fields(self)):
+            (below, limits), value = inside.get(name, (True, "0 or more")), getattr(self, name)
+            if not (below and 0 <= value < np.inf):
+                raise InputError(f"simulation: {name} is {value}; give a number, {limits}")
+
+
+class Measurement(NamedTuple):
     """A simulated recording and the truth behind it.
 
     Attributes:
@@ -48,18 +107,13 @@ class Measured(NamedTuple):
     @property
     def displacement(self) -> Array:
         """`(sample,)` m by which the effects displace the tool."""
-        return np.linalg.norm(self.poses[:, :3, 3] - self.rigid[:, :3, 3], axis=1)
-
-    @property
-    def turn(self) -> Array:
-        """`(sample,)` rad by which the effects rotate the tool."""
-        chord = np.linalg.norm(self.poses[:, :3, :3] - self.rigid[:, :3, :3], axis=(1, 2))
-        return 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+        return frames.compare_transforms(self.poses, self.rigid)[0]
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Root mean squares of displacement (m) and turn (rad)."""
-        return float(np.sqrt(np.mean(self.displacement**2))), float(np.sqrt(np.mean(self.turn**2)))
+        """Root mean squares of the displacement (m) and of the angle (rad) by which the effects rotate the tool."""
+        distance, angle = frames.compare_transforms(self.poses, self.rigid)
+        return float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean(angle**2)))
 
 
 def measure(
@@ -70,12 +124,15 @@ def measure(
     *,
     kinematics: Array | None = None,
     sensor: Instrument | str = "tracker",
-    undeclared: UndeclaredNoise = AS_DECLARED,
+    position_noise: float | None = None,
+    orientation_noise: float | None = None,
+    joint_noise: float | None = None,
+    undeclared: UndeclaredNoise = UndeclaredNoise(),
     T_sensor_base: Array | None = None,
     tool: Sequence[float] | Array | None = None,
     tool_known: bool = True,
     seed: int = 0,
-) -> Measured:
+) -> Measurement:
     """A recording of an arm with effects in a motion; its settings declare the simulation truthfully.
 
     Joint positions are those of the motion plus read-out noise; velocities, directions and temperatures, on which the
@@ -88,20 +145,22 @@ def measure(
         arm: its masses, its flange, and its kinematics where `kinematics` is not given.
         physics: the effects beyond the rigid model.
         values: `(physics.size,)`, their coordinates.
-        kinematics: `(joint, 6)` of this arm, m and rad.
-        sensor: an instrument or the name of one: tracker (positions), tracker_6d, motion_capture, camera,
-            controller_fk.
-        undeclared: how the noise differs from what the settings declare.
-        T_sensor_base: `(4, 4)` the base in the sensor's frame, then declared unknown; the base's frame if not given.
-        tool: `(6,)` x y z roll pitch yaw of the measured point in the flange's frame, m and rad; none if not given.
-        tool_known: whether the settings declare it.
+        kinematics, sensor, position_noise, orientation_noise, joint_noise, undeclared, T_sensor_base, tool,
+            tool_known: as in `simulate`.
         seed: of the noise.
 
     Raises:
         InputError: an unknown sensor or one of single distances, values that do not fit the effects, or a motion
             without a quantity that an effect depends on (by name).
     """
-    chosen = instrument(sensor)
+    if isinstance(sensor, str) and sensor not in INSTRUMENTS:
+        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join(INSTRUMENTS)}")
+    probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
+    if probe.quantity not in ("position", "pose"):
+        raise InputError(
+            f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
+        )
+    probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
     values = np.asarray(values, float)
     if values.shape != (physics.size,) or not np.isfinite(values).all():
         raise InputError(
@@ -114,16 +173,14 @@ def measure(
     chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
     if chain.shape != (arm.dof, 6):
         raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
-    settings = motion.settings
     T_sensor = np.eye(4) if T_sensor_base is None else np.asarray(T_sensor_base, float)
     T_tool = arm.T_joint_flange @ (np.eye(4) if tool is None else frames.transform_from_row(tool))
-    links = np.stack([frames.transform_from_row(row) for row in chain])
-    rigid = T_sensor @ frames.chain(links, motion.joint_position, arm.sliding) @ T_tool
+    rigid = T_sensor @ frames.chain(frames.transform_from_row(chain), motion.joint_position, arm.sliding) @ T_tool
     poses, beyond = rigid.copy(), np.zeros(motion.samples, bool)
     if physics.effects:
         moved = motion_of_recording(motion)
         model = arm_model(chain.ravel(), T_sensor, T_tool)
-        statics = inertia_of_arm(arm, settings)
+        statics = inertia_of_arm(arm, motion.settings)
         poses = np.array(predict_poses(moved.chain, physics, model, values, moved, statics))
         beyond = np.asarray(_beyond(physics, values, moved))
     if beyond.all():
@@ -132,32 +189,34 @@ def measure(
             "offset or a longer motion"
         )
 
-    from_base = rigid[:, :3, 3] - T_sensor[:3, 3]
-    larger = undeclared.factor * (1 + undeclared.growth_per_m * np.linalg.norm(from_base, axis=1))[:, None]
+    distance = np.linalg.norm(rigid[:, :3, 3] - T_sensor[:3, 3], axis=1)[:, None]
+    larger = undeclared.factor * (1 + undeclared.growth_per_m * distance)
 
-    def noise(purpose: str, sigma: float) -> Array:
-        white = generator(seed, purpose).standard_normal((motion.samples, 3))
-        return sigma * larger * correlated(white, undeclared.correlation, motion.run)
+    def draw_noise(purpose: str, sigma: float) -> Array:
+        """`(sample, 3)`, a first-order autoregression in each run."""
+        noise, rho = make_generator(seed, purpose).standard_normal((motion.samples, 3)), undeclared.correlation
+        for k in range(1, len(noise) if rho else 0):
+            if motion.run[k] == motion.run[k - 1]:
+                noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
+        return sigma * larger * noise
 
-    probe, source = chosen
-    position = poses[:, :3, 3] + noise("position", probe.position_noise)
-    turned = None if probe.orientation_noise is None else noise("orientation", probe.orientation_noise)
-    outlier = np.zeros(motion.samples, bool)
-    rng = generator(seed, "outliers")
+    position = poses[:, :3, 3] + draw_noise("position", probe.position_noise)
+    turn = None if probe.orientation_noise is None else draw_noise("orientation", probe.orientation_noise)
+    outlier, rng = np.zeros(motion.samples, bool), make_generator(seed, "outliers")
     hit = rng.permutation(motion.samples)[: round(undeclared.outlier_share * motion.samples)]
     outlier[hit] = True
     size = undeclared.outlier_size * rng.uniform(0.5, 2.0, hit.size)[:, None]
-    position[hit] += size * _directions(rng, hit.size)
+    position[hit] += size * _draw_directions(rng, hit.size)
     quaternion = None
-    if turned is not None:
-        turned[hit] += size / OUTLIER_LEVER_M * _directions(rng, hit.size)
-        quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turned).as_matrix()))
-    joint_noise = np.hypot(probe.joint_noise, undeclared.joint_noise)
-    read_out = joint_noise * generator(seed, "joints").standard_normal(motion.joint_position.shape)
+    if turn is not None:
+        turn[hit] += size / OUTLIER_LEVER_M * _draw_directions(rng, hit.size)
+        quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()))
+    sigma = np.hypot(probe.joint_noise, undeclared.joint_noise)
+    read_out = sigma * make_generator(seed, "joints").standard_normal(motion.joint_position.shape)
     read_out[:, arm.slides] = 0.0
 
-    declared = replace(
-        settings,
+    settings = replace(
+        motion.settings,
         joint_source="measured",
         joint_noise_rad=probe.joint_noise,
         pose_source=source,
@@ -167,21 +226,117 @@ def measure(
         position_noise_m=probe.position_noise,
         orientation_noise_rad=probe.orientation_noise,
     )
-    dropped = int(beyond.sum())
-    note = (f"dropped {dropped} rows whose instant lies beyond the motion, by a clock's offset",) if dropped else ()
     recording = replace(
         motion,
         joint_position=motion.joint_position + read_out,
         position=position,
         quaternion=quaternion,
-        settings=declared,
-        notes=(*motion.notes, *note),
+        settings=settings,
     )
-    if dropped:
-        recording = recording.select(~beyond)
-    return Measured(recording, poses[~beyond], rigid[~beyond], outlier[~beyond])
+    if beyond.any():
+        note = f"dropped {beyond.sum()} rows whose instant lies beyond the motion, by a clock's offset"
+        recording = replace(recording, notes=(*motion.notes, note)).select(~beyond)
+    return Measurement(recording, poses[~beyond], rigid[~beyond], outlier[~beyond])
 
 
-def _directions(rng: np.random.Generator, count: int) -> Array:
+def _draw_directions(rng: np.random.Generator, count: int) -> Array:
     vector = rng.standard_normal((count, 3))
     return vector / np.linalg.norm(vector, axis=1, keepdims=True)
+
+
+def simulate(
+    arm: Arm | str,
+    joint_position: ArrayLike | None = None,
+    *,
+    effects: Iterable[str | tuple[Effect, ArrayLike]] = (),
+    motion: MotionKind = "static",
+    time: ArrayLike | None = None,
+    samples: int | None = None,
+    runs: int = 1,
+    payload: float | Sequence[float] | Array = 0.0,
+    warm_up: float | None = None,
+    settings: RecordingSettings | None = None,
+    kinematics: Array | None = None,
+    sensor: Instrument | str = "tracker",
+    position_noise: float | None = None,
+    orientation_noise: float | None = None,
+    joint_noise: float | None = None,
+    undeclared: UndeclaredNoise = UndeclaredNoise(),
+    T_sensor_base: Array | None = None,
+    tool: Sequence[float] | Array | None = None,
+    tool_known: bool = True,
+    seed: int = 0,
+) -> Recording:
+    """A recording of a simulated arm, as `lite6jax simulate` writes one. For example:
+
+        lite6jax.simulate("lite6", effects=["joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"], seed=1)
+
+    Args:
+        arm: an `Arm` or what `read_arm` takes.
+        joint_position: `(sample, joint)` rad, the poses or the trajectory; drawn at random where not given.
+        effects: beyond the rigid arm, each as text (name, colon, key=value separated by commas, in SI units) or as an
+            effect with its `(coordinate,)` values.
+        motion: `static` (the arm stands still at each sample) or `trajectory`.
+        time: `(sample,)` s, of given joint positions; every 8 s of a static recording, every 0.02 s of a trajectory
+            where not given.
+        samples: how many are drawn; 400 static poses, 3000 of a trajectory where not given.
+        runs: in how many runs of equal length they are drawn.
+        payload: `()` or `(part,)` kg at the flange, in equal parts of the recording one after the other.
+        warm_up: temperature rise of the first joint at the end, K; no temperatures are recorded where not given.
+        settings: declared arm, geometry, gravity, payload centre and reference temperature; the arm's name and the
+            defaults where not given.
+        kinematics: `(joint, 6)` of this arm, m and rad; nominal where not given. See `draw_calibration`.
+        sensor: tracker (positions), tracker_6d, motion_capture, camera or controller_fk (poses), or an `Instrument`.
+        position_noise: declared and true standard deviation per axis, m; the sensor's where not given.
+        orientation_noise: likewise, rad.
+        joint_noise: likewise, of each joint's read-out, rad.
+        undeclared: how the true noise differs from the declared one; `UndeclaredNoise(factor=0)` is none.
+        T_sensor_base: `(4, 4)` the base in the sensor's frame, then declared unknown; the base's frame where not given.
+        tool: `(6,)` x y z roll pitch yaw of the measured point in the flange's frame, m and rad; none where not given.
+        tool_known: whether the settings declare it.
+        seed: of the random numbers.
+
+    Returns:
+        a `Recording` with `(sample, 3)` positions in m and, of a sensor of poses, `(sample, 4)` unit quaternions, in
+        the sensor's frame. Its settings declare the sensor, its noise, the frame and the tool.
+
+    Raises:
+        InputError: an unknown arm, sensor or effect; joint positions of another shape, not finite, or in degrees; a
+            number out of its range; a motion without a quantity that an effect depends on.
+    """
+    require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
+    arm = read_arm(arm) if isinstance(arm, str) else arm
+    parsed = [parse_effect(effect) if isinstance(effect, str) else effect for effect in effects]
+    for effect, _ in parsed:
+        quantities = {driver.quantity for driver in effect.drivers}
+        if warm_up is None and quantities & {"temperature rise", "temperature"}:
+            raise InputError(f"{effect.label}: depends on temperatures that rise; give warm_up, such as 15 K")
+        if motion == "static" and "velocity" in quantities:
+            raise InputError(f"{effect.label}: depends on joint velocities; simulate with motion='trajectory'")
+    if joint_position is None:
+        if time is not None:
+            raise InputError("time: belongs to given joint positions; give joint_position as well, or leave it out")
+        moved = draw_motion(
+            arm, motion, samples, runs=runs, payload=payload, warm_up=warm_up, settings=settings, seed=seed
+        )
+    else:
+        if samples is not None or runs != 1:
+            raise InputError("samples and runs: belong to a drawn motion; leave them out beside joint_position")
+        moved = make_motion(arm, joint_position, motion, time=time, payload=payload, warm_up=warm_up, settings=settings)
+    physics = Physics(tuple(effect for effect, _ in parsed))
+    return measure(
+        moved,
+        arm,
+        physics,
+        physics.join([np.asarray(values, float) for _, values in parsed]),
+        kinematics=kinematics,
+        sensor=sensor,
+        position_noise=position_noise,
+        orientation_noise=orientation_noise,
+        joint_noise=joint_noise,
+        undeclared=undeclared,
+        T_sensor_base=T_sensor_base,
+        tool=tool,
+        tool_known=tool_known,
+        seed=seed,
+    ).recording

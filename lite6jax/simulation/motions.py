@@ -1,26 +1,25 @@
-"""Motions to simulate: drawn over the joints' ranges or given, with their times, payloads and temperatures."""
+"""What is drawn of a simulated arm: its geometry, where the sensor stands, and motions over the joints' ranges."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.units import real_array
-from lite6jax.simulation.draws import generator
 
 Array = NDArray[np.floating]
 MotionKind = Literal["static", "trajectory"]
 
 SAMPLES = {"static": 400, "trajectory": 3000}
-"""Drawn where no number is given."""
 STEP_S = {"static": 8.0, "trajectory": 0.02}
-"""From sample to sample where no step is given."""
+"""Number of samples, and the time from one to the next, where none is given."""
 MARGIN = 0.05
 """Share of each joint's range that is left out at either end."""
 SPEED = float(np.deg2rad(120.0))
@@ -34,6 +33,107 @@ RUN_UP_S = 1.0
 """Time from rest to full speed at the start of a run."""
 PAUSE_S = 5.0
 """Time between the runs of a trajectory."""
+_PURPOSES = ("motion", "calibration", "uncertainty", "frame", "position", "orientation", "joints", "outliers")
+
+
+def make_generator(seed: int, purpose: str) -> np.random.Generator:
+    """A generator of its own for each purpose, so that another sensor leaves the motion as it was.
+
+    Raises:
+        InputError: a negative seed.
+    """
+    if seed < 0:
+        raise InputError(f"seed {seed}: give zero or more")
+    return np.random.default_rng([seed, _PURPOSES.index(purpose)])
+
+
+def draw_calibration(arm: Arm, seed: int = 0, *, length: float = 0.8e-3, angle: float = np.deg2rad(0.15)) -> Array:
+    """The kinematics of one arm as manufactured: the nominal one with a normal error in each number.
+
+    Args:
+        arm: the nominal arm.
+        seed: of the random numbers.
+        length: standard deviation of the error of x, y and z, m; that of a Lite 6 by default.
+        angle: standard deviation of the error of roll, pitch and yaw, rad; likewise.
+
+    Returns:
+        `(joint, 6)` x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+
+    Raises:
+        InputError: a negative seed.
+    """
+    return perturb(arm.kinematics, length, angle, seed, "calibration")
+
+
+def perturb(kinematics: Array, length: float, angle: float, seed: int, purpose: str = "uncertainty") -> Array:
+    """Kinematics `(joint, 6)` with normal errors of standard deviation `length` (m) or `angle` (rad) in each number."""
+    errors = make_generator(seed, purpose).standard_normal(kinematics.shape)
+    return kinematics + np.array([length] * 3 + [angle] * 3) * errors
+
+
+def draw_sensor_frame(seed: int = 0) -> Array:
+    """The base's pose in the frame of a sensor that stands 1.5 to 3 m away.
+
+    Any rotation about the vertical is equally likely; the tilt is at most 10° about each horizontal axis.
+
+    Returns:
+        `(4, 4)` T_sensor_base, m.
+
+    Raises:
+        InputError: a negative seed.
+    """
+    rng = make_generator(seed, "frame")
+    distance, bearing, yaw = rng.uniform(1.5, 3.0), *rng.uniform(-np.pi, np.pi, 2)
+    roll, pitch = rng.uniform(-1, 1, 2) * np.deg2rad(10)
+    x, y = distance * np.cos(bearing), distance * np.sin(bearing)
+    return frames.transform_from_row([x, y, rng.uniform(-1.0, 0.5), roll, pitch, yaw])
+
+
+def joint_ranges(arm: Arm) -> tuple[Array, Array]:
+    """`(joint,)` rad or m: the middle of each joint's range, one turn at most, and half its width less the margin."""
+    lower, upper = np.where(np.isfinite(arm.joint_limits), arm.joint_limits, [-np.pi, np.pi]).T
+    widest = np.where(arm.slides, np.inf, np.pi)
+    return (lower + upper) / 2, np.minimum((upper - lower) / 2, widest) * (1 - 2 * MARGIN)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sines:
+    """An endless motion from rest: of each joint a sum of sines, within the limits of range and speed.
+
+    Attributes:
+        center: `(joint,)` rad, and m of prismatic joints, as in all of these.
+        amplitude: `(sine, joint)` rad.
+        rate: `(sine, joint)` rad/s.
+        phase: `(sine, joint)` rad.
+    """
+
+    center: Array
+    amplitude: Array
+    rate: Array
+    phase: Array
+    duration = np.inf
+
+    def at(self, time: Array) -> tuple[Array, Array]:
+        """Positions (rad) and velocities (rad/s) `(sample, joint)` at `(sample,)` s."""
+        # a path parameter that starts from rest takes the place of time: limits and speed hold whatever its rate in 0…1
+        x = np.clip(time / RUN_UP_S, 0.0, 1.0)
+        pace = x**3 * (10 - 15 * x + 6 * x * x)
+        clock = RUN_UP_S * x**4 * (2.5 - 3 * x + x * x) + np.maximum(time - RUN_UP_S, 0.0)
+        angle = clock[:, None, None] * self.rate + self.phase
+        position = self.center + (self.amplitude * np.sin(angle)).sum(1)
+        return position, pace[:, None] * (self.amplitude * self.rate * np.cos(angle)).sum(1)
+
+
+def draw_sines(arm: Arm, seed: int | np.random.Generator = 0, speed: float = SPEED) -> Sines:
+    """Random sines over the joints' ranges, in which no revolute joint exceeds `speed` in rad/s."""
+    rng = seed if isinstance(seed, np.random.Generator) else make_generator(seed, "motion")
+    center, half = joint_ranges(arm)
+    amplitude = rng.uniform(0.2, 1.0, (SINES, arm.dof))
+    amplitude *= half / amplitude.sum(0)
+    rate = 2 * np.pi / np.exp(rng.uniform(np.log(PERIODS_S[0]), np.log(PERIODS_S[1]), (SINES, arm.dof)))
+    rate *= np.minimum(1.0, np.where(arm.slides, SLIDE_SPEED, speed) / (amplitude * rate).sum(0))
+    return Sines(center, amplitude, rate, rng.uniform(-np.pi, np.pi, (SINES, arm.dof)))
 
 
 def draw_motion(
@@ -62,12 +162,7 @@ def draw_motion(
         runs: how many; the time goes on from one to the next.
         step: from sample to sample, s; 8 of a static recording, 0.02 of a trajectory where not given.
         speed: that no joint of a trajectory exceeds, rad/s.
-        payload: `()` or `(part,)` kg at the flange, in equal parts of the recording one after the other.
-        warm_up: temperature rise of the first joint at the end, K: exponential from the reference temperature with a
-            third of the duration as time constant; the last joint reaches 0.8 of it, those between in proportion. Not
-            given: no temperatures are recorded.
-        settings: declared arm, geometry, gravity, payload centre and reference temperature; the arm's name and the
-            defaults where not given.
+        payload, warm_up, settings: as in `make_motion`.
         seed: of the random numbers.
 
     Raises:
@@ -81,44 +176,53 @@ def draw_motion(
     for name, value in (("step", step), ("speed", speed)):
         if not 0 < value < np.inf:
             raise InputError(f"simulation: {name} is {value}; give a number above 0")
-    rng = generator(seed, "motion")
-    run = np.arange(samples) * runs // samples
-    centre, half = _ranges(arm)
-    velocity = None
+    rng = make_generator(seed, "motion")
+    run, velocity = np.arange(samples) * runs // samples, None
     if kind == "static":
+        center, half = joint_ranges(arm)
         order = np.argsort(rng.random((samples, arm.dof)), axis=0)
-        position = centre + half * (2 * (order + rng.random((samples, arm.dof))) / samples - 1)
+        position = center + half * (2 * (order + rng.random((samples, arm.dof))) / samples - 1)
         time = step * np.arange(samples)
     else:
-        starts = np.searchsorted(run, np.arange(runs))
-        within = step * (np.arange(samples) - starts[run])
+        within = step * (np.arange(samples) - np.searchsorted(run, run))
         time = step * (np.arange(samples) - run) + PAUSE_S * run
-        fastest = np.where(arm.slides, SLIDE_SPEED, speed)
-        parts = [_multi_sine(rng, centre, half, within[run == number], fastest) for number in range(runs)]
+        parts = [draw_sines(arm, rng, speed).at(within[run == number]) for number in range(runs)]
         position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return _motion(arm, kind, position, velocity, time, run, payload, warm_up, settings)
+    return make_motion(
+        arm, position, kind, time=time, velocity=velocity, run=run, payload=payload, warm_up=warm_up, settings=settings
+    )
 
 
-def given_motion(
+def make_motion(
     arm: Arm,
     joint_position: ArrayLike,
     kind: MotionKind = "static",
     *,
     time: ArrayLike | None = None,
+    velocity: Array | None = None,
+    run: NDArray[np.integer] | None = None,
     payload: float | Sequence[float] | Array = 0.0,
     warm_up: float | None = None,
     settings: RecordingSettings | None = None,
 ) -> Recording:
-    """A motion through given joint positions; the velocities of a trajectory are differentiated.
+    """A motion through joint positions: a recording without poses.
 
     Args:
         arm: its limits reveal degrees.
         joint_position: `(sample, joint)` rad, and m of prismatic joints.
-        kind, payload, warm_up, settings: as in `draw_motion`.
+        kind: static (the arm stands still at each sample) or trajectory.
         time: `(sample,)` s; equal steps as in `draw_motion` where not given.
+        velocity: `(sample, joint)` rad/s of a trajectory; differentiated where not given.
+        run: `(sample,)`; one run where not given.
+        payload: `()` or `(part,)` kg at the flange, in equal parts of the recording one after the other.
+        warm_up: temperature rise of the first joint at the end, K: exponential from the reference temperature with a
+            third of the duration as time constant; the last joint reaches 0.8 of it, those between in proportion. Not
+            given: no temperatures are recorded.
+        settings: declared arm, geometry, gravity, payload centre and reference temperature; the arm's name and the
+            defaults where not given.
 
     Raises:
-        InputError: another shape, numbers that are not finite or not real, or degrees.
+        InputError: another shape, numbers that are not finite or not real, degrees, or a number out of its range.
     """
     q = real_array("joint_position", joint_position)
     if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
@@ -126,24 +230,10 @@ def given_motion(
     if not np.isfinite(q).all():
         raise InputError(f"joint_position: row {int(np.argmin(np.isfinite(q).all(1))) + 1} is not finite; leave it out")
     require_radians(q, arm.joint_limits)
-    t = STEP_S[kind] * np.arange(len(q)) if time is None else real_array("time", time)
-    if t.shape != (len(q),) or not np.isfinite(t).all():
-        raise InputError(f"time of shape {t.shape}: give ({len(q)},) finite numbers, in s")
-    return _motion(arm, kind, q, None, t, np.zeros(len(q), np.int64), payload, warm_up, settings)
-
-
-def _motion(
-    arm: Arm,
-    kind: MotionKind,
-    position: Array,
-    velocity: Array | None,
-    time: Array,
-    run: NDArray[np.integer],
-    payload: float | Sequence[float] | Array,
-    warm_up: float | None,
-    settings: RecordingSettings | None,
-) -> Recording:
-    samples = len(position)
+    samples = len(q)
+    t = STEP_S[kind] * np.arange(samples) if time is None else real_array("time", time)
+    if t.shape != (samples,) or not np.isfinite(t).all():
+        raise InputError(f"time of shape {t.shape}: give ({samples},) finite numbers, in s")
     masses = np.atleast_1d(np.asarray(payload, float))
     if masses.ndim != 1 or not 1 <= masses.size <= samples or not np.isfinite(masses).all() or masses.min() < 0:
         raise InputError(f"simulation: payload {np.asarray(payload).tolist()}; give masses in kg, 0 or more")
@@ -154,41 +244,16 @@ def _motion(
         settings = replace(settings, arm=arm.name)
     temperature = None
     if warm_up is not None:
-        duration = max(time[-1] - time[0], STEP_S[kind])
-        rise = warm_up * -np.expm1(-3 * (time - time[0]) / duration)
+        rise = warm_up * -np.expm1(-3 * (t - t[0]) / max(t[-1] - t[0], STEP_S[kind]))
         temperature = settings.reference_temperature_degC + np.outer(rise, np.linspace(1.0, 0.8, arm.dof))
     return Recording.assembled(
-        position,
-        time=time,
+        q,
+        time=t,
         joint_velocity=velocity,
         joint_temperature=temperature,
         payload=masses[np.arange(samples) * masses.size // samples],
-        run=run,
+        run=np.zeros(samples, np.int64) if run is None else run,
         settings=replace(settings, motion=kind),
         source="simulation",
         sliding=arm.sliding,
     )
-
-
-def _ranges(arm: Arm) -> tuple[Array, Array]:
-    """`(joint,)` each: the middle of a joint's range and half its width, rad, and m of prismatic joints."""
-    lower, upper = np.where(np.isfinite(arm.joint_limits), arm.joint_limits, [-np.pi, np.pi]).T
-    widest = np.where(arm.slides, np.inf, np.pi)
-    return (lower + upper) / 2, np.minimum((upper - lower) / 2, widest) * (1 - 2 * MARGIN)
-
-
-def _multi_sine(rng: np.random.Generator, centre: Array, half: Array, time: Array, speed: Array) -> tuple[Array, Array]:
-    """Positions (rad) and velocities (rad/s), `(sample, joint)`: sums of sines within range and speed, from rest."""
-    shape = (SINES, len(centre))
-    amplitude = rng.uniform(0.2, 1.0, shape)
-    amplitude *= half / amplitude.sum(0)
-    rate = 2 * np.pi / np.exp(rng.uniform(np.log(PERIODS_S[0]), np.log(PERIODS_S[1]), shape))
-    rate *= np.minimum(1.0, speed / (amplitude * rate).sum(0))
-    phase = rng.uniform(-np.pi, np.pi, shape)
-    # a path parameter that starts from rest takes the place of time: limits and speed hold whatever its rate in 0…1
-    x = np.minimum(time / RUN_UP_S, 1.0)
-    pace = x**3 * (10 - 15 * x + 6 * x * x)
-    clock = RUN_UP_S * x**4 * (2.5 - 3 * x + x * x) + np.maximum(time - RUN_UP_S, 0.0)
-    angle = clock[:, None, None] * rate + phase
-    position = centre + (amplitude * np.sin(angle)).sum(1)
-    return position, pace[:, None] * (amplitude * rate * np.cos(angle)).sum(1)

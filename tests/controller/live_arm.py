@@ -10,7 +10,7 @@ import numpy as np
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.controller.exchange import Address
+from lite6jax.controller.connection import Address
 from lite6jax.emulator import Body, Controller
 from tests.oracles.arms import perturbed
 
@@ -69,4 +69,4 @@ def reply(rows=KINEMATICS, valid=1, dof=6, kind=9, transaction=1, proto=2, regis
     """A reply to the calibration read, right where nothing else is given."""
     if payload is None:
         payload = protocol.Calibration(valid, dof, kind, np.asarray(rows)).encode()
-    return protocol.Frame(transaction, proto, register, bytes([status]) + payload).encode()
+    return protocol.Frame(register, bytes([status]) + payload, transaction, proto).encode()

@@ -4,6 +4,7 @@ import socket
 import struct
 import time
 from contextlib import suppress
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from live_arm import ARM, KINEMATICS, emulated, new_host, reply, serving
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
-from lite6jax.controller import protocol
-from lite6jax.controller.calibration import SilentError, UncalibratedError, read_calibration, request_calibration
-from lite6jax.controller.exchange import Address, Deadline, parse_address
+from lite6jax.controller import calibration, protocol
+from lite6jax.controller.calibration import SilentError, UncalibratedError, read_calibration
+from lite6jax.controller.connection import Address, parse_address
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 
@@ -41,7 +42,8 @@ def asked(answer, at_a_time=1 << 16, closes=True, seconds=5.0, arm=None):
         if closes:
             theirs.shutdown(socket.SHUT_WR)
         try:
-            return request_calibration(near, Deadline.after(seconds), "10.0.0.7", arm)
+            with patch.object(calibration, "connect", lambda *_: near):
+                return read_calibration(Address("10.0.0.7"), arm, seconds)
         finally:
             theirs.setblocking(False)
             assert theirs.recv(4096) == READ
@@ -231,7 +233,7 @@ def test_an_emulated_arm_is_read_over_any_line(faults):
         (Faults(close_after=0), "closed the connection after 0 of 179 bytes"),
         (Faults(close_after=90), "closed the connection after 90 of 179 bytes"),
         (Faults(garbage=True), "which is not a calibration"),
-        (Faults(stated_model=(6, 12)), "not a lite6"),
+        (Faults(model=(6, 12)), "not a lite6"),
         (Faults(nan=frozenset({"calibration"})), "not finite"),
     ],
 )
@@ -297,7 +299,7 @@ def test_no_reply_hangs_the_reader_or_escapes_it(answer, at_a_time):
         assert answer[:6] == reply()[:6]
         assert answer[6] == 8
         assert answer[9:11] == bytes([6, 9])
-        np.testing.assert_array_equal(rows, protocol.read_calibration(answer[8:179]).rows[:6])
+        np.testing.assert_array_equal(rows, protocol.Calibration.decode(answer[8:179]).rows[:6])
         assert np.isfinite(rows).all()
         assert np.abs(rows[:, :3] - ARM.kinematics[:, :3]).max() < 1
     assert time.monotonic() - started < 4

@@ -5,9 +5,7 @@ import pytest
 from live_arm import ARM, emulated
 
 from lite6jax.controller import protocol
-from lite6jax.controller.condition import condition_of, read_condition, require_no_error
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.station import Station
+from lite6jax.controller.station import Station, parse_condition, read_condition
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 
@@ -18,12 +16,12 @@ def report(length=587, **fields):
     made["gravity_direction"] = [0, 0, -1]
     for name, value in fields.items():
         made[name] = value
-    return made[()]
+    return made.tobytes()
 
 
 def settings(tmp_path, **fields):
-    condition = condition_of(report(**fields), "here")
-    return Station(ARM, "lite6", None, condition, ()).settings_beside(tmp_path / "run.csv")
+    condition = parse_condition(report(**fields), "here")
+    return Station(ARM, "lite6", None, condition, ()).sidecar_settings(tmp_path / "run.csv")
 
 
 def test_an_emulated_arms_condition_is_read():
@@ -35,12 +33,6 @@ def test_an_emulated_arms_condition_is_read():
     assert condition.has_tool
     assert not condition.has_world
     assert condition.temperature.shape == (7,)
-    require_no_error(condition, address)
-
-
-def test_an_error_is_refused_with_its_number():
-    with pytest.raises(InputError, match=r"192\.0\.2\.7: the controller reports error 31, .*; clear the error"):
-        require_no_error(condition_of(report(error=31), "here"), Address("192.0.2.7"))
 
 
 def test_an_arm_on_the_ceiling_and_its_payload_are_in_the_sidecar(tmp_path):
@@ -58,24 +50,24 @@ def test_a_base_offset_makes_the_frame_unknown(tmp_path):
 
 
 def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
-    station = Station(ARM, str(tmp_path / "arms" / "mine.yaml"), None, condition_of(report(), "here"), ())
-    assert station.settings_beside(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
+    station = Station(ARM, str(tmp_path / "arms" / "mine.yaml"), None, parse_condition(report(), "here"), ())
+    assert station.sidecar_settings(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
 
 
 @pytest.mark.parametrize("length", [587, 417, 252, 233])
 def test_firmware_that_says_less_is_read_as_far_as_it_goes(length):
     made = np.zeros((), protocol.report_layout(protocol.RICH, length))
     made["tool_offset"][2] = 50
-    condition = condition_of(made[()], "here")
+    condition = parse_condition(made.tobytes(), "here")
     assert condition.tool_offset[2] == 50
     assert (condition.temperature is None) == (length < 252)
     np.testing.assert_array_equal(condition.world_offset, 0)
 
 
 def test_what_is_not_to_be_relied_on_is_refused():
-    short = np.zeros((), protocol.report_layout(protocol.RICH, 133))[()]
+    short = np.zeros((), protocol.report_layout(protocol.RICH, 133)).tobytes()
     with pytest.raises(InputError, match=r"here: reports of .* end before the tool offset; update the firmware"):
-        condition_of(short, "here")
+        parse_condition(short, "here")
     for name in ("tool_offset", "payload", "joint_position", "world_offset"):
         with pytest.raises(InputError, match=rf"{name.replace('_', ' ')} is not finite"):
-            condition_of(report(**{name: np.nan}), "here")
+            parse_condition(report(**{name: np.nan}), "here")

@@ -9,7 +9,7 @@ import pytest
 from live_arm import ARM, serving
 from test_rows import STEP, reports
 
-from lite6jax.controller import protocol, recorder, stream
+from lite6jax.controller import connection, protocol, recorder
 from lite6jax.controller.recorder import record
 from lite6jax.controller.station import Station
 
@@ -86,16 +86,16 @@ STREAMS = {
 @pytest.mark.parametrize("name", STREAMS)
 def test_no_row_is_lost_and_every_loss_is_counted(tmp_path, monkeypatch, name):
     hostile, sent, stop = STREAMS[name], [], threading.Event()
-    monkeypatch.setattr(stream, "RETRY_S", 0.02)
+    monkeypatch.setattr(connection, "RETRY_S", 0.02)
     monkeypatch.setattr(recorder, "GATHER_S", 0.01)
 
-    def answer(connection):
+    def answer(line):
         if len(sent) == len(hostile.connections):
             stop.wait(10)
             return
         sent.append(1)
         for piece in hostile.connections[len(sent) - 1]:
-            connection.sendall(piece)
+            line.sendall(piece)
         if len(sent) == len(hostile.connections):
             stop.wait(10)
 

@@ -85,7 +85,7 @@ def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsy
 
 
 def test_read_of_another_arm_needs_its_name(capsys):
-    with emulated(faults=Faults(stated_model=(6, 12))) as (_, address):
+    with emulated(faults=Faults(model=(6, 12))) as (_, address):
         assert "--arm uf850" in refused(capsys, "read", "--ip", address)
 
 
@@ -154,7 +154,7 @@ def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
 
 
 def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(capsys, monkeypatch):
-    read = calibration.request_calibration
+    read = calibration.read_calibration
 
     def micrometres_off(*args):
         found = read(*args)
@@ -162,7 +162,7 @@ def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(
         rows[3, 1] += 5e-6
         return found._replace(calibration=replace(found.calibration, kinematics=rows))
 
-    monkeypatch.setattr(calibration, "request_calibration", micrometres_off)
+    monkeypatch.setattr(calibration, "read_calibration", micrometres_off)
     with emulated() as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
     assert code == 1
@@ -200,7 +200,7 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
 @pytest.mark.long
 def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
     out = tmp_path / "run.parquet"
-    with emulated(path=draw_sines(ARM.joint_limits), speed=10.0) as (controller, address):
+    with emulated(path=draw_sines(ARM), speed=10.0) as (controller, address):
         code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 2)
         assert controller.snapshot().requests == {8: 1}
     assert code == 0
@@ -274,7 +274,7 @@ def recording(address, out, *more):
 @pytest.mark.parametrize(("name", "number"), [("run.parquet", signal.SIGINT), ("run.csv", signal.SIGTERM)])
 def test_an_interrupt_keeps_every_row(tmp_path, name, number):
     out = tmp_path / name
-    with emulated(path=draw_sines(ARM.joint_limits)) as (_, address), recording(address, out) as process:
+    with emulated(path=draw_sines(ARM)) as (_, address), recording(address, out) as process:
         deadline = time.monotonic() + 60
         while not (tmp_path / "run.yaml").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -295,7 +295,7 @@ def test_an_interrupt_keeps_every_row(tmp_path, name, number):
 def test_a_kill_costs_a_second_at_most(tmp_path, capsys, name):
     out = tmp_path / name
     rows = tmp_path / ("run.arrows" if name == "run.parquet" else name)
-    with emulated(path=draw_sines(ARM.joint_limits)) as (_, address):
+    with emulated(path=draw_sines(ARM)) as (_, address):
         with recording(address, out) as process:
             deadline = time.monotonic() + 60
             while not (rows.exists() and rows.stat().st_size > 10_000) and time.monotonic() < deadline:
@@ -337,7 +337,7 @@ def test_less_than_was_asked_for_is_said_and_not_0(capsys, tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
 def test_a_full_disk_is_said_and_what_is_there_is_kept(capsys, tmp_path, monkeypatch):
-    from test_growing import room_for
+    from test_table import room_for
 
     out = tmp_path / "run.csv"
     with emulated(speed=20.0) as (_, address), room_for(400_000):

@@ -7,10 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller import protocol
-from lite6jax.controller.condition import Condition
+from lite6jax.controller.connection import Reports
 from lite6jax.controller.rows import SOURCES, Rows
-from lite6jax.controller.station import Station
-from lite6jax.controller.stream import Reports
+from lite6jax.controller.station import Condition, Station
 from tests.oracles.chains import six_parameter_poses
 
 STEP = 4000
@@ -45,7 +44,7 @@ def reports(time_us, q=None, vector=False, length=784, seed=0):
     made["joint_velocity"][:, :6] = q / 2
     made["current"][:, :6], made["torque"][:, :6] = q / 3, q / 4
     T = six_parameter_poses(KINEMATICS, made["joint_position"][:, :6].astype(float))
-    made["pose"] = protocol.wire_pose(T)
+    made["pose"] = protocol.encode_pose(T)
     if vector:
         made["pose"][:, 3:] = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
     return [row.tobytes() for row in made]
@@ -227,10 +226,10 @@ def test_an_orientation_that_is_not_the_chains_is_left_out():
 
 
 def test_the_tool_turns_the_orientation_that_is_expected():
-    T = protocol.transform_of_wire_pose(np.array([0, 0, 100.0, 0.5, 0.6, 0.7]))
+    T = protocol.read_pose(np.array([0, 0, 100.0, 0.5, 0.6, 0.7]))
     q = np.random.default_rng(6).uniform(-2, 2, (5, 6)).astype(np.float32)
     made = np.frombuffer(b"".join(reports(STEP * np.arange(5), q)), protocol.report_layout(protocol.REALTIME)).copy()
-    made["pose"] = protocol.wire_pose(six_parameter_poses(KINEMATICS, q.astype(float)) @ T)
+    made["pose"] = protocol.encode_pose(six_parameter_poses(KINEMATICS, q.astype(float)) @ T)
     rows = Rows(station(tool_offset=np.array([0, 0, 100.0, 0.5, 0.6, 0.7])))
     assert "qw" in took(rows, [row.tobytes() for row in made])
 

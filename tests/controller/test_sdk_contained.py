@@ -14,9 +14,9 @@ import pytest
 from live_arm import ARM, KINEMATICS, emulated, new_host, serving
 
 from lite6jax.controller import protocol
-from lite6jax.controller.exchange import Address
-from lite6jax.controller.sdk import SdkError, connected
-from lite6jax.controller.sdk_worker import READS, only_reads
+from lite6jax.controller.connection import Address
+from lite6jax.controller.sdk import SdkError, connect_sdk
+from lite6jax.controller.sdk_worker import READS, allow_reads
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
@@ -51,7 +51,7 @@ def test_the_registers_that_the_sdk_sends_are_these_and_no_others():
     sent = bytearray()
     with emulated(faults=Faults(warning=11)) as (controller, address), recording_proxy(address, sent) as between:
         before = controller.snapshot()
-        with connected(between) as sdk:
+        with connect_sdk(between) as sdk:
             for _ in range(3):
                 sdk.forward_kinematics(Q)
             time.sleep(1.2)  # its threads wake up every half second
@@ -70,15 +70,15 @@ def test_the_registers_that_the_sdk_sends_are_these_and_no_others():
 def test_it_asks_for_what_it_may_and_nothing_that_changes_the_arm():
     assert not set(READS) & set(CHANGES)
     sent, refused = [], []
-    write = only_reads(lambda port, data: sent.append(data) or 0, refused)
+    write = allow_reads(lambda port, data: sent.append(data) or 0, refused)
     for register in range(256):
-        frame = protocol.request(register).encode()
+        frame = protocol.Frame(register).encode()
         assert write(None, frame) == (0 if register in READS else -1)
     assert {data[6] for data in sent} == set(READS)
     assert set(refused) == set(range(256)) - set(READS)
     assert write(None, b"\x00") == -1
     assert write(None, bytes([0, 0, 0, 1, 0, 2, 0, 0])) == -1  # the SDK's heartbeat
-    assert write(None, protocol.request(44, protocol=0).encode()) == -1  # Modbus: 44 means something else there
+    assert write(None, protocol.Frame(44, protocol=0).encode()) == -1  # Modbus: 44 means something else there
 
 
 def test_the_way_out_is_shut_for_the_real_sdk(tmp_path):
@@ -92,7 +92,7 @@ def test_the_way_out_is_shut_for_the_real_sdk(tmp_path):
         XCONF.SocketConf.TCP_CONTROL_PORT = int(sys.argv[2])
         refused = []
         if sys.argv[4] == "shut":
-            Port.write = worker["only_reads"](Port.write, refused)
+            Port.write = worker["allow_reads"](Port.write, refused)
         arm = XArmAPI(sys.argv[1], enable_report=False, forbid_uds=True)
         arm.motion_enable(True)
         arm.set_mode(0)
@@ -116,34 +116,34 @@ def test_nothing_of_the_sdk_is_seen_heard_or_left_behind(tmp_path, monkeypatch, 
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    with emulated() as (_, address), connected(address) as sdk:
+    with emulated() as (_, address), connect_sdk(address) as sdk:
         assert sdk.version == "6,9,LI1006,DL1000,v2.7.1"
-        assert sdk.forward_kinematics(Q).values is not None
+        assert len(sdk.forward_kinematics(Q)) == 6
     assert list(tmp_path.iterdir()) == []
     assert socket.getdefaulttimeout() is None
     assert capfd.readouterr() == ("", "")
 
 
 def test_its_forward_kinematics_is_the_chain():
-    with emulated() as (_, address), connected(address) as sdk:
+    with emulated() as (_, address), connect_sdk(address) as sdk:
         pose = sdk.forward_kinematics(Q)
     ours = six_parameter_poses(KINEMATICS, Q.astype(np.float32).astype(float)[None])[0]
-    np.testing.assert_allclose(pose.values[:3], 1e3 * ours[:3, 3], atol=1e-4)
-    np.testing.assert_allclose(protocol.transform_of_wire_pose(pose.values)[:3, :3], ours[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(pose[:3], 1e3 * ours[:3, 3], atol=1e-4)
+    np.testing.assert_allclose(protocol.read_pose(pose)[:3, :3], ours[:3, :3], atol=1e-6)
 
 
 def test_a_controller_that_says_nothing_ends_at_our_deadline_not_after_212_s():
     with emulated(faults=Faults(silent=frozenset({1}))) as (_, address):
         started = time.monotonic()
         says = r"did not connect within 2 s, as with a silent controller; end other"
-        with pytest.raises(SdkError, match=says), connected(address, seconds=2.0):
+        with pytest.raises(SdkError, match=says), connect_sdk(address, seconds=2.0):
             pass
         assert time.monotonic() - started < 8
 
 
 def test_nothing_listens_there():
     says = r"says: Exception: connect socket failed; .* try again"
-    with pytest.raises(SdkError, match=says), connected(Address(new_host(), 1)):
+    with pytest.raises(SdkError, match=says), connect_sdk(Address(new_host(), 1)):
         pass
 
 
@@ -151,18 +151,22 @@ def test_without_the_sdk_it_says_what_to_install(monkeypatch, tmp_path):
     (tmp_path / "xarm.py").write_text("raise ImportError('no xarm here')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     says = r"cannot be imported \(.*no xarm here\); pip install 'xarm-python-sdk>=1.18'"
-    with pytest.raises(InputError, match=says), connected(Address(new_host(), 1)):
+    with pytest.raises(InputError, match=says), connect_sdk(Address(new_host(), 1)):
         pass
 
 
 def test_silence_after_the_start_is_a_lost_connection():
     mute = Faults(silent=frozenset({44}))
-    with emulated(faults=mute) as (_, address), connected(address) as sdk, pytest.raises(SdkError, match="within 2 s"):
+    with (
+        emulated(faults=mute) as (_, address),
+        connect_sdk(address) as sdk,
+        pytest.raises(SdkError, match="within 2 s"),
+    ):
         sdk.forward_kinematics(Q)
 
 
 def test_a_controller_that_goes_away_is_a_lost_connection():
-    with emulated() as (controller, address), connected(address) as sdk:
+    with emulated() as (controller, address), connect_sdk(address) as sdk:
         sdk.forward_kinematics(Q)
         controller.close()
         with pytest.raises(SdkError, match=r"^127\..*connection (says|gave|has)"):
@@ -194,13 +198,13 @@ def test_a_pose_that_is_none_is_refused_and_the_next_is_asked(payload, status, s
                 else:
                     connection.sendall(frame.reply(np.arange(6, dtype="<f4").tobytes()).encode())
 
-    with serving(answer) as address, connected(address) as sdk:
+    with serving(answer) as address, connect_sdk(address) as sdk:
         pose = sdk.forward_kinematics(Q)
-        assert pose.values is None
-        assert says in pose.refusal
-        np.testing.assert_array_equal(sdk.forward_kinematics(Q).values, np.arange(6))
+        assert isinstance(pose, str)
+        assert says in pose
+        np.testing.assert_array_equal(sdk.forward_kinematics(Q), np.arange(6))
 
 
 def test_a_controller_in_error_still_computes():
-    with emulated(faults=Faults(error=22)) as (_, address), connected(address) as sdk:
-        assert sdk.forward_kinematics(np.zeros(ARM.dof)).values is not None
+    with emulated(faults=Faults(error=22)) as (_, address), connect_sdk(address) as sdk:
+        assert np.isfinite(sdk.forward_kinematics(np.zeros(ARM.dof))).all()

@@ -9,8 +9,9 @@ from live_arm import ARM, KINEMATICS, emulated
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.frames import compare_transforms
 from lite6jax.controller import protocol, verification
-from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, differences, hidden_tool, verify
+from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, find_offset, verify
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
@@ -98,12 +99,12 @@ def test_a_tool_that_no_report_shows_is_found(monkeypatch):
 def test_a_hidden_tool_is_one_transform_or_none():
     rng = np.random.default_rng(2)
     ours = six_parameter_poses(KINEMATICS, rng.uniform(-2, 2, (40, 6)))
-    T = protocol.transform_of_wire_pose(np.array(TOOL))
-    np.testing.assert_allclose(hidden_tool(ours, ours @ T), TOOL, atol=1e-9)
+    T = protocol.read_pose(np.array(TOOL))
+    np.testing.assert_allclose(find_offset(ours, ours @ T), TOOL, atol=1e-9)
     theirs = ours @ T
     theirs[7, 0, 3] += 1e-4
-    assert hidden_tool(ours, theirs) is None
-    assert hidden_tool(ours[:2], theirs[:2]) is None
+    assert find_offset(ours, theirs) is None
+    assert find_offset(ours[:2], theirs[:2]) is None
 
 
 def test_differences_are_distance_and_angle_down_to_rounding():
@@ -112,7 +113,7 @@ def test_differences_are_distance_and_angle_down_to_rounding():
     theirs = ours.copy()
     theirs[:, :3, :3] = Rotation.from_rotvec(np.outer(turn, [0.6, 0.0, 0.8])).as_matrix()
     theirs[:, 1, 3] = turn
-    distance, angle = differences(ours, theirs)
+    distance, angle = compare_transforms(ours, theirs)
     np.testing.assert_allclose(distance, turn)
     np.testing.assert_allclose(angle, turn, rtol=1e-6)
 

@@ -136,13 +136,13 @@ def test_ctrl_c_ends_it(tmp_path):
         lines.append(process.stdout.readline())
         assert lines[-1], process.communicate()
     with socket.create_connection((address, int(PORT)), timeout=10) as line:
-        line.sendall(protocol.request(8).encode())
+        line.sendall(protocol.Frame(8).encode())
         received = bytearray()
         while len(received) < protocol.CALIBRATION_REPLY:
             received += line.recv(1024)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20)
     (frame,) = protocol.take_frames(received)
-    np.testing.assert_array_equal(protocol.read_calibration(frame.payload).rows[:6], own)
+    np.testing.assert_array_equal(protocol.Calibration.decode(frame.body[1:]).rows[:6], own)
     assert (process.returncode, out) == (130, "")
     assert err == "interrupted: nothing is left half-written\n"

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Register
 from lite6jax.emulator.core import Client, Core
-from lite6jax.emulator.registers import answer
-from lite6jax.emulator.reports import report
+from lite6jax.emulator.replies import answer, report
 
 EXTREME = st.sampled_from([0.0, 1.0, -3.0, 1e30, -1e30, float("inf"), float("nan"), 1e-30])
 BODY = st.one_of(
@@ -39,12 +38,12 @@ def test_nothing_that_is_asked_breaks_it(lite6, requests, enabled):
     told = []
     client = Client(told.append)
     for transaction, (register, body) in enumerate(requests):
-        asked = protocol.request(register, body, transaction)
+        asked = protocol.Frame(register, body, transaction)
         reply = answer(core, asked, client)
         assert reply is not None
         assert (reply.transaction, reply.register) == (transaction, register)
         core.advance(core.time + 0.1)
         for port in protocol.RATES:
             assert len(report(core, port, np.array([core.time, core.time + 0.01]))) == 2 * protocol.LENGTHS[port]
-    assert np.isfinite(core.measured(np.array([core.time]))[0]).all()
+    assert np.isfinite(core.read_encoders(np.array([core.time]))[0]).all()
     assert core.state in (1, 2, 3, 4, 5)

@@ -82,7 +82,7 @@ def test_fragments(lite6, connect, raw):
         assert (code, len(pose)) == (0, 6)
         until(lambda: arm.arm._first_report_over)
         with raw(controller) as line:
-            line.socket.sendall(protocol.request(8).encode())
+            line.socket.sendall(protocol.Frame(8).encode())
             pieces = []
             while sum(map(len, pieces)) < 179:
                 pieces.append(line.socket.recv(179))
@@ -102,7 +102,7 @@ def test_a_connection_closed_half_way(lite6, raw):
 
 
 def test_report_connections_closed_and_reopened(lite6, connect):
-    path = draw_sines(lite6.arm.joint_limits)
+    path = draw_sines(lite6.arm)
     with faulty(lite6, "close_reports:20", path=path) as controller:
         received = b""
         with socket.create_connection((controller.address, 30000), timeout=5) as line:
@@ -139,7 +139,7 @@ def test_latency(lite6, connect):
 
 def test_garbage(lite6, raw):
     with faulty(lite6, "garbage") as controller, raw(controller) as line:
-        line.socket.sendall(protocol.request(8).encode())
+        line.socket.sendall(protocol.Frame(8).encode())
         received = line.socket.recv(179)
         assert received
         assert received[:9] != bytes.fromhex("0001000200ad080001")
@@ -206,7 +206,7 @@ def test_nan(lite6, raw, connect, where):
 def test_a_controller_in_error(lite6, connect):
     """lite6.md: in error the SDK's tool offset stays zero, whatever is set."""
     tool = [0, 0, 100, 0, 0, 0]
-    with faulty(lite6, "error:2", "warning:11", path=draw_sines(lite6.arm.joint_limits), tool=tool) as controller:
+    with faulty(lite6, "error:2", "warning:11", path=draw_sines(lite6.arm), tool=tool) as controller:
         arm = connect(controller)
         assert controller.snapshot().state == 4  # it does not move
         until(lambda: arm.error_code == 2)
@@ -225,13 +225,13 @@ def test_a_controller_in_error(lite6, connect):
 
 
 def test_an_error_that_comes_while_it_moves(lite6, connect):
-    with faulty(lite6, path=draw_sines(lite6.arm.joint_limits), speed=5.0) as controller:
+    with faulty(lite6, path=draw_sines(lite6.arm), speed=5.0) as controller:
         arm = connect(controller)
         until(lambda: controller.snapshot().time > 1)
-        controller.fail(31)
+        controller.set_faults(Faults(error=31))
         assert arm.get_err_warn_code() == (0, [31, 0])
         until(lambda: np.ptp([controller.snapshot().joints[0] for _ in range(5)]) == 0)
-        controller.fail(0)
+        controller.set_faults(Faults())
         assert arm.get_err_warn_code() == (0, [0, 0])
 
 
@@ -254,7 +254,7 @@ def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite
 
 
 def test_turns_that_are_rotation_vectors(lite6):
-    path = draw_sines(lite6.arm.joint_limits)
+    path = draw_sines(lite6.arm)
     with faulty(lite6, "rotation_vectors", path=path, speed=20.0) as controller:
         records = read_reports(controller, 30000, 50)
     T = lite6.flange(records["joint_position"][:, :6])

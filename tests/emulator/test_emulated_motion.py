@@ -6,24 +6,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Brake, PointToPoint, Rest, Servo, played, visits
-from lite6jax.emulator.programs import draw_places, draw_sines, peak_speed, read_path
-from lite6jax.emulator.timeline import Timeline
+from lite6jax.emulator import draw_sines, interpolate, read_path, visit
+from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Timeline, brake, move, rest, servo
 from lite6jax.errors import InputError
 
 LITE6 = load_bundled("lite6")
 HERE = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
 THERE = np.array([1.1, 0.2, 0.3, -0.4, -0.1, 0.5])
 PATHS = {
-    "rest": Rest(HERE, 2.0),
-    "move": PointToPoint(HERE, THERE, 0.5, 3.0),
-    "short move": PointToPoint(HERE, HERE + 1e-3, 3.0, 3.0),
-    "no move": PointToPoint(HERE, HERE),
-    "brake": Brake(HERE, THERE),
-    "servo": Servo(HERE, THERE, 0.004),
-    "sines": draw_sines(LITE6.joint_limits, seed=2),
-    "visits": visits([HERE, THERE, HERE * 2]),
-    "played": played(np.linspace(3, 8, 40), np.sin(np.linspace(0, 2, 40))[:, None] * THERE),
+    "rest": rest(HERE),
+    "move": move(HERE, THERE, 0.5, 3.0),
+    "short move": move(HERE, HERE + 1e-3, 3.0, 3.0),
+    "no move": move(HERE, HERE),
+    "brake": brake(HERE, THERE),
+    "servo": servo(HERE, THERE, 0.004),
+    "sines": draw_sines(LITE6, seed=2),
+    "visits": visit([HERE, THERE, HERE * 2]),
+    "played": interpolate(np.linspace(3, 8, 40), np.sin(np.linspace(0, 2, 40))[:, None] * THERE),
 }
 
 
@@ -39,19 +38,19 @@ def test_velocity_is_the_derivative_of_position(name):
 def test_it_stands_before_and_after(name):
     path = PATHS[name]
     q, dq = path.at(np.array([path.duration + 1.0, path.duration + 1e-9]))
-    np.testing.assert_array_equal(q, [path.end, path.end])
+    np.testing.assert_array_equal(q, [path.at(np.array([path.duration]))[0][0]] * 2)
     assert not dq.any()
 
 
 def test_a_move_meets_both_ends_exactly():
     path = PATHS["move"]
-    assert path.start.tolist() == HERE.tolist()
-    assert path.end.tolist() == THERE.tolist()
+    q, _ = path.at(np.array([0.0, path.duration]))
+    assert q.tolist() == [HERE.tolist(), THERE.tolist()]
 
 
 @given(st.floats(0.01, 3.1), st.floats(0.1, 20.0), st.floats(1e-6, 6.0))
 def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
-    path = PointToPoint(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
+    path = move(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
     ramp = speed / acceleration
     trapezoid = way / speed + ramp
     expected = trapezoid if way > speed * ramp else 2 * np.sqrt(way / acceleration)
@@ -64,8 +63,8 @@ def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way)
 
 
 def test_servo_keeps_to_the_limit_of_speed():
-    assert Servo(np.zeros(1), np.full(1, 1e-3), 0.004).duration == 0.004
-    assert Servo(np.zeros(1), np.ones(1), 0.004).duration == pytest.approx(1 / np.pi)
+    assert servo(np.zeros(1), np.full(1, 1e-3), 0.004).duration == 0.004
+    assert servo(np.zeros(1), np.ones(1), 0.004).duration == pytest.approx(1 / np.pi)
 
 
 @pytest.mark.parametrize("name", ["lite6", "xarm5", "xarm7"])
@@ -83,14 +82,14 @@ def test_programs_stay_within_limits_and_speed(name):
 
 
 def test_programs_are_drawn_by_seed():
-    a, b, c = (draw_places(LITE6.joint_limits, 5, seed) for seed in (1, 1, 2))
+    a, b, c = (read_path("poses", LITE6, seed).at(np.arange(50.0))[0] for seed in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
     assert not np.allclose(a, c)
 
 
 def test_visits_go_round():
-    path = visits([HERE, THERE], pause=1.0)
-    turn = float(path._starts[-1])
+    path = visit([HERE, THERE], pause=1.0)
+    turn = path.pieces.x[-1]
     t = np.linspace(0, turn, 57)[:-1]
     np.testing.assert_allclose(path.at(t)[0], path.at(t + 3 * turn)[0], atol=1e-9)
     assert path.at(np.array([0.5]))[0][0].tolist() == HERE.tolist()
@@ -106,9 +105,9 @@ def test_acceleration_of_the_arm():
 def test_a_timeline_is_its_paths_in_turn():
     line = Timeline(HERE)
     assert line.end == -np.inf
-    line.then(PATHS["move"], 1.0)
+    line.append(PATHS["move"], 1.0)
     assert line.end == 1.0 + PATHS["move"].duration
-    line.then(PointToPoint(THERE, HERE, 1.0, 5.0), line.end)
+    line.append(move(THERE, HERE, 1.0, 5.0), line.end)
     t = np.linspace(-1, line.end + 1, 3001)
     q, dq = line.at(t)
     assert np.abs(np.diff(q, axis=0)).max() < 0.01
@@ -120,8 +119,8 @@ def test_a_timeline_is_its_paths_in_turn():
 
 def test_stopping_brakes_and_forgets_the_rest():
     line = Timeline(HERE)
-    line.then(PATHS["move"], 0.0)
-    line.then(PointToPoint(THERE, HERE), line.end)
+    line.append(PATHS["move"], 0.0)
+    line.append(move(THERE, HERE), line.end)
     before = line.at(np.array([1.0]))
     line.stop(1.0)
     after = line.at(np.array([1.0, 1.0 + 1e-6]))
@@ -136,7 +135,7 @@ def test_stopping_brakes_and_forgets_the_rest():
 def test_a_timeline_does_not_grow_for_ever():
     line = Timeline(np.zeros(1))
     for k in range(5000):
-        line.then(Servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
+        line.append(servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
     assert len(line._paths) < 1300
 
 
@@ -160,7 +159,7 @@ def test_static_poses_are_visited(tmp_path):
     rows = [",".join(f"q{i}_deg" for i in range(1, 7)), "0,0,60,0,0,0", "30,0,60,0,0,0"]
     path = read_path(recording(tmp_path / "poses.csv", "\n".join(rows)), LITE6)
     assert path.duration == np.inf
-    np.testing.assert_allclose(path.start, np.deg2rad([0, 0, 60, 0, 0, 0]))
+    np.testing.assert_allclose(path.at(np.zeros(1))[0][0], np.deg2rad([0, 0, 60, 0, 0, 0]))
 
 
 def test_a_trajectory_of_one_row_is_a_place(tmp_path):
@@ -200,7 +199,3 @@ def test_motions_that_are_too_fast_or_out_of_order(tmp_path):
 def test_neither_a_program_nor_a_file():
     with pytest.raises(InputError, match="--motion 'dance': is neither rest, sines, poses nor a recording's file"):
         read_path("dance", LITE6)
-
-
-def test_the_peak_of_speed():
-    assert peak_speed(PATHS["move"]) == pytest.approx(0.5, rel=1e-6)

@@ -161,8 +161,8 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, contr
         assert np.linalg.norm(back[:3] - pose[:3]) < 2e-3
         # firmware 2.7.103 on takes a reference to stay near; the SDK decides by the version whether it sends one
         with raw(controller) as line:
-            asked = protocol.floats(pose) + b"\1" + protocol.floats(protocol.seven(near))
-            given = np.frombuffer(line.send(protocol.request(43, asked))[8:], "<f4")
+            asked = protocol.encode_floats(pose) + b"\1" + protocol.encode_floats(protocol.pad_joints(near))
+            given = np.frombuffer(line.send(protocol.Frame(43, asked))[8:], "<f4")
         there = six_parameter_poses(controller.body.kinematics, given[None, :6])[0, :3, 3]
         np.testing.assert_allclose(1e3 * there, pose[:3], atol=2e-3)
 
@@ -273,7 +273,7 @@ def test_a_move_that_is_only_to_be_checked_does_not_happen(ready, raw, controlle
     assert ready.set_servo_angle(angle=[0.5, 0, 0.5, 0, 0, 0], speed=1) == 0
     ready.set_only_check_type(0)
     assert ready.get_cmdnum() == (0, 0)
-    beyond = protocol.request(23, protocol.floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]) + b"\1")
+    beyond = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]) + b"\1")
     with raw(controller) as line:
         assert line.send(beyond)[7:] == bytes([0, 0, 0, 23])
     assert ready.get_err_warn_code() == (0, [0, 0])
@@ -310,7 +310,7 @@ def test_pause_goes_on_and_stop_does_not(ready):
 
 def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller, raw):
     assert ready.set_servo_angle(angle=[0, 2.7, 1, 0, 0, 0]) == -8  # the SDK looks itself
-    message = protocol.request(23, protocol.floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]))
+    message = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]))
     with raw(controller) as line:
         status = line.send(message)[7]
     assert status & 0x50 == 0x50
@@ -344,13 +344,13 @@ def test_servo_mode_follows_at_once_within_the_limit_of_speed(ready, controller)
 
 def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
     """The SDK's trap: `get_servo_angle` gives commands unless asked for the real ones."""
-    path = draw_sines(lite6.arm.joint_limits, seed=3)
+    path = draw_sines(lite6.arm, seed=3)
     with Controller(lite6, path=path, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as controller:
         arm = connect(controller)
         until(lambda: controller.snapshot().time > 1.5)
         frozen = 1.7
         commanded, measured = controller.call(
-            lambda core: (core.commanded(np.array([frozen]))[0][0], core.measured(np.array([frozen]))[0][0])
+            lambda core: (core.read_commands(np.array([frozen]))[0][0], core.read_encoders(np.array([frozen]))[0][0])
         )
         assert np.abs(commanded - measured).max() > 1e-3
         np.testing.assert_allclose(commanded, path.at(np.array([frozen]))[0][0])
@@ -367,8 +367,8 @@ def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
 
 def test_a_discarded_move_is_told_of(ready, raw, controller):
     with raw(controller) as line:
-        assert line.send(protocol.request(254, b"\2"))[7] == 0
-        far = protocol.request(23, protocol.floats([1, 0, 1, 0, 0, 0, 0, 0.1, 1, 0]), transaction=77)
+        assert line.send(protocol.Frame(254, b"\2"))[7] == 0
+        far = protocol.Frame(23, protocol.encode_floats([1, 0, 1, 0, 0, 0, 0, 0.1, 1, 0]), transaction=77)
         assert line.send(far)[6] == 23
         assert ready.set_state(4) == 0
         told = line.receive()
@@ -382,10 +382,10 @@ def test_a_discarded_move_is_told_of(ready, raw, controller):
 def test_what_is_not_emulated_is_called_invalid(arm, raw, controller):
     assert arm.get_gripper_position()[0] != 0
     with raw(controller) as line:
-        assert line.send(protocol.request(199))[7] & 8
-        assert line.send(protocol.request(44, bytes(5)))[7] & 8  # a size that is none
-        assert line.send(protocol.request(11))[7] & 8
-        assert line.send(protocol.request(42, b"\7"))[7] & 8
+        assert line.send(protocol.Frame(199))[7] & 8
+        assert line.send(protocol.Frame(44, bytes(5)))[7] & 8  # a size that is none
+        assert line.send(protocol.Frame(11))[7] & 8
+        assert line.send(protocol.Frame(42, b"\7"))[7] & 8
         assert line.ask(13)[8] in (1, 2, 4, 5)
 
 

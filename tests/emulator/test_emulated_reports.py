@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, Controller, draw_sines, visits
-from lite6jax.emulator.paths import PointToPoint
+from lite6jax.emulator import Body, Controller, draw_sines, visit
+from lite6jax.emulator.paths import move
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.gravity import gravity_moments
 
@@ -23,7 +23,7 @@ def emulated(body, **options):
 
 @pytest.fixture(scope="module")
 def sines(lite6):
-    return draw_sines(lite6.arm.joint_limits, seed=5)
+    return draw_sines(lite6.arm, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_currents_follow_torques_and_speeds(recorded):
 def test_ports_keep_their_rates(lite6, port, count, field):
     """Joint 1 turns evenly: it is the clock."""
     there = np.array([3.0, 0, 1, 0, 0, 0])
-    path = PointToPoint(there * [-1, 1, 1, 1, 1, 1], there, speed=0.1)  # for a minute
+    path = move(there * [-1, 1, 1, 1, 1, 1], there, speed=0.1)  # for a minute
     with emulated(lite6, path=path, speed=4.0) as controller:
         until(lambda: controller.snapshot().time > 0.1)
         turned = np.diff(read_reports(controller, port, count)[field][:, 0].astype(float))
@@ -104,7 +104,8 @@ def test_ports_keep_their_rates(lite6, port, count, field):
 
 
 def test_the_rich_report_through_the_sdk(lite6, connect):
-    path = visits([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
+    at_rest = np.array([0.3, 0.2, 1.0, 0.1, 0.5, 0.2])
+    path = visit([at_rest, [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
     tool = [0, 0, 50, 0, 0, 0.25]
     with emulated(
         lite6, path=path, tool=tool, payload=[0.4, 0, 0, 20], speed=500.0, report_ports=(30002,)
@@ -112,9 +113,9 @@ def test_the_rich_report_through_the_sdk(lite6, connect):
         arm = connect(controller)
         until(lambda: arm.tcp_offset == tool)
         assert arm.tcp_load == [0.4, [0, 0, 20]]
-        np.testing.assert_allclose(arm.angles[:6], path.start, atol=1e-6)
+        np.testing.assert_allclose(arm.angles[:6], at_rest, atol=1e-6)
         assert (arm.state, arm.mode, arm.error_code, arm.warn_code) == (1, 0, 0, 0)
-        pose = arm.get_forward_kinematics(path.start.tolist())[1]
+        pose = arm.get_forward_kinematics(at_rest.tolist())[1]
         np.testing.assert_allclose(arm.position, pose, atol=1e-3)
         pose = arm.get_position()[1]
         np.testing.assert_allclose(arm.position, pose, atol=1e-3)
@@ -133,11 +134,11 @@ def test_the_rich_report_through_the_sdk(lite6, connect):
 
 @pytest.mark.parametrize("kind", ["real", "normal"])
 def test_the_other_reports_through_the_sdk(lite6, connect, kind):
-    path = visits([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
+    path = visit([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
     tool = [0, 0, 50, 0, 0, 0.25]
     with emulated(lite6, path=path, tool=tool) as controller:
         arm = connect(controller, report_type=kind)
-        until(lambda: np.allclose(arm.angles[:6], path.start, atol=1e-6))
+        until(lambda: np.allclose(arm.angles[:6], [0.3, 0.2, 1.0, 0.1, 0.5, 0.2], atol=1e-6))
         np.testing.assert_allclose(arm.position, arm.get_position()[1], atol=1e-3)
         np.testing.assert_allclose(arm.joints_torque, arm.get_joints_torque()[1], atol=1e-4)
         until(lambda: arm.state == 1)
@@ -197,7 +198,7 @@ def test_register_44_knows_nothing_of_it(lite6, connect):
 
 def test_backlash_remembers_the_last_direction_while_it_stands(lite6):
     """Each time the arm comes to a place from the other side, the link lies at the other end of the gap."""
-    path = visits([[0, 0, 1, 0, 0, 0], [0.5, 0, 1, 0, 0, 0]], pause=0.5)
+    path = visit([[0, 0, 1, 0, 0, 0], [0.5, 0, 1, 0, 0, 0]], pause=0.5)
     records = shown(hidden(lite6, "joint_backlash:joint=1,gap_rad=0.01"), path, 2500)
     q = records["joint_position"][:, :6].astype(float)
     still = np.abs(records["joint_velocity"][:, 0]) == 0

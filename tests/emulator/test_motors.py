@@ -13,7 +13,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines
-from lite6jax.emulator.body import Sample
+from lite6jax.emulator.body import Load, Sample
 from lite6jax.emulator.core import Core
 from lite6jax.errors import InputError
 from tests.oracles.pinocchio_arm import pinocchio_chain
@@ -55,14 +55,14 @@ def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
     body = Body(arm, lite6.kinematics)
     sample, ddq = moved()
     for payload in (0.0, 0.7):
-        carried = body.carrying(TOOL, payload, CENTER)
+        carried = Load(TOOL, payload, CENTER)
         found = body.torque(sample, ddq, carried)
-        np.testing.assert_allclose(found, by_pinocchio(body, sample, ddq, payload, carried.center), atol=1e-12)
+        np.testing.assert_allclose(found, by_pinocchio(body, sample, ddq, payload, CENTER), atol=1e-12)
 
 
 def test_without_masses_there_are_no_torques(lite6):
     body = Body(replace(lite6.arm, mass=None, center_of_mass=None, inertia=None), lite6.kinematics)
-    assert not body.torque(*moved(), body.carrying(TOOL, 0.7, CENTER)).any()
+    assert not body.torque(*moved(), Load(TOOL, 0.7, CENTER)).any()
     with pytest.raises(InputError, match="has no masses, which torques need; add `inertial` to its description"):
         with_effects(body, "torque_offset:joint=1,offset_Nm=1")
 
@@ -77,7 +77,7 @@ def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
         "friction_temperature:joint=4,viscous_Nm_s_per_rad_K=-0.1",
     )
     body = with_effects(rigid, *texts)
-    carried = rigid.carrying(TOOL, 0.3, CENTER)
+    carried = Load(TOOL, 0.3, CENTER)
     expected = rigid.torque(sample, ddq, carried)
     expected[:, 1] = 1.1 * (expected[:, 1] + 3 * sample.velocity[:, 1] + 0.2 * ddq[:, 1])
     expected[:, 3] -= 0.1 * (body.temperature(sample.time)[:, 3] - 25) * sample.velocity[:, 3]
@@ -87,7 +87,7 @@ def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
 def test_masses_and_a_tilted_base_are_those_of_another_arm(arm, lite6):
     rigid = Body(arm, lite6.kinematics)
     sample, ddq = moved()
-    carried = rigid.carrying(TOOL, 0.3, CENTER)
+    carried = Load(TOOL, 0.3, CENTER)
     heavier = Body(replace(arm, mass=arm.mass + 0.2 * (np.arange(6) == 2)), lite6.kinematics)
     body = with_effects(rigid, "link_mass:link=3,mass_kg=0.2")
     np.testing.assert_allclose(body.torque(sample, ddq, carried), heavier.torque(sample, ddq, carried), atol=1e-12)
@@ -100,8 +100,8 @@ def test_masses_and_a_tilted_base_are_those_of_another_arm(arm, lite6):
     R = T @ pin.rpy.rpyToMatrix(*turned[0, 3:])
     turned[0] = [*(T @ turned[0, :3]), *pin.rpy.matrixToRpy(R)]
     other = Body(arm, turned)
-    change = by_pinocchio(other, still, 0 * ddq, 0.3, carried.center)
-    change -= by_pinocchio(Body(arm, lite6.kinematics), still, 0 * ddq, 0.3, carried.center)
+    change = by_pinocchio(other, still, 0 * ddq, 0.3, CENTER)
+    change -= by_pinocchio(Body(arm, lite6.kinematics), still, 0 * ddq, 0.3, CENTER)
     assert np.abs(change).max() > 1e-4
     np.testing.assert_allclose(model_change, change, atol=3e-6)  # the chain is rounded to fp32
 
@@ -115,9 +115,9 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
 
     rigid = Body(arm, lite6.kinematics)
     sample, ddq = moved()
-    found = hidden("payload_error:mass_kg=0.4").torque(sample, ddq, rigid.carrying(TOOL, 0.3, CENTER))
-    np.testing.assert_allclose(found, rigid.torque(sample, ddq, rigid.carrying(TOOL, 0.7, CENTER)), atol=1e-12)
-    path = draw_sines(arm.joint_limits, seed=5)
+    found = hidden("payload_error:mass_kg=0.4").torque(sample, ddq, Load(TOOL, 0.3, CENTER))
+    np.testing.assert_allclose(found, rigid.torque(sample, ddq, Load(TOOL, 0.7, CENTER)), atol=1e-12)
+    path = draw_sines(arm, seed=5)
     late, plain = Core(hidden("time_offset:offset_s=-0.02")), Core(rigid)
     for core in (late, plain):
         core.follow(path)
@@ -127,7 +127,7 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
 
 
 def test_the_torque_of_one_joint_is_late(arm, lite6):
-    path = draw_sines(arm.joint_limits, seed=5)
+    path = draw_sines(arm, seed=5)
     rigid = Body(arm, lite6.kinematics)
     late, plain = Core(with_effects(rigid, "torque_lag:joint=2,lag_s=0.02")), Core(rigid)
     for core in (late, plain):
@@ -156,12 +156,11 @@ def test_the_reports_carry_friction_and_noise(arm, lite6):
     body = with_effects(
         Body(arm, lite6.kinematics), "viscous_friction:joint=1,viscous_Nm_s_per_rad=20", torque_noise=np.full(6, 0.01)
     )
-    path = draw_sines(arm.joint_limits, seed=5)
+    path = draw_sines(arm, seed=5)
     with Controller(body, path=path, address=new_address(), control_port=CONTROL_PORT, speed=40.0) as controller:
         read = read_reports(controller, protocol.REALTIME, 500)
     time = (read["time_us"].astype(np.int64) - 60_000_000) / 1e6
-    plain = Core(Body(arm, lite6.kinematics), start=path.at(np.zeros(1))[0][0])
-    plain.follow(path)
+    plain = Core(Body(arm, lite6.kinematics), path=path)
     friction = read["torque"][:, :6] - plain.torque(time)
     friction[:, 0] -= 20 * read["joint_velocity"][:, 0]
     assert np.abs(friction).max() < 0.06

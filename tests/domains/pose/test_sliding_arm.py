@@ -16,7 +16,7 @@ from lite6jax.domains.pose.fit import fit
 from lite6jax.domains.pose.predict import predict
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, write_recording
-from lite6jax.simulation.simulate import simulate
+from lite6jax.simulation import simulate
 from tests.oracles.sliding_arms import ARMS
 
 EFFECTS = ("slide_scale:joint=3,scale=1e-3", "slide_backlash:joint=3,gap_m=4e-4")
