@@ -37,7 +37,6 @@ def diagnosis(tmp_path_factory):
         "left": one,
         "unseen": one,
         "noise": one,
-        "curves": [None, None],
         "recorded": {
             "joint_range_rad": [[-1.0, 1.0]] * 6,
             "joint_position_rad": [[0.1] * 6, [0.2] * 6],

@@ -40,8 +40,8 @@ def separating_poses(
 ) -> tuple[SeparatingPoses, ...]:
     """Poses for each pair of effects that the recording does not distinguish, where poses at rest can.
 
-    Functions without a name are no rivals here: what their coefficients are elsewhere is not known. Neither are other
-    orders of the same wave: any position between those that were recorded separates them.
+    Nonparametric effects are no rivals here: what they are elsewhere is not known. Neither are other orders of the same
+    wave: any position between those that were recorded separates them.
     """
     state, problem = selection.state, selection.problem
     assert isinstance(problem, PoseProblem)

@@ -74,7 +74,6 @@ def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[
             "unseen": unseen,
             "noise": noise,
             "typical": None if known.typical is None else _per_axis(known.typical),
-            "curves": [None if curve is None else _per_axis(curve) for curve in known.curves],
             "recorded": _recorded_entry(known.recorded),
         }
     return {
@@ -110,7 +109,6 @@ def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> 
             "left_Nm": np.asarray(known.left).tolist(),
             "unseen_Nm": np.asarray(known.unseen).tolist(),
             "noise_Nm": np.asarray(known.noise).tolist(),
-            "curves_Nm": [None if curve is None else float(np.sum(curve)) for curve in known.curves],
             "recorded": _recorded_entry(known.recorded),
         }
     return {
@@ -285,9 +283,8 @@ def _pose_uncertainty(entry: Any, effects: Sequence[Effect], joints: int) -> Unc
         np.array([entry[name][axis] for axis in _AXES], float) for name in ("left", "unseen", "noise")
     )
     C = _covariance(entry["covariance"], len(sites) + sum(freed(effect).size for effect in effects))
-    curves = _one_of_each([axes(curve) for curve in entry["curves"]], effects)
     recorded, typical = _recorded(entry["recorded"], joints), axes(entry.get("typical"))
-    return Uncertainty(sites, C, left, unseen, noise, curves, recorded, typical)
+    return Uncertainty(sites, C, left, unseen, noise, recorded, typical)
 
 
 def _torque_uncertainty(entry: Any, terms: Terms, values: Array, joints: int) -> Uncertainty | None:
@@ -298,19 +295,8 @@ def _torque_uncertainty(entry: Any, terms: Terms, values: Array, joints: int) ->
     left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
     if any(part.shape != (joints,) for part in (left, unseen, noise)):
         raise ValueError("its uncertainty is not one of this arm")
-    moved = _one_of_each(entry["curves_Nm"], terms.terms)
-    curves = tuple(
-        None if size is None else size * (np.arange(joints) == getattr(effect, "joint", 0) - 1)
-        for effect, size in zip(terms.terms, moved, strict=True)
-    )
     C = _covariance(entry["covariance"], len(sites) + with_free_numbers(terms, values)[0].size)
-    return Uncertainty(sites, C, left, unseen, noise, curves, _recorded(entry["recorded"], joints))
-
-
-def _one_of_each(curves: list[Any], effects: Sequence[Any]) -> tuple[Any, ...]:
-    if len(curves) != len(effects):
-        raise ValueError("its curves are not one for each effect")
-    return tuple(curves)
+    return Uncertainty(sites, C, left, unseen, noise, _recorded(entry["recorded"], joints))
 
 
 def _covariance(triangle: Any, size: int) -> Array:

@@ -3,6 +3,7 @@ residuals; of torques their course over time, friction over velocity, and power 
 """
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque import filtering
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.friction import (
     CoulombFriction,
     CoupledFriction,
@@ -25,15 +27,17 @@ from lite6jax.effects.dynamic.friction import (
 )
 from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import SCALE, Unnamed
-from lite6jax.estimation.equations import Explained
+from lite6jax.estimation.evidence import Marginal, of_process
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.noise import autocorrelation
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
+from lite6jax.search.scan import Scan
 from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]
@@ -65,14 +69,13 @@ _RANGE = 5.0
 
 
 class ExplainedShares(NamedTuple):
-    """The share of the variance of the nuisance fit's residuals that functions of each driver explain at each site.
+    """The share of the variance of the nuisance fit's residuals that a process of each driver explains at each site.
 
     Attributes:
-        sites: `joint1` …, `link1` …, `base`, `tool` and `sensor`; where no function acts there, only the joints.
+        sites: `joint1` …, `link1` …, `base`, `tool` and `sensor`; where no process acts there, only the joints.
         drivers: kinds of them, such as the position of the joint itself and those of other joints; `load` is gravity's
-            torque or moment, and `two drivers` are products such as those of two positions, which contain
-            functions of each.
-        shares: `(site, driver)`, from 0 to 1, adjusted for the degrees of freedom of the function; NaN where the driver
+            torque or moment, and `two drivers` are any two, of which the likeliest processes alone are there.
+        shares: `(site, driver)`, from 0 to 1, adjusted for the degrees of freedom of the process; NaN where the driver
             is not known, does not vary, or is confounded with the nuisance.
     """
 
@@ -104,7 +107,7 @@ class JointSpectra(NamedTuple):
             order of any joint exceeds in noise with the probability of the family-wise level. Findings are tested over
             all other effects too.
         harmonics: orders of the harmonics found at this joint.
-        curve: orders of nonparametric findings there.
+        spectra: the lowest and the highest order of each spectrum that was found at this joint.
         observed: whether the sensor observes the joint.
     """
 
@@ -113,7 +116,7 @@ class JointSpectra(NamedTuple):
     after: Spectrum | None
     noise: Array
     harmonics: tuple[float, ...]
-    curve: tuple[float, ...]
+    spectra: tuple[tuple[float, float], ...]
     observed: bool
 
 
@@ -144,35 +147,71 @@ def stages(found: Diagnosis) -> list[tuple[PoseProblem, Fit]]:
 
 
 def explained_shares(found: Diagnosis) -> ExplainedShares:
-    """The share of the variance left by the nuisance that functions of each driver explain at each site.
+    """The share of the variance left by the nuisance that a process of each driver explains at each site.
 
-    The functions are those by which the search tests names, and contain a constant, which is shown alone too. Of
-    several functions of one site and column it is the largest share.
+    Every process is a smooth one of the likeliest amplitude, and of two drivers the likeliest one. They contain a
+    constant, which is shown alone too. Of several of one site and column it is the largest share.
     """
     problem, baseline = stages(found)[0]
-    test = score_test(problem, baseline, found.options.engine)
-    total = _left(test)
+    engine = found.options.engine
+    test = score_test(problem, baseline, engine)
+    weigh, scan = _Shares(test), Scan(problem, engine)
     numbered = [f"{kind}{k + 1}" for kind in ("joint", "link") for k in range(problem.motion.dof)]
     sites = [*numbered, "base", "tool", "sensor"]
     shares = np.full((len(sites), len(_COLUMNS)), np.nan)
-    constants = [[at for at in problem.sites if _name(at) == site] for site in sites]
-    tested = [(site, "constant") for site in sites]
-    explained = [
-        Explained(score.gain, score.size)
-        for score in test.score_columns([np.stack([problem.sites[at] for at in own]) for own in constants])
-    ]
-    functions = [function for function in problem.flexible if not function.rare]
-    tested += [(function.site, _column(function)) for function in functions]
-    explained += test.explained(functions)
-    for (site, column), one in zip(tested, explained, strict=True):
+
+    def put(site: str, column: str, share: float) -> None:
         at = sites.index(site), _COLUMNS.index(column)
-        if not one.confounded:
-            shares[at] = np.fmax(shares[at], _adjusted(one, total, test.freedom))
+        shares[at] = np.fmax(shares[at], share)
+
+    for site in sites:
+        constant = np.stack([column for at, column in problem.sites.items() if _name(at) == site])
+        (score,) = test.score_columns([constant])
+        if not score.confounded:
+            put(site, "constant", weigh.adjusted(2 * score.gain, score.size))
+    few = [k for k, discrete in enumerate(scan.discrete) if discrete]
+    kinds = ((kernel, which, np.stack([scan.features((k,), kernel) for k in which]))
+             for kernel, which in (("line", few), ("smooth", scan.splines[0])) if which)  # fmt: skip
+    for (_, which, functions), component in product(kinds, problem.components):
+        for k, share in zip(which, weigh.of(component.column, functions), strict=True):
+            if scan.may_act(component.site, k):
+                put(component.site, _column(component.site, scan.quantities[k].driver), share)
+    for one in scan.ranked(test):
+        if len(one.process) and len(one.process[1]) == 2:
+            component, which, kernel, rolloff = one.process
+            (share,) = weigh.of(component.column, scan.features(which, kernel, rolloff)[None])
+            put(one.site, "two drivers", share)
     known = np.isfinite(shares)
     rows = [i for i, site in enumerate(sites) if site.startswith("joint") or known[i].any()]
     columns = [j for j in range(len(_COLUMNS)) if known[:, j].any()]
     at = np.ix_(rows, columns)
     return ExplainedShares(tuple(sites[i] for i in rows), tuple(_COLUMNS[j] for j in columns), shares[at])
+
+
+class _Shares:
+    """What explains how much of the residuals that a model leaves, in white noise."""
+
+    def __init__(self, test: ScoreTest) -> None:
+        self._test, self._marginal, self._total = test, Marginal(test), _left(test)
+
+    def of(self, column: Array, functions: Array) -> Array:
+        """`(group,)`, of processes `(group, function, sample)` at a site's column; NaN where they are confounded."""
+        sums, shares = self._marginal.sums(column), np.full(len(functions), np.nan)
+        pulls, informations = self._marginal.equations(sums, functions)
+        s = of_process(pulls, informations, sums.left, sums.freedom, self._test.options.confounded).variance
+        whole = (functions**2 * sums.weight).sum((1, 2))
+        for k, (pull, information) in enumerate(zip(pulls, informations, strict=True)):
+            if np.trace(information) > self._test.options.confounded * whole[k]:
+                posterior = np.linalg.inv(information + np.eye(len(pull)) / s[k])
+                values = posterior @ pull
+                explained = values @ (2 * pull - information @ values)
+                shares[k] = self.adjusted(explained, np.trace(posterior @ information))
+        return shares
+
+    def adjusted(self, explained: float, size: float) -> float:
+        """The share that a sum of squares is, adjusted for its degrees of freedom (adjusted R²)."""
+        left, freedom = 1 - min(explained / self._total, 1.0), self._test.freedom
+        return float(max(1 - left * freedom / max(freedom - size, 1.0), 0.0))
 
 
 def _name(site: Site) -> str:
@@ -181,14 +220,10 @@ def _name(site: Site) -> str:
     return f"{kind}{number + 1}" if kind in ("joint", "link") else "sensor" if kind == SCALE else kind
 
 
-def _column(function: Unnamed) -> str:
-    """The column of a function: what its drivers are; of joint positions, whether it is that of its own joint."""
-    first, *_ = function.drivers
-    kinds = {_KINDS.get(driver.generalised, driver.generalised) for driver in function.drivers}
-    kind = kinds.pop()
-    if kinds or (kind in ("position", "velocity", "temperature") and len(function.drivers) > 1):
-        return "two drivers"
-    own = function.site in (f"joint{first.place}", f"link{first.place}")
+def _column(site: str, driver: Driver) -> str:
+    """The column of a driver: what it is; of a joint's position, whether it is that of the joint itself."""
+    kind = _KINDS.get(driver.generalised, driver.generalised)
+    own = site in (f"joint{driver.place}", f"link{driver.place}")
     return kind if kind != "position" or own else "other positions"
 
 
@@ -197,8 +232,8 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     engine = found.options.engine
     tests = [score_test(problem, fit, engine) for problem, fit in stages(found)]
     effects = [finding.effect for finding in found.findings]
-    curves = [effect for effect in effects if isinstance(effect, Unnamed) and effect.orders]
-    exact_below = max([engine.exact_below, *(order for curve in curves for order in curve.orders)])
+    gears = [effect for effect in effects if isinstance(effect, Unnamed) and effect.kernel == "spectrum"]
+    exact_below = max([engine.exact_below, *(orders_of(effect.bounds)[-1] for effect in gears)])
     spectra = []
     for k, family in enumerate(found.problem.periodic):
         site = family.site
@@ -214,7 +249,7 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),
-                curve=tuple(order for curve in curves if curve.site == site for order in curve.orders),
+                spectra=tuple((at[0], at[-1]) for e in gears if e.site == site for at in [orders_of(e.bounds)]),
                 observed=bool(found.problem.sites["joint", int(site.removeprefix("joint")) - 1, 0].any()),
             )
         )
@@ -249,12 +284,6 @@ def _left(test: ScoreTest) -> float:
     """The sum of squares of the residual that a model leaves."""
     rest = test.residual - (test.basis @ test.residual) @ test.basis
     return max(float(rest @ rest), np.finfo(float).tiny)
-
-
-def _adjusted(score: Explained, total: float, freedom: float) -> float:
-    """The share explained, adjusted for degrees of freedom (adjusted R²)."""
-    left = 1 - min(2 * score.gain / total, 1.0)
-    return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))
 
 
 # ------------------------------------------------------------------ torques

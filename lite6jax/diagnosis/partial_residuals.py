@@ -5,7 +5,7 @@ S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technomet
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,21 +14,23 @@ from numpy.typing import NDArray
 from lite6jax.arms.joint_units import as_revolute
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis, Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.pose.functions import site_of
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion, motion_of
-from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
+from lite6jax.effects.nonparametric import Unnamed
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _POINTS = 1000
-"""Points of a curve over the position of a joint; a nonparametric one has half as many at least."""
+"""Points of a curve over the position of a joint; a nonparametric effect has half as many at least."""
 _TORQUE_POINTS = 400
 _POINTS_PER_WAVE = 16
 _MANY_PERIODS = 8.0
@@ -37,6 +39,8 @@ _SAME = 0.9999
 """Correlation with one of several drivers from which a displacement is a function of that one alone."""
 _POORLY_OBSERVED = 4.0
 """Standard deviation of a partial residual, over the median, beyond which it is left out."""
+_LEVELS = (10, 50, 90)
+"""Percentiles of a second driver at which a function of two drivers is shown."""
 
 
 class FindingCurve(NamedTuple):
@@ -58,6 +62,8 @@ class FindingCurve(NamedTuple):
         std: `(point,)`, standard deviation of the curve.
         periods: of a curve over the range shown.
         hysteresis: whether the curve is not a function of `at`: it then has a point for each sample.
+        beside: of a function of two drivers the second one, and the value of it that the curve is at. Each of several
+            curves has the samples that are nearest to it.
     """
 
     finding: int
@@ -72,6 +78,7 @@ class FindingCurve(NamedTuple):
     std: Array
     periods: float = 1.0
     hysteresis: bool = False
+    beside: tuple[Driver, float] | None = None
 
 
 class _Movement(NamedTuple):
@@ -85,13 +92,16 @@ class _Movement(NamedTuple):
 def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     """The k-th finding over its driver: of torques one curve, of poses one for each way in which it moves a site.
 
-    A finding of poses that no single driver describes is shown along the displacement of the measured pose.
+    A nonparametric effect of two drivers is shown over one of them at some values of the other. Another finding of
+    poses that no single driver describes is shown along the displacement of the measured pose.
     """
     if isinstance(found, TorqueDiagnosis):
         return [_torque_curve(found, k)]
     assert isinstance(found, Diagnosis)
     finding, used = found.findings[k], found.fit.training & ~found.outliers
     effect, curves = finding.effect, []
+    if isinstance(effect, Unnamed):
+        return _of_process(found, k, effect, used)
     if isinstance(effect, Bending):
         for movement in _movements(found, effect, finding):
             curve = _over_driver(found, k, movement, used)
@@ -136,41 +146,79 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
     motion, loads = problem.time_shifted, problem.loads
     known = [np.asarray(driver.values(motion, loads), float) for driver in choices]
     follows = [_correlation(values, movement.shape) for values in known]
-    several = len(choices) > 1
-    if not choices or (several and (isinstance(effect, Unnamed) or max(follows) < _SAME)):
+    if not choices or (len(choices) > 1 and max(follows) < _SAME):
         return None
     best = int(np.argmax(follows))
     driver, x = choices[best], known[best]
-    site = np.sum([problem.sites[at] for at in movement.sites], 0)
-    power = np.sum(site**2, 0)
-    partial = movement.shape - np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
-    spread = np.sqrt(1 / np.where(power > 0, power, np.finfo(float).tiny))
-    good = used & (spread < _POORLY_OBSERVED * np.median(spread))
-    at, curve, slope = x, movement.shape, movement.slope
-    periods, hysteresis, over = 1.0, False, "driver"
-    covariance = finding.covariance
-    if isinstance(effect, Unnamed):
-        alone = len(effect.components) == 1
-        own = effect.part(0 if alone else effect.components.index(COMPONENTS[key[2]]))
-        covariance, slope = covariance[own, own], slope[own]
-        hysteresis = bool(effect.memory)
-        periods = max(max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi), 1.0)
-        if not hysteresis:
-            at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
-            slope = np.asarray(effect.basis.at(jnp.asarray(at)))
-            curve = finding.values[own] @ slope
-    elif driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
+    left, good = _left_at(found, np.sum([problem.sites[at] for at in movement.sites], 0), used)
+    partial = movement.shape + left
+    at, curve, slope, over = x, movement.shape, movement.slope, "driver"
+    if driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)
         curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion, at)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
         x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
-    std = _deviation(slope, covariance)
+    std = _deviation(slope, finding.covariance)
     order = np.argsort(at, kind="stable")
     turns = at_joint and key[1] not in problem.motion.sliding.joints
     unit = "1" if key[0] in ("stretch", "scale") else "rad" if turns or key[2] > 2 else "m"
-    return FindingCurve(
-        k, over, driver, key, unit, x[good], partial[good], at[order], curve[order], std[order], periods, hysteresis
-    )  # fmt: skip
+    return FindingCurve(k, over, driver, key, unit, x[good], partial[good], at[order], curve[order], std[order])
+
+
+def _left_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
+    """What the whole model leaves along a site's column `(row, sample)`, in its unit; and where that is well known."""
+    power = np.sum(site**2, 0)
+    left = -np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
+    spread = np.sqrt(1 / np.where(power > 0, power, np.finfo(float).tiny))
+    return left, used & (spread < _POORLY_OBSERVED * np.median(spread))
+
+
+def _of_process(found: Diagnosis, k: int, effect: Unnamed, used: Mask) -> list[FindingCurve]:
+    """A nonparametric effect over its driver, or over one of two at some values of the other.
+
+    It and its partial residuals are about its mean over the samples, as a constant may be the calibration's instead.
+    """
+    finding, of = found.findings[k], found.problem.deflections
+    key, unit = site_of(effect.where, effect.component), cast(Literal["m", "rad", "1"], effect.unit)
+    left, good = _left_at(found, found.problem.sites[key], used)
+    drivers, own = np.asarray(effect.values_at(of.host_motion, of.host_loads), float), of.basis(effect)
+    mean = own[:, good].mean(1)
+
+    def shown(functions: Array) -> tuple[Array, Array]:
+        about = functions - mean[:, None]
+        return finding.values @ about, _deviation(about, finding.covariance)
+
+    def over(main: int, placed: Callable[[Array], Array], rows: Mask, **more: Any) -> FindingCurve:
+        x, waves = drivers[main], more.get("periods", 1.0)
+        at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * waves)))
+        (curve, std), (moved, _) = (shown(effect.functions_at(placed(along))) for along in (at, x[rows]))
+        driver, partial = effect.drivers[main], moved + left[rows]
+        return FindingCurve(k, "driver", driver, key, unit, x[rows], partial, at, curve, std, **more)
+
+    if effect.hysteretic:
+        x, (moved, std) = drivers[0], shown(own)
+        order, partial = np.argsort(x, kind="stable"), moved + left
+        points = x[order], moved[order], std[order]
+        return [
+            FindingCurve(k, "driver", effect.drivers[0], key, unit, x[good], partial[good], *points, hysteresis=True)
+        ]
+    if len(drivers) == 1:
+        highest = orders_of(effect.bounds)[-1] if effect.kernel == "spectrum" else 0.0
+        return [over(0, lambda x: x[None], good, periods=max(highest * np.ptp(drivers[0]) / (2 * np.pi), 1.0))]
+    main = 1 if effect.drivers[0].discrete else 0
+    second, values = effect.drivers[1 - main], drivers[1 - main]
+    few = np.unique(values[good])
+    levels = few[few != 0] if second.discrete else np.percentile(values[good], _LEVELS)
+    nearest = np.argmin(np.abs(values - levels[:, None]), 0)
+    return [
+        over(
+            main,
+            lambda x, level=level: np.stack([x, np.full(len(x), level)][:: -1 if main else 1]),  # type: ignore[misc]
+            good & (nearest == i),
+            beside=(second, float(level)),
+        )
+        for i, level in enumerate(levels)
+    ]
 
 
 def _along_joint(

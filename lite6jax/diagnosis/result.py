@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.special import chdtri
 
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
@@ -27,7 +26,6 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
 from lite6jax.fitting.quality import Quality, quality_of_poses
@@ -35,6 +33,7 @@ from lite6jax.model import ArmModel
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
+from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
@@ -56,7 +55,7 @@ class Rival:
 
     Attributes:
         effect: which.
-        gap: by which the log-likelihood of its refit, or beside a curve that of its score test, is lower.
+        gap: by which its log evidence in the finding's place, less the cost of its choice, is lower.
     """
 
     effect: Effect
@@ -73,7 +72,7 @@ class Finding:
         values: `(coordinate,)`, its numbers.
         covariance: `(coordinate, coordinate)` of these.
         p_value: family-wise, over all that was searched.
-        gain: log-likelihood that it explains.
+        gain: its log evidence, over its absence.
         rivals: effects that it was preferred to, the nearest first.
         chosen_std: standard deviation of the number that the search chose for it, an order; zero where it is exact.
         input_share: the share of the variance of its numbers, the greatest of them, that comes from a payload which may
@@ -91,7 +90,7 @@ class Finding:
 
     @property
     def nearest(self) -> tuple[Rival, float] | None:
-        """Of an effect without a name, the named one that explains most, and its share of the explained; or None."""
+        """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
         named = [rival for rival in self.rivals if not rival.effect.nonparametric]
         if not self.effect.nonparametric or not named:
             return None
@@ -118,7 +117,7 @@ class Finding:
         """Codes and numbers.
 
         Args:
-            size: of a curve.
+            size: of a nonparametric effect.
             contribution: what it moves.
             rivals: as they are written.
         """
@@ -132,7 +131,7 @@ class Finding:
             **nearest,
             **({"payload_share": self.input_share} if self.input_share else {}),
             "p_value": self.p_value,
-            "log_likelihood_gain": self.gain,
+            "log_evidence_gain": self.gain,
             **contribution,
             "confusable_with": rivals,
         }
@@ -445,17 +444,15 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     def rows_needed(self) -> int:
         """About how many rows would make the nearest effect that is no finding significant, if it is real.
 
-        The statistic of an effect grows with the number of rows.
+        The evidence of an effect grows with the number of rows.
         """
         least = max(self.options.fewest_rows, self.problem.samples + 1)
         if self.selection.nearest is None:
             return least
-        engine = self.options.engine
         term, p_value = self.selection.nearest
-        searched = multiplicity(self.problem, term, engine)
-        now, needed = (float(chdtri(term.size, max(p / searched, 1e-300))) for p in (p_value, engine.level))
-        more = needed / now if now > 0 else np.inf
-        return max(int(np.ceil(min(self.problem.samples * more, 1e9))), least)
+        cost = Scan(self.problem, self.options.engine).cost_of_name(term)
+        now, needed = (cost - np.log(max(p, 1e-300)) for p in (p_value, self.options.engine.level))
+        return max(int(np.ceil(self.problem.samples * needed / now)), least)
 
     @cached_property
     def model(self) -> DiagnosedArm:
@@ -484,29 +481,23 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
         return replace(model, uncertainty=known)
 
-    def peak_to_peak(self, k: int, component: int = 0) -> Estimate:
-        """The range of a nonparametric finding's curve where it was measured, m or rad, and its standard deviation.
+    def peak_to_peak(self, k: int) -> Estimate:
+        """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
 
-        The range of each driver is that of its central 96 %: few samples are beyond.
+        Of each driver the central 96 % count: few samples are beyond.
 
         Args:
             k: which of the findings.
-            component: which of the finding's components, from 0.
         """
-        problem, finding = self.problem, self.findings[k]
-        effect = finding.effect
-        assert isinstance(effect, Unnamed)
-        motion = problem.time_shifted
-        values = effect.values_at(motion, problem.loads)
-        drivers = np.atleast_2d(np.asarray(values))
+        finding, at = self.findings[k], self.problem.deflections
+        assert isinstance(finding.effect, Unnamed)
+        drivers = np.asarray(finding.effect.values_at(at.host_motion, at.host_loads))
         low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
-        inside = ((drivers >= low) & (drivers <= high)).all(0)
-        basis = np.asarray(effect.basis.at(values, motion.run))[:, inside]
-        own = effect.part(component)
-        curve = finding.values[own] @ basis
-        apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
-        variance = float(apart @ finding.covariance[own, own] @ apart)
-        return Estimate(float(apart @ finding.values[own]), float(np.sqrt(max(variance, 0.0))))
+        functions = at.basis(finding.effect)[:, ((drivers >= low) & (drivers <= high)).all(0)]
+        moved = finding.values @ functions
+        apart = functions[:, np.argmax(moved)] - functions[:, np.argmin(moved)]
+        variance = float(apart @ finding.covariance @ apart)
+        return Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
 
     @property
     def _too_few(self) -> bool:
@@ -587,11 +578,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         finding, size = self.findings[k], {}
         effect = finding.effect
         if isinstance(effect, Unnamed):
-            sizes = {}
-            for i, name in enumerate(effect.components):
-                unit = effect.coordinates[effect.part(i).start].unit
-                end = name if unit == "1" else unit if len(effect.components) == 1 else f"{name}_{unit}"
-                sizes[f"peak_to_peak_{end}"] = self.peak_to_peak(k, i)._asdict()
+            end = effect.component if effect.unit == "1" else effect.unit
+            sizes = {f"peak_to_peak_{end}": self.peak_to_peak(k)._asdict()}
             size = {"peak_to_peak": sizes, "effective_parameters": finding.effective_parameters}
         moves = {"moves_rms_m": self.moves[k].position, "moves_rms_rad": self.moves[k].orientation}
         return finding.to_dict(size, moves | heldout, [self._rival(k, rival) for rival in finding.rivals])
@@ -609,5 +597,5 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             status = "undecided"  # another order of the same wave
         else:
             status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
-        numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
-        return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
+        numbers = {key: getattr(effect, key) for key in ("order", "source_joint", "component") if hasattr(effect, key)}
+        return {**located(effect), **numbers, "log_evidence_gap": rival.gap, "status": status}

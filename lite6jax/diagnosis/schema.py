@@ -51,17 +51,18 @@ _FAULT = record({"fault": str, "rows": list[Number], "numbers": Any}, {"statemen
 _FILE = record({"role": str, "file": str, "sha256": str})
 _UNTESTABLE = record(PLACE, {"reason": str})
 _RIVAL = record(
-    {"effect": str, "site": str, "log_likelihood_gap": float},
+    {"effect": str, "site": str, "log_evidence_gap": float},
     {
         "driver": str,
         "status": Literal["rejected", "found", "separable", "undecided", "equivalent"],
         "order": float | None,
         "source_joint": Number | None,
+        "component": str,
         "period_m": float,
     },
 )
 _DESCRIBING = record(PLACE | {"parameters": dict[str, float]})
-_FINDING = PLACE | {"parameters": dict[str, ESTIMATE], "p_value": Share, "log_likelihood_gain": float}
+_FINDING = PLACE | {"parameters": dict[str, ESTIMATE], "p_value": Share, "log_evidence_gain": float}
 _FURTHER = {"confusable_with": list[_RIVAL], "nearest": record(PLACE | {"share": Share}), "statement": str}
 _SHARED: dict[str, Any] = {
     "schema": str,
@@ -105,7 +106,6 @@ _POSE_UNCERTAINTY = record(
         "sites": list[tuple[str, Count, Count]],
         "covariance": list[float],
         **dict.fromkeys(("left", "unseen", "noise"), _PER_AXIS),
-        "curves": list[_PER_AXIS | None],
         "recorded": record(_RECORDED),
     },
     {"typical": _PER_AXIS | None},
@@ -223,7 +223,6 @@ _TORQUE_UNCERTAINTY = record(
         "inertial": bool,
         "covariance": list[float],
         **dict.fromkeys(("left_Nm", "unseen_Nm", "noise_Nm"), _BY_JOINT),
-        "curves_Nm": list[Positive | None],
         "recorded": record(_RECORDED | dict.fromkeys(RANGES, _Ranges)),
     }
 )

@@ -14,8 +14,6 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, states_of, with_free_numbers
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
-from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_inverse
@@ -68,13 +66,6 @@ def uncertainty_of_poses(
     blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
     estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
     left, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
-    curves: list[Array | None] = []
-    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
-        curves.append(None)
-        if isinstance(effect, Unnamed):
-            at = slice(len(sites) + part.start, len(sites) + part.stop)
-            moved = np.tensordot(np.asarray(model.values)[part], J[at], 1)[:, kept]
-            curves[-1] = np.sqrt([np.mean(moved[:3] ** 2), np.mean(moved[3:] ** 2)])
     typical = np.full(2, np.inf)
     if kept.any():
         typical = np.array([np.median(rows.mean(0)) for rows in np.split(estimated[:, kept], 2)])
@@ -90,7 +81,7 @@ def uncertainty_of_poses(
         drivers=_ranges(change.driver_values(), some),
     )
     usual = typical if np.isfinite(typical).all() and typical.min() > 0 else None
-    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), recorded, usual)
+    return Uncertainty(sites, C, left, unseen, noise, recorded, usual)
 
 
 def _left_of_poses(
@@ -134,13 +125,6 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     moved = columns * problem.sigma
     estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
     left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
-    curves: list[Array | None] = []
-    for effect, part in zip(fit.terms.terms, fit.terms.slices, strict=True):
-        curves.append(None)
-        if isinstance(effect, UnnamedTorque):
-            added = np.tensordot(fit.values[part], problem.columns([effect]), 1) * problem.sigma
-            size = np.sqrt(np.mean(added[effect.joint - 1, problem.valid] ** 2))
-            curves[-1] = size * (np.arange(problem.rows) == effect.joint - 1)
     kept, at = np.flatnonzero(problem.valid), problem.data.filter.kept[problem.chosen]
     dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
     states = states_of(dynamics)[..., at]
@@ -156,7 +140,7 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
         accelerations=ranges[2],
     )
     sites = link_sites(problem.rows) if len(problem.directions) else ()
-    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), recorded)
+    return Uncertainty(sites, C, left, unseen, noise, recorded)
 
 
 def _left_of_torques(

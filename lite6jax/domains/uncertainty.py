@@ -1,8 +1,8 @@
 """Standard deviations of predictions: of what was estimated, of what is left of the model, outside its range.
 
 The numbers of a model are uncertain together: their covariance goes through the derivatives of the prediction. What is
-left of the model is known from rows that were not fitted. Far from every recorded row it may be larger, and beyond the
-range of its driver a curve is not known at all.
+left of the model is known from rows that were not fitted. Far from every recorded row it may be larger. Beyond the
+range of its driver a nonparametric effect goes back to its prior, whose variance each domain adds.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -23,7 +23,7 @@ Site = tuple[str, int, int]
 LENGTH = 0.5
 """rad in joint space, beyond the spacing of the recorded rows, at which what is left of the model counts twice."""
 DRIVEN = 0.25
-"""Of the recorded range of a driver: so far beyond it what is left counts twice, and a curve is mostly unknown."""
+"""Of the recorded range of a driver: so far beyond it what is left counts twice."""
 MARGIN = 0.02
 """Of a recorded range: a row within this of its ends is not outside."""
 
@@ -67,7 +67,6 @@ class Uncertainty:
         left: `(quantity,)`, what is left of the model, on rows that were not fitted.
         unseen: `(quantity,)`, what may be left of it without showing there: one standard error of `left`.
         noise: `(quantity,)`, of one row of the sensor.
-        curves: for each effect, what it moves of each quantity where it is a curve without a name; else None.
         recorded: the range.
         typical: `(quantity,)`, the standard deviation of the recorded rows, their median; None where it is not known.
     """
@@ -77,7 +76,6 @@ class Uncertainty:
     left: Sequence[float] | Array
     unseen: Sequence[float] | Array
     noise: Sequence[float] | Array
-    curves: tuple[Sequence[float] | Array | None, ...]
     recorded: RecordedRange
     typical: Sequence[float] | Array | None = None
 
@@ -89,8 +87,7 @@ class Uncertainty:
             kept: for each of them, whether it stays.
         """
         numbers = [True] * len(self.sites) + np.repeat(kept, [freed(effect).size for effect in effects]).tolist()
-        curves = tuple(curve for curve, stays in zip(self.curves, kept, strict=True) if stays)
-        return replace(self, covariance=self.covariance[np.ix_(numbers, numbers)], curves=curves)
+        return replace(self, covariance=self.covariance[np.ix_(numbers, numbers)])
 
     def without_base(self) -> "Uncertainty":
         """That of poses in the frame of the arm's own base, in which this frame's place does not matter."""
@@ -139,12 +136,10 @@ class Departure(NamedTuple):
 
     Attributes:
         further: `(sample,)`, by which multiple the variance of what is left grows.
-        unknown: for each effect `(sample,)`, from 0 to 1, the share of its variance that is unknown if it is a curve.
         outside: `(sample,)`, whether a quantity is beyond its recorded range.
     """
 
     further: Array
-    unknown: list[Array]
     outside: Flags
 
 
@@ -153,7 +148,6 @@ def departure(
     distance: Array,
     beyond: Mapping[str, Array],
     contained: Collection[str],
-    effects: Sequence[Effect],
 ) -> Departure:
     """The departure of a motion.
 
@@ -162,34 +156,23 @@ def departure(
         distance: `(sample,)` rad in joint space to the nearest recorded rows.
         beyond: `(sample,)` of each quantity, by the phrase of its driver, as `beyond_range`.
         contained: phrases of what the distance contains already.
-        effects: of the model.
     """
-    squares = {phrase: (part / DRIVEN) ** 2 for phrase, part in beyond.items()}
     further = (np.maximum(distance - recorded.spacing, 0.0) / LENGTH) ** 2
-    for phrase, square in squares.items():
+    for phrase, part in beyond.items():
         if phrase not in contained:
-            further = further + square
-    nothing = np.zeros(len(distance))
-    unknown = [
-        -np.expm1(-sum((squares[d.phrase] for d in effect.drivers if d.phrase in squares), nothing))
-        for effect in effects
-    ]
-    outside = np.any([nothing > 0, *(part > MARGIN for part in beyond.values())], axis=0)
-    return Departure(further, unknown, outside)
+            further = further + (part / DRIVEN) ** 2
+    outside = np.any([np.zeros(len(distance), bool), *(part > MARGIN for part in beyond.values())], axis=0)
+    return Departure(further, outside)
 
 
 def widened(variance: Array, known: Uncertainty, rows: NDArray[np.integer], of: Departure) -> Array:
     """The variance `(row, sample)` of what was estimated, with that of what is left of the model.
 
     Args:
-        variance: by the covariance of the model's numbers.
+        variance: by the covariance of the model's numbers, and of nonparametric effects beyond their range.
         known: of the model.
         rows: `(row,)`, which quantity each row is of.
         of: the motion's departure from what was recorded.
     """
     left, unseen = (np.asarray(part, float)[rows, None] ** 2 for part in (known.left, known.unseen))
-    variance = variance + left + of.further * (left + unseen)
-    for moved, share in zip(known.curves, of.unknown, strict=True):
-        if moved is not None:
-            variance = variance + np.asarray(moved, float)[rows, None] ** 2 * share
-    return variance
+    return variance + left + of.further * (left + unseen)

@@ -4,6 +4,10 @@ f(x) = Σ wᵢ φᵢ(x) with independent normal wᵢ is a Gaussian process of th
 C. Williams, Gaussian Processes for Machine Learning, 2006, 2.2). Every process here has a constant of unit variance
 beside its own; a product of two processes therefore contains each of them alone.
 
+Beyond the range of its driver a process is what it is given the same wᵢ: the functions φᵢ go back to those of the
+constant over the length of the kernel (the extension of E. Nyström), and what they no longer say of it is `unknown`.
+A line goes on, and so does play; waves and spectra are functions of an angle everywhere.
+
 | kernel | covariance of a driver u that is scaled to [-1, 1] | describes |
 |---|---|---|
 | line | u v | what is in proportion |
@@ -31,6 +35,8 @@ _HIGHEST = 60.0
 """Highest order of a spectrum: above it, coefficients of real gears are noise."""
 _PERIOD = 1.25
 """Ranges of the angle in the period of a spectrum's lowest order, at least: errors need not repeat after a turn."""
+_REACH = 8.0
+"""Half ranges beyond its driver's range from which on a process of a scaled driver keeps its value."""
 _WAVES = np.array([1.0, 2.0, 3.0])
 _PLAYS = np.array([0.05, 0.1, 0.2, 0.4, 0.7])
 """Half-widths of play operators over half the range of their driver."""
@@ -86,7 +92,7 @@ def features(
     Args:
         kernel: its name.
         values: `(driver, sample)`.
-        bounds: lower and upper of each driver, in its unit; beyond them a scaled driver keeps its value there.
+        bounds: lower and upper of each driver, in its unit.
         run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
         rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance.
     """
@@ -97,10 +103,28 @@ def features(
         turned = orders_of(bounds)[:, None] * values[0]
         both = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
         return both * spectrum_deviations(bounds, rolloff)[:, None]
-    each = [_factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names)) for k, name in enumerate(names)]
+    each = _factors(names, values, bounds)
     if len(each) == 1:
         return each[0]
     return (each[0][:, None] * each[1][None]).reshape(-1, each[0].shape[-1])
+
+
+def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
+    """The variance `(sample,)` of a process, for coefficients of unit variance, that its features do not have.
+
+    Within the bounds it is zero. Of NumPy values on the host; arguments as of `features`.
+    """
+    xp, names = library_of(values), factors_of(kernel)
+    if not set(names) & set(SCALED) - {"line"}:
+        return xp.zeros(values.shape[-1])
+    inside = xp.stack([
+        xp.clip(values[k], bounds[2 * k], bounds[2 * k + 1]) if name in SCALED and name != "line" else values[k]
+        for k, name in enumerate(names)
+    ])  # fmt: skip
+    whole, known = 1.0, 1.0
+    for of_process, of_features in zip(_factors(names, inside, bounds), _factors(names, values, bounds), strict=True):
+        whole, known = whole * xp.sum(of_process**2, 0), known * xp.sum(of_features**2, 0)
+    return xp.maximum(whole - known, 0.0)  # type: ignore[return-value]
 
 
 def size_of(kernel: str, bounds: Sequence[float]) -> int:
@@ -129,21 +153,33 @@ def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> ND
 
 @cache
 def root(name: str, in_product: bool = False) -> NDArray:
-    """`(spline, feature)`, by which the splines of a scaled driver become the features of a kernel.
+    """`(spline, feature)`, by which the splines of a scaled driver become the features of a kernel."""
+    outer = _outer_pieces()
+    return _table(name, in_product)[outer : outer + PIECES + 3]
 
-    The coefficients of the splines are the process at their centres; of these the largest principal components over an
-    even grid are kept.
+
+@cache
+def _table(name: str, in_product: bool) -> NDArray:
+    """As `root`, with the splines from `_REACH` half ranges before the range of the driver to as many beyond.
+
+    The coefficients of the splines are the process at their centres. Features are the largest principal components of
+    the process over an even grid of the range, and what they say of its values elsewhere.
     """
-    kernel = SCALED[name]
-    rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
-    centres = np.linspace(-1 - 2 / PIECES, 1 + 2 / PIECES, PIECES + 3)
+    kernel, outer = SCALED[name], _outer_pieces()
+    centres = np.arange(-outer - 1, PIECES + outer + 2) * (2 / PIECES) - 1
     if name == "line":
         return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
-    covariance = kernel.covariance(centres[:, None], centres, np.abs(centres[:, None] - centres)) + 1.0
-    eigenvalues, V = np.linalg.eigh(covariance)
-    L = V * np.sqrt(np.maximum(eigenvalues, 0.0))
-    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0, PIECES).T
-    return L @ np.linalg.svd(grid @ L, full_matrices=False)[2][:rank].T
+    inner = centres[outer : outer + PIECES + 3]
+    covariance = kernel.covariance(centres[:, None], inner, np.abs(centres[:, None] - inner)) + 1.0
+    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T
+    eigenvalues, V = np.linalg.eigh(covariance[outer : outer + PIECES + 3])
+    U, S, _ = np.linalg.svd(grid @ (V * np.sqrt(np.maximum(eigenvalues, 0.0))), full_matrices=False)
+    rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
+    return covariance @ grid.T @ U[:, :rank] / S[:rank]
+
+
+def _outer_pieces() -> int:
+    return round(_REACH * PIECES / 2)
 
 
 def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES) -> Array:
@@ -167,10 +203,25 @@ def wave_features(values: Array) -> Array:
     )
 
 
-def _factor(name: str, values: Array, lower: float, upper: float, drivers: int) -> Array:
+def _factors(names: Sequence[str], values: Array, bounds: Sequence[float]) -> list[Array]:
+    """The features `(feature, sample)` of each factor at values `(driver, sample)`."""
+    return [_factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names) > 1) for k, name in enumerate(names)]
+
+
+def _factor(name: str, values: Array, lower: float, upper: float, in_product: bool) -> Array:
     if name == "wave":
         return wave_features(values)
-    return root(name, drivers > 1).T @ spline_basis(values, lower, upper)
+    xp, scaled = library_of(values), 2 * (values - lower) / (upper - lower) - 1
+    if name == "line":
+        return xp.stack([xp.ones_like(scaled), scaled])
+    table, outer = _table(name, in_product), _outer_pieces()
+    u = xp.clip((scaled + 1) * (PIECES / 2) + outer, 0.0, PIECES + 2.0 * outer)
+    first = xp.clip(xp.floor(u), 0, PIECES + 2 * outer - 1).astype(int)
+    t = u - first
+    # the four cubic B-splines that are not zero there
+    weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
+    columns = xp.asarray(table.T / 6)
+    return sum(columns[:, first + k] * weight for k, weight in enumerate(weights))  # type: ignore[return-value]
 
 
 def _play_features(values: Array, bounds: Sequence[float], run: Array | None) -> Array:

@@ -70,7 +70,7 @@ class Unnamed(Bending):
     Attributes:
         where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (a component of a twist).
         driver: the phrase of a `Driver`, such as "position of joint 3"; two are joined by " and ".
-        lower: of the first driver's range, in its unit; beyond it the process keeps its value there.
+        lower: of the first driver's range, in its unit; beyond it the process goes back to its prior.
         upper: of the first driver's range.
         kernel: of `kernels`; for two drivers one of each, such as "smooth*line".
         component: of the twist, x y z rx ry rz; at a joint it is rz. That of the sensor may be `scale`, by which its
@@ -166,6 +166,13 @@ class Unnamed(Bending):
     def functions_at(self, values: Array, run: Array | None = None) -> Array:
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers; `run` as of a `Motion`."""
         return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
+
+    def unknown_at(self, values: Array) -> Array:
+        """The variance `(sample,)`, m² or rad², of what the coefficients do not say of the process: beyond its range.
+
+        None of a process without a prior, of which nothing is known there.
+        """
+        return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""

@@ -17,7 +17,9 @@ from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import (
     AFTER,
@@ -132,9 +134,9 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
 
 @rc_context(FRAMED)
 def explained_map(found: Diagnosis, title: str) -> Figure:
-    """The share of the variance left by the nuisance that functions of each driver explain at each site.
+    """The share of the variance left by the nuisance that a process of each driver explains at each site.
 
-    Colours end at the largest share: on an arm whose error has many causes, no curve alone explains much of it.
+    Colours end at the largest share: on an arm whose error has many causes, none alone explains much of it.
     """
     table = evidence_map.explained_shares(found)
     rows, columns = len(table.sites), len(table.drivers)
@@ -152,7 +154,7 @@ def explained_map(found: Diagnosis, title: str) -> Figure:
         panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
     panel.set_xticks(range(columns), [_COLUMNS.get(name, name) for name in table.drivers])
     panel.set_yticks(range(rows), list(map(spaced, table.sites)))
-    panel.set(xlabel="driver of the function", ylabel="site")
+    panel.set(xlabel="driver", ylabel="site")
     panel.tick_params(length=0)
     figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
     return titled(figure, f"{title}: explained variance by site and driver")
@@ -181,8 +183,8 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
     panels[0].plot([], [], ":", color="black", linewidth=1.8, label=level)
     if any(joint.harmonics for joint in spectra):
         panels[0].plot([], [], "--", color="black", linewidth=1.8, label="order found")
-    if any(joint.curve for joint in spectra):
-        panels[0].plot([], [], "v", color="black", markersize=6, label="orders of an unnamed curve")
+    if any(joint.spectra for joint in spectra):
+        panels[0].plot([], [], color="black", linewidth=6, label="orders of an unnamed effect")
     legend_below(figure, panels[0], 4)
     return titled(figure, f"{title}: orders of the joints' positions")
 
@@ -203,10 +205,8 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
             order, 0.97, f" {order:.4g} ", fontsize=13, fontweight="bold", va="top",
             transform=panel.get_xaxis_transform(), ha="left" if order < 60 else "right",
         )  # fmt: skip
-    panel.plot(
-        joint.curve, np.full(len(joint.curve), 0.97), "v", color="black", markersize=6,
-        transform=panel.get_xaxis_transform(), zorder=5,
-    )  # fmt: skip
+    for orders in joint.spectra:
+        panel.plot(orders, (0.97, 0.97), color="black", linewidth=6, transform=panel.get_xaxis_transform(), zorder=5)
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_xlabel(f"order per turn of {joint.site.replace('joint', 'joint ')}")
@@ -374,6 +374,8 @@ _DEFLECTIONS = {
     "N": (1.0, "N"),
     "sigma": (1.0, "std. deviations"),
 }
+_LEVELS = ((AFTER, "o"), (BEFORE, "s"), ("#009E73", "^"))
+"""Colours and markers of curves that differ in the value of a second driver."""
 _EXERTED = {"Nm": "torque", "N": "force"}
 """What a motor exerts, by its unit."""
 _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
@@ -386,7 +388,7 @@ def finding_figure(
     chosen: Sequence[int] | None = None,
     order: Sequence[int] | None = None,
 ) -> Figure:
-    """Each finding's curve with two standard deviations, over its partial residuals.
+    """Each finding's curve with its 95 % band, over its partial residuals.
 
     Args:
         found: with findings.
@@ -396,19 +398,24 @@ def finding_figure(
     """
     order = range(len(found.findings)) if order is None else order
     places = order if chosen is None else chosen
-    curves = [curve for k in places for curve in partial_residuals.finding_curves(found, k)]
-    figure, panels = panels_in_rows(len(curves), wide=True)
+    shown: list[list[FindingCurve]] = []
+    for k in places:
+        curves = partial_residuals.finding_curves(found, k)
+        shown += [curves] if curves[0].beside else [[curve] for curve in curves]
+    figure, panels = panels_in_rows(len(shown), wide=True)
     binned = False
-    for panel, curve in zip(panels, curves, strict=True):
-        binned |= _draw(panel, curve)
+    for panel, curves in zip(panels, shown, strict=True):
+        curve = curves[0]
         effect = found.findings[curve.finding].effect
+        binned |= _draw(panel, curves, isinstance(effect, Unnamed))
         if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
             panel.set_ylabel(f"{_EXERTED[curve.unit]} × direction of motion ({curve.unit})")
         number = order.index(curve.finding) + 1
-        panel.set_title(f"{number}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
+        name = "unnamed effect" if effect.nonparametric else effect_name(effect.name)
+        panel.set_title(f"{number}. {name}, {effect.site}", fontsize=13)
     panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
-    if not all(curve.hysteresis for curve in curves):
-        panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="± 2 std. deviations")
+    if not all(curve.hysteresis for curves in shown for curve in curves):
+        panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="95 % band")
     if binned:
         label = "partial residuals: medians ± std. error"
         panels[0].errorbar([], [], [], fmt="o", color="black", capsize=3, label=label)
@@ -418,39 +425,60 @@ def finding_figure(
     return titled(figure, title)
 
 
-def _draw(panel: Axes, curve: FindingCurve) -> bool:
-    """Draws a curve into a panel, and says whether there are medians of the partial residuals beside it."""
-    x_scale, across, angle = _across(curve)
-    y_scale, up = _up(curve)
-    x, seen, at, fitted, std = (
-        x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at, y_scale * curve.curve, y_scale * curve.std
-    )  # fmt: skip
-    dots(panel, x, seen, GREY)
+def _draw(panel: Axes, curves: Sequence[FindingCurve], unnamed: bool = False) -> bool:
+    """Draws a curve into a panel, or several that differ in the value of a second driver; says whether it drew medians.
+
+    Of one curve the partial residuals have medians beside them. An unnamed effect of poses is about its mean.
+    """
+    x_scale, across, angle = _across(curves[0])
+    y_scale, up = _up(curves[0], unnamed)
     panel.set(xlabel=across, ylabel=up)
-    if curve.hysteresis:
-        panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
-        return False
-    panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
-    discrete = curve.quantity is not None and curve.quantity.discrete
-    bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
-    many = bins > BINS
-    panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)
-    centre, middle, error = medians(x, seen, 3 if discrete else bins)
-    centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
-    panel.errorbar(
-        centre, middle, error, fmt="o", color="black", markersize=3 if many else 5, capsize=0 if many else 3, zorder=5
-    )
-    inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
-    low, high = min(inner[0], fitted.min(), 0.0), max(inner[1], fitted.max(), 0.0)
-    margin = 0.1 * (high - low or 1.0)
-    panel.set_ylim(low - margin, high + margin)
-    if discrete:
+    alone, lows, highs, binned = len(curves) == 1, [0.0], [0.0], False
+    lines, labels = [], []
+    for curve, (colour, marker) in zip(curves, _LEVELS, strict=False):
+        x, seen, at, fitted, std = (
+            x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at, y_scale * curve.curve,
+            y_scale * curve.std,
+        )  # fmt: skip
+        dots(panel, x, seen, GREY if alone else colour)
+        if curve.hysteresis:
+            panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
+            return False
+        panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=colour, alpha=0.3, linewidth=0, zorder=3)
+        bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
+        many = bins > BINS
+        (line,) = panel.plot(at, fitted, color=colour, linewidth=1.5 if many else 2.5, zorder=4)
+        if curve.beside is not None:
+            line.set(marker=marker, markersize=8, markevery=(len(at) // 12, len(at) // 6))
+            lines, labels = [*lines, line], [*labels, _at_level(*curve.beside)]
+        if alone:
+            discrete = curve.quantity is not None and curve.quantity.discrete
+            centre, middle, error = medians(x, seen, 3 if discrete else bins)
+            centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
+            size, cap = (3, 0) if many else (5, 3)
+            panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
+            binned = bool(np.isfinite(middle).any())
+        inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
+        lows += [inner[0], fitted.min()]
+        highs += [inner[1], fitted.max()]
+    margin = 0.1 * (max(highs) - min(lows) or 1.0)
+    panel.set_ylim(min(lows) - margin, max(highs) + margin)
+    if labels:
+        panel.set_ylim(top=max(highs) + 4 * margin)
+        panel.legend(lines, labels, frameon=False, loc="upper center", fontsize=11)
+    if curves[0].quantity is not None and curves[0].quantity.discrete:
         panel.set_xticks((-1, 0, 1))
     elif angle:
         panel.xaxis.set_major_locator(degree_ticks(panel))
     else:
         panel.xaxis.set_major_locator(MaxNLocator(4))
-    return bool(np.isfinite(middle).any())
+    return binned
+
+
+def _at_level(driver: Driver, value: float) -> str:
+    """A driver at a value, as it is read."""
+    scale, unit = _DRIVERS.get(driver.unit, (1.0, driver.unit))
+    return f"{driver.phrase} = {scale * value:.3g} {unit}".rstrip()
 
 
 def _across(curve: FindingCurve) -> tuple[float, str, bool]:
@@ -468,16 +496,18 @@ def _across(curve: FindingCurve) -> tuple[float, str, bool]:
     return scale, f"{curve.quantity.phrase} ({unit})" if unit else curve.quantity.phrase, unit == "deg"
 
 
-def _up(curve: FindingCurve) -> tuple[float, str]:
+def _up(curve: FindingCurve, unnamed: bool) -> tuple[float, str]:
     """Factor and label of the vertical axis."""
     scale, unit = _DEFLECTIONS[curve.unit]
+    if unnamed and curve.unit == "rad":  # as its peak to peak is read
+        scale, unit = 1e6, "µrad"
     if curve.site is None:
         return scale, f"displacement along it ({unit})"
     field, _, component = curve.site
     if curve.unit in _EXERTED:
         return scale, f"{_at_motor(curve)} ({unit})"
     movement = f"{'translation along' if component < 3 else 'rotation about'} {'xyz'[component % 3]}"
-    return scale, f"{_MOVEMENTS.get(field, movement)} ({unit})"
+    return scale, f"{_MOVEMENTS.get(field, movement)}{' from its mean' if unnamed else ''} ({unit})"
 
 
 def _at_motor(curve: FindingCurve) -> str:

@@ -39,10 +39,10 @@ Document = Mapping[str, Any]
 _DPI = 120
 _CAPTIONS = {
     "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
-    "where": "Share of the residual's variance that functions of each driver explain at each site, less what as many "
-    "numbers explain of noise: of several functions the largest share. Each contains a constant, which is shown alone "
-    "in the first column. A dash where no such function is tried, the driver is not recorded or does not vary, or the "
-    "function is confounded with the nuisance.",
+    "where": "Share of the residual's variance that a smooth function of each driver explains at each site, less what "
+    "as many numbers explain of noise: of several the largest share. Each contains a constant, which is shown alone in "
+    "the first column; of two drivers only the likeliest functions were tried. A dash where none was, the driver is "
+    "not recorded or does not vary, or the function is confounded with the nuisance.",
     "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
     "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
     "remaining": "Left, the residuals in units of the sensor's noise beside normal noise; right, their autocorrelation "
@@ -126,8 +126,8 @@ def _pictures(
         if torques:
             what = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
         else:
-            name = {"unnamed": "curve"}.get(finding["effect"], finding["effect"].replace("_", " "))
-            what = f"The fitted {name} at {finding['site']}{over} with two standard deviations,"
+            name = "effect" if finding["effect"] == "unnamed" else finding["effect"].replace("_", " ")
+            what = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
         caption = f"{what} beside the partial residuals: those of the whole model without it."
         drawn[f"finding{rank}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
     return drawn

@@ -7,8 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.effects.drivers import driver_of
-from lite6jax.report.words import ranges
+from lite6jax.report.words import joined, ranges
 
 Entry = Mapping[str, Any]
 
@@ -232,7 +231,7 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
         return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
     source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry, torques).cause.format(
-        place=place_of(entry["site"]),
+        place=joined(places_of(entry), "or"),
         source=f"joint {source:.0f}" if source else "another joint",
         effect=effect_name(entry["effect"]),
         exerted=_exerted(entry),
@@ -242,6 +241,30 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
 def _exerted(entry: Entry) -> str:
     """What the motors exert that a finding acts on: forces of prismatic joints, or torques, which may be both."""
     return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
+
+
+def places_of(entry: Entry) -> list[str]:
+    """The place of a finding in words; of an unnamed one also those where it is nearly as likely, the nearest first."""
+    near = [rival for rival in distinct_rivals(entry) if rival["status"] not in ("rejected", "found")]
+    sites = [entry["site"], *(rival["site"] for rival in near if entry["effect"] == "unnamed")]
+    return list(dict.fromkeys(map(place_of, sites)))[:_MOST_PLACES]
+
+
+def distinct_rivals(finding: Entry) -> list[Entry]:
+    """The effects that a finding may be instead, the nearest first.
+
+    What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
+    """
+    rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_evidence_gap", 0.0))
+    kept, seen = [], [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
+    for rival in rivals:
+        if rival["effect"] == "unnamed":
+            drivers = set(drivers_of(rival))
+            if any(drivers > fewer for fewer in seen):
+                continue
+            seen.append(drivers)
+        kept.append(rival)
+    return kept
 
 
 def place_of(site: str) -> str:
@@ -257,20 +280,29 @@ def effect_name(effect: str) -> str:
 # ------------------------------------------------------------------ titles
 
 
-_SHARP = 0.01
-"""A change of a curve within this share of where it happens, or of 1, is called a step."""
+_SHAPES = {
+    "line": "a line",
+    "cubic": "a smooth curve",
+    "smooth": "a smooth curve",
+    "medium": "a curve",
+    "fine": "a fine curve",
+    "rough": "steps or kinks",
+    "wave": "a wave that repeats after a turn",
+    "spectrum": "waves of many orders, as of a gear",
+    "play": "a hysteresis loop",
+}
+"""What a nonparametric effect of one driver looks like, by its kernel."""
+_MOST_PLACES = 3
 
 
 def effect_title(entry: Entry) -> str:
     """An effect in words, such as "joint harmonic of order 2 at joint1"."""
     site, where = entry["site"], entry.get("where", {})
-    if entry["effect"] == "unnamed" and where:
-        driver = entry["driver"].removesuffix(f" of {spaced(site)}")
-        alone = driver != entry["driver"] and " and " not in driver
-        over = f"its {driver}" if alone else entry["driver"]
-        return f"unnamed effect at {site}{component(where)}, {shape(where)} over {over}"
     if entry["effect"] == "unnamed" and "driver" in entry:
-        return f"an effect without a name at {site}, a function of the {with_articles(entry['driver'])}"
+        driver = entry["driver"].removesuffix(f" of {spaced(site)}")
+        own = driver != entry["driver"] and " and " not in driver
+        of = f"its {driver}" if own else f"the {with_articles(entry['driver'])}"
+        return f"unnamed effect at {site}{component(where or entry)} as a function of {of}"
     return f"{effect_name(entry['effect'])}{detail(entry)} at {site}"
 
 
@@ -300,30 +332,13 @@ def detail(entry: Entry) -> str:
 
 def component(where: Entry) -> str:
     """Along or about which axis an effect acts that is at no joint."""
-    at_joint = where.get("where", "joint").startswith("joint")
-    return "" if at_joint else f" ({', '.join(where.get('component', 'rz').split())})"
+    at_joint = where.get("where", where.get("site", "joint")).startswith("joint")
+    return "" if at_joint or "component" not in where else f" ({where['component']})"
 
 
 def shape(where: Entry) -> str:
-    """What a curve looks like; `where` has the fields of its effect."""
-    if where.get("memory"):
-        return "a hysteresis loop"
-    if degree := where.get("degree"):
-        return "a linear function" if degree == 1 else f"a polynomial of degree {degree:.0f}"
-    if orders := where.get("orders", ()):
-        each = " per metre" if where.get("of_slide") else ""
-        if len(orders) == 1:
-            return f"a harmonic of order {orders[0]:g}{each}"
-        return f"harmonics of {len(orders)} orders from {min(orders):g} to {max(orders):g}{each}"
-    if where.get("pieces") == 1:
-        first, *further = map(driver_of, drivers_of(where))
-        if not further and not first.loaded:  # one interval, a part of the driver's range; of a load it is all of it
-            lower, upper = where["lower"], where["upper"]
-            middle = 0.5 * (lower + upper)
-            if upper - lower < _SHARP * max(abs(middle), 1.0):
-                return f"a step at {middle:.5g} {first.unit}"
-            return f"a rise or fall between {lower:.5g} and {upper:.5g} {first.unit}"
-    return "a smooth curve"
+    """What a nonparametric effect looks like; `where` has its fields."""
+    return _SHAPES.get(where.get("kernel", "smooth"), "a surface")
 
 
 def drivers_of(entry: Entry) -> Sequence[str]:
@@ -332,7 +347,12 @@ def drivers_of(entry: Entry) -> Sequence[str]:
 
 
 def with_articles(driver: str) -> str:
-    """The phrases of several drivers, an article before each but the first."""
+    """The phrases of several drivers, an article before each but the first; those of one quantity together."""
+    one, _, other = driver.partition(" and ")
+    for of in (" of joint ", " of link "):
+        (quantity, _, place), (same, _, further) = one.partition(of), other.partition(of)
+        if further and quantity == same:
+            return f"{quantity}{of.rstrip()}s {place} and {further}"
     return driver.replace(" and ", " and the ")
 
 

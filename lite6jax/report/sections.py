@@ -305,15 +305,15 @@ class Findings(Section):
                     "rank": rank,
                     "id": f"{of.anchor}finding{rank}",
                     "remedy": remedy_of(finding, of_torques(of.document)).action,
-                    "significance": f"{statements.p_value_statement(finding)} It increases the log-likelihood by "
-                    f"{finding['log_likelihood_gain']:.1f}.",
+                    "significance": f"{statements.p_value_statement(finding)} Its log evidence is "
+                    f"{finding['log_evidence_gain']:.1f}.",
                     "picture": of.pictures[f"finding{rank}"],
                 },
             )
         if not of.findings:
             yield (
                 "text",
-                "None: no effect of the catalogue, no order of a joint's position and no curve is significant.",
+                "None: no effect of the catalogue, and no function of what was recorded, is significant.",
             )
 
 

@@ -8,7 +8,16 @@ import numpy as np
 from lite6jax.effects.drivers import driver_of
 from lite6jax.report import data_faults, ranking, reference
 from lite6jax.report.ranking import of_torques, units
-from lite6jax.report.remedies import component, detail, drivers_of, effect_name, effect_title, shape, with_articles
+from lite6jax.report.remedies import (
+    component,
+    detail,
+    distinct_rivals,
+    drivers_of,
+    effect_name,
+    effect_title,
+    shape,
+    with_articles,
+)
 from lite6jax.report.words import (
     OF_TORQUES,
     SCREEN,
@@ -427,12 +436,10 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
     if "peak_to_peak" not in finding:
         name = capital(finding["effect"].replace("_", " "))
         return f"{name}{detail(finding)} at {site}{driver}{',' if driver else ''} {said}: {shown}."
-    of = ""
-    if where.get("spread"):  # of a curve with a prior, how many of its coefficients the data determine
-        of = f" ({finding['effective_parameters']:.0f} effective parameters)"
+    many = f"{finding['effective_parameters']:.0f} effective parameters"
     return (
-        f"No effect of the catalogue explains an effect at {site}{component(where)}{driver}: {shape(where)}{of}, "
-        f"{shown}."
+        f"No effect of the catalogue explains an effect at {site}{component(where)} as a function of the "
+        f"{with_articles(finding['driver'])}: {shape(where)} ({many}), {shown}."
     )
 
 
@@ -462,7 +469,7 @@ def _unnamed_torque(finding: Entry, adds: str) -> str:
 
 
 def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
-    """The numbers of a finding as they are read; of a curve its peak to peak."""
+    """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
     if not torques:
         return [quantity(*item) for item in finding.get("peak_to_peak", finding["parameters"]).items()]
     if key := peak_to_peak(finding):
@@ -492,15 +499,12 @@ def p_value_statement(finding: Entry) -> str:
 def rivals(finding: Entry, torques: bool = False, rejected: bool = False) -> list[str]:
     """The effects that the recording does not distinguish from a finding, or the nearest that explain clearly less.
 
-    On poses the nearest come first, with their log-likelihood.
+    The nearest come first; on poses with their log evidence over its own.
     """
-    entries = [rival for rival in finding["confusable_with"] if (rival["status"] == "rejected") == rejected]
+    entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
     if torques:
         return list(map(effect_title, entries))
-    return [
-        f"{effect_title(rival)} (log-likelihood {fixed(-rival['log_likelihood_gap'], 1, '+')})"
-        for rival in sorted(entries, key=lambda rival: rival["log_likelihood_gap"])
-    ]
+    return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_evidence_gap'], 1, '+')})" for rival in entries]
 
 
 # ------------------------------------------------------------------ what was not tested, and what to record
@@ -553,7 +557,7 @@ def what_to_record(document: Document) -> list[str]:
         if orders:
             asked = f"record positions of {finding['site']} that are no multiples of one angle"
             lines.append(f"To separate {effect_title(finding)} from order {joined(orders, 'or')}, {asked}.")
-        for rival in finding["confusable_with"]:
+        for rival in distinct_rivals(finding):
             pair = f"{effect_title(finding)} from {effect_title(rival)}"
             if rival["status"] == "separable":
                 lines.append(f"To separate {pair}, record the poses below (separating_poses in the JSON file).")

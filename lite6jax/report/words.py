@@ -189,6 +189,7 @@ _UNITS = (
 """The end of a parameter's name, and the unit in which it is read; the first that fits."""
 _NAMED = {
     "scale": (1e6, "ppm"),
+    "peak_to_peak_rad": (1e6, "µrad"),
     "peak_to_peak_scale": (1e6, "ppm"),
     "coupling": (1e6, "ppm"),
     "time_constant_s": (1.0, "s"),

@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.effects import catalogue as catalogue_module
-from lite6jax.effects import user_effects
-from lite6jax.effects.bases import spline_basis
+from lite6jax.effects import kernels, user_effects
 from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
@@ -86,9 +84,9 @@ def refused(function, *arguments):
         ("payload_com:z_m=0.02", PayloadCom(), [0, 0, 0.02]),
         ("tool_offset:turned=true,rx_rad=0.1", ToolOffset(turned=True), [0, 0, 0, 0.1, 0, 0]),
         (
-            "unnamed:where=joint3,driver=time,lower=0,upper=2.5,pieces=1,coefficient4_rad=2",
-            Unnamed("joint3", "time", 0.0, 2.5, 1),
-            [0, 0, 0, 2],
+            "unnamed:where=joint3,driver=time,lower=0,upper=2.5,kernel=line,coefficient2_rad=2",
+            Unnamed("joint3", "time", 0.0, 2.5, "line"),
+            [0, 2],
         ),
     ],
 )
@@ -193,8 +191,8 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         ),
         (
             "unnamed:joint=1",
-            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
-            "spread, memory, degree, further, rolloff, power, its parameters",
+            "unnamed: where is not given; the keys are where, driver, lower, upper, kernel, component, further, "
+            "spread, rolloff, its parameters",
         ),
     ],
 )
@@ -423,51 +421,47 @@ def test_drivers_are_read_and_said():
             "unnamed:joint1: component 'x' is not possible there; give rz",
         ),
         (
-            lambda: Unnamed("base", "time", 0.0, 1.0, orders=(1.0, 2.0)),
-            "unnamed:base: 2 orders and 0 numbers of trust; give both, two of these at least, or none",
-        ),
-        (
             lambda: Unnamed("base", "time", 0.0, 1.0, component="w"),
-            "unnamed:base: component 'w' is not possible there; give one or several of x y z rx ry rz",
+            "unnamed:base: component 'w' is not possible there; give one of x y z rx ry rz",
         ),
         (
             lambda: Unnamed("sensor", "time", 0.0, 1.0, component="scale x"),
-            "unnamed:sensor: component 'scale x' is not possible there; give one or several of x y z rx ry rz, or "
-            "scale",
+            "unnamed:sensor: component 'scale x' is not possible there; give one of x y z rx ry rz, or scale",
         ),
         (
             lambda: Unnamed("tool", "time", 0.0, 1.0, component="scale"),
-            "unnamed:tool: component 'scale' is not possible there; give one or several of x y z rx ry rz",
+            "unnamed:tool: component 'scale' is not possible there; give one of x y z rx ry rz",
         ),
         (
             lambda: Unnamed("base", "time", 1.0, 1.0),
-            "unnamed:base: 8 pieces from 1 to 1 are no curve; give lower < upper and at least one piece",
+            "unnamed:base: the bounds (1.0, 1.0) are not those of 1 drivers; give lower < upper of each",
         ),
         (
-            lambda: Unnamed("tool", "time", 0.0, 1.0, degree=2, power=3),
-            "unnamed:tool: power 3 of degree 2; give one from 1 to the degree, or 0",
+            lambda: Unnamed("joint1", "time and payload", 0.0, 1.0, "line*line"),
+            "unnamed:joint1: the bounds (0.0, 1.0) are not those of 2 drivers; give lower < upper of each",
         ),
         (
-            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), power=1),
-            "unnamed:tool: a degree beside orders or memory; give one of them",
+            lambda: Unnamed("tool", "time", 0.0, 1.0, "jagged"),
+            "unnamed:tool: kernel 'jagged' is not possible with 1 drivers; give one of line, cubic, smooth, medium, "
+            "fine, rough, wave, spectrum, play",
         ),
         (
-            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), trust=(1.0, 1.0)),
-            "unnamed:tool: 0 orders and 2 numbers of trust; give both, two of these at least, or none",
+            lambda: Unnamed("tool", "time and payload", 0.0, 1.0, "smooth", further=(0.0, 1.0)),
+            "unnamed:tool: kernel 'smooth' is not possible with 2 drivers; give two that are joined by *, such as "
+            "smooth*line",
         ),
         (
-            lambda: Unnamed("tool", "time", 0.0, 1.0, degree=2, spread=1.0, rolloff=(2.0, 1.0)),
-            "unnamed:tool: rolloff (2.0, 1.0) is not possible; give a positive corner order and a slope, beside orders "
-            "and their spread",
+            lambda: Unnamed("tool", "time and payload", 0.0, 1.0, "play*line", further=(0.0, 1.0)),
+            "unnamed:tool: kernel 'play*line' is not possible with 2 drivers; give two that are joined by *, such as "
+            "smooth*line",
         ),
         (
-            lambda: Unnamed("joint1", "time and payload and position of joint 1", 0.0, 1.0, further=(0.0, 1.0) * 2),
-            "unnamed:joint1: 3 drivers and 4 further bounds; give lower and upper of each driver but the first, and a "
-            "degree where there are more than two",
+            lambda: Unnamed("joint1", "position of joint 1", 0.0, 1.0, rolloff=(2.0, 1.0)),
+            "unnamed:joint1: rolloff (2.0, 1.0) is not possible; give corner and slope of a spectrum",
         ),
         (
-            lambda: Unnamed("joint1", "time and payload", 0.0, 1.0, further=(0.0, 0.0)),
-            "unnamed:joint1: payload is always 0; leave it out",
+            lambda: Unnamed("joint1", "position of joint 1", 0.0, 1.0, "spectrum", rolloff=(0.0, 1.0)),
+            "unnamed:joint1: rolloff (0.0, 1.0) is not possible; give corner and slope of a spectrum",
         ),
         (
             lambda: Unnamed("base", "weather", 0.0, 1.0),
@@ -475,140 +469,62 @@ def test_drivers_are_read_and_said():
         ),
     ],
 )
-def test_drivers_and_curves_that_are_not(make, message):
+def test_drivers_and_processes_that_are_not(make, message):
     assert refused(make) == message
 
 
-@pytest.mark.parametrize("pieces", [1, 2, 7])
-def test_the_basis_is_scipys_b_splines_and_constant_beyond(pieces):
-    lower, upper = -0.7, 2.1
-    x = np.linspace(lower, upper, 41)[:-1]
-    step = (upper - lower) / pieces
-    knots = lower + step * np.arange(-3, pieces + 4)
-    basis = np.asarray(spline_basis(jnp.asarray(x), lower, upper, pieces))
-    np.testing.assert_allclose(basis.T, BSpline.design_matrix(x, knots, 3).toarray(), rtol=0, atol=1e-14)
-    ends = spline_basis(jnp.asarray([lower, upper]), lower, upper, pieces)
-    np.testing.assert_array_equal(spline_basis(jnp.asarray([-9.0, 9.0]), lower, upper, pieces), ends)
-    np.testing.assert_allclose(basis.sum(axis=0), 1, rtol=0, atol=1e-14)
-
-
-def test_a_curve_at_a_joint_is_an_angle_there():
-    bump = Unnamed("joint2", "position of joint 1", -1.0, 1.0, 5)
+def test_a_process_at_a_joint_is_an_angle_there():
+    bump = Unnamed("joint2", "position of joint 1", -1.0, 1.0, "medium")
     motion, loads = everything()
-    values = jnp.asarray(RNG.uniform(-1, 1, bump.size))
-    found = bump.deflect(values, motion, loads)
+    values = RNG.uniform(-1, 1, bump.size)
+    found = bump.deflect(jnp.asarray(values), motion, loads)
     np.testing.assert_array_equal(found.joint[0], 0)
-    np.testing.assert_allclose(found.joint[1], bump.curve(values, motion.joint_position[0]))
-    assert [c.name for c in bump.coordinates][::7] == ["coefficient1_rad", "coefficient8_rad"]
-    tilt = Unnamed("tool", "time", 0.0, 4.0, 1, "z").deflect(values[:4], motion, loads)
-    assert np.abs(tilt.tool[2]).max() > 0
-    np.testing.assert_array_equal(np.delete(tilt.tool, 2, axis=0), 0)
+    expected = values @ kernels.features("medium", np.asarray(motion.joint_position[:1]), (-1.0, 1.0))
+    np.testing.assert_allclose(found.joint[1], expected, rtol=0, atol=1e-12)
+    assert [c.name for c in bump.coordinates][::7] == ["coefficient1_rad", "coefficient8_rad", "coefficient15_rad"]
+    assert (bump.unit, {c.unit for c in bump.coordinates}) == ("rad", {"rad"})
+    tilt = Unnamed("tool", "time", 0.0, 4.0, "line", "z")
+    moved = tilt.deflect(jnp.asarray(values[:2]), motion, loads)
+    np.testing.assert_allclose(moved.tool[2], values[0] + values[1] * (np.arange(5.0) / 2 - 1), atol=1e-12)
+    np.testing.assert_array_equal(np.delete(moved.tool, 2, axis=0), 0)
+    assert [c.name for c in tilt.coordinates] == ["coefficient1_m", "coefficient2_m"]
 
 
 @pytest.mark.parametrize(
-    "whole",
+    "effect",
     [
-        Unnamed("joint1", "position of joint 2", -1.0, 1.0, 5),
-        Unnamed("link2", "position of joint 1", -9.0, 9.0, component="rx ry", orders=(1.0, 2.0), trust=(1.0, 1.0)),
-        Unnamed("tool", "time", 0.0, 2.0, component="x y z", degree=3),
-        Unnamed("joint1", "position of joint 2 and position of joint 1", -1.0, 2.0, degree=3, further=(-2.0, 1.0)),
-        Unnamed("base", "time", 0.0, 2.0, 2, component="x y z rx ry rz"),
-        Unnamed(
-            "sensor",
-            "measured position x and measured position y and measured position z",
-            -1.0,
-            1.0,
-            component="x y z",
-            degree=2,
-            further=(-1.0, 1.0, -2.0, 1.0),
-        ),
-        Unnamed("base", "base moment x and base moment y", -1.0, 2.0, component="rx ry", degree=2, further=(-2.0, 1.0)),
-        Unnamed("joint2", "position of joint 2 and direction of motion of joint 2", -1.0, 1.0, 4, further=(-1.0, 1.0)),
-        Unnamed(
-            "joint2", "position of joint 2 and direction of motion of joint 2", -1.0, 1.0, degree=2, further=(-1.0, 1.0)
-        ),
+        Unnamed("joint2", "position of joint 2 and direction of motion of joint 2", -1.0, 1.0, "smooth*line",
+                further=(-1.0, 1.0), spread=2e-4),
+        Unnamed("link1", "gravity torque of joint 2 and position of joint 1", -1.0, 1.0, "cubic*wave", "ry",
+                (-1.0, 2.0)),
+        Unnamed("joint1", "position of joint 1", -1.0, 1.0, "spectrum", spread=1e-4, rolloff=(8.0, 2.0)),
+        Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, "play"),
+        Unnamed("sensor", "measured position's distance", 0.0, 2.0, "cubic", "scale"),
     ],
-    ids=lambda whole: f"{whole.label} {whole.component} {whole.driver}",
-)
-def test_parts_are_the_whole_with_some_of_its_numbers(whole):
-    """The deflections by each of their numbers are those by these numbers of the whole."""
+    ids=lambda effect: effect.kernel,
+)  # fmt: skip
+def test_a_process_deflects_by_its_functions_and_survives_its_file(effect):
     motion, loads = everything()
-
-    def deflections(effect):
-        parts = [effect.deflect(jnp.asarray(one), motion, loads) for one in np.eye(effect.size)]
-        return np.array([np.concatenate([np.ravel(field) for field in part if field is not None]) for part in parts])
-
-    parts, columns = [(part.numbers, part.made()) for part in whole.parts], deflections(whole)
-    assert len({one for _, one in parts}) == len(parts)
-    at_joint = whole.site.startswith("joint")
-    pair = len(whole.drivers) == 2 and whole.degree > 1
-    directed = any(driver.quantity == "direction of motion" for driver in whole.drivers)
-    assert bool(parts) == (whole.degree > 1 + at_joint or len(whole.components) > 1 or (pair and not directed))
-    bilinear = [one for _, one in parts if one.power == 1 and (0, 1) in one.products]
-    assert bool(bilinear) == ((pair and not directed) or len(whole.drivers) == 3)
-    assert not any(one.degree == 1 for _, one in parts if at_joint)  # lines of a joint have names
-    for numbers, one in parts:
-        assert (one.site, one.size) == (whole.site, len(numbers))
-        assert one.size < whole.size
-        assert set(one.drivers) <= set(whole.drivers)
-        np.testing.assert_allclose(deflections(one), columns[list(numbers)], rtol=0, atol=1e-12)
-        assert np.abs(deflections(one)).max() > 0
-
-
-@pytest.mark.parametrize(
-    ("coarse", "sizes"),
-    [
-        (Unnamed("base", "time", -1.0, 4.0, component="rx", degree=2), [11, 19]),
-        (Unnamed("tool", "time", -1.0, 4.0, component="x y z", degree=3), [33, 57]),
-        (Unnamed("joint1", "position of joint 2", -2.0, 2.0, 8), [19]),
-        (Unnamed("joint1", "position of joint 2", -2.0, 2.0, 16), []),
-        (Unnamed("joint1", "position of joint 1", -9.0, 9.0, orders=(1.0,), trust=(1.0, 1.0)), []),
-        (Unnamed("joint1", "gravity torque of joint 1", -9.0, 9.0, memory=(0.0, 1.0)), []),
-        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=2, further=(-2.0, 2.0)), [10]),
-        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=2, further=(-2.0, 2.0), power=1), [6, 10]),
-        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=4, further=(-2.0, 2.0)), []),
-    ],
-)
-def test_finer_functions_have_more_numbers_and_contain_the_coarse_one(coarse, sizes):
-    assert [one.size for one in coarse.finer] == sizes
-    motion, loads = everything()
-    driver = np.asarray(coarse.values_at(motion, loads))
-    for one in coarse.finer:
-        assert (one.site, one.component, one.drivers) == (coarse.site, coarse.component, coarse.drivers)
-        basis = one.basis.at(driver)
-        for function in coarse.basis.at(driver):
-            left = function - basis.T @ np.linalg.lstsq(basis.T, function, rcond=None)[0]
-            assert np.abs(left).max() < 1e-9
-
-
-def test_splines_of_a_position_and_a_direction_are_those_of_the_position_times_the_direction():
-    motion, loads = everything()
-    driver = "position of joint 2 and direction of motion of joint 2"
-    zone = Unnamed("joint2", driver, -1.0, 1.0, 4, further=(-1.0, 1.0))
-    alone = Unnamed("joint2", "position of joint 2", -1.0, 1.0, 4)
-    values = RNG.uniform(-1, 1, zone.size)
-    expected = alone.curve(values, np.asarray(motion.joint_position[1])) * np.asarray(motion.direction[1])
-    assert np.abs(expected).max() > 0
-    np.testing.assert_allclose(zone.deflect(jnp.asarray(values), motion, loads).joint[1], expected)
-    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(zone, values))), kinds_of(()))
-    assert again == zone
+    values, at = RNG.uniform(-1, 1, effect.size), np.asarray(effect.values_at(motion, loads))
+    functions = np.asarray(effect.functions_at(at, motion.run))
+    assert functions.shape == (effect.functions, 5) == (effect.size, 5)
+    parts = [part for part in effect.deflect(jnp.asarray(values), motion, loads) if part is not None]
+    (moved,) = (np.asarray(part).reshape(-1, 5) for part in parts)
+    np.testing.assert_allclose(moved[moved.any(1)], [values @ functions], rtol=0, atol=1e-12)
+    (unit,) = (np.asarray(part) for part in effect.units(functions, motion) if part is not None)
+    np.testing.assert_allclose(np.tensordot(values, unit, 1).reshape(-1, 5), moved, rtol=0, atol=1e-12)
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(effect, values))), kinds_of(()))
+    assert again == effect
     np.testing.assert_array_equal(numbers, values)
 
 
-@pytest.mark.parametrize("form", [{"pieces": 4}, {"orders": (1.0, 2.0), "trust": (1.0, 1.0)}])
-def test_splines_and_waves_are_multiplied_by_a_second_driver_over_its_greatest_size(form):
-    motion, loads = everything()
-    load = np.asarray(loads.torque[1])
-    further = float(load.min()), float(load.max())
-    both = Unnamed("joint2", "position of joint 2 and gravity torque of joint 2", -7.0, 7.0, further=further, **form)
-    alone = Unnamed("joint2", "position of joint 2", -7.0, 7.0, **form)
-    values = RNG.uniform(-1, 1, both.size)
-    expected = alone.curve(values, np.asarray(motion.joint_position[1])) * load / np.abs(load).max()
-    assert np.abs(expected).max() > 0
-    np.testing.assert_allclose(both.deflect(jnp.asarray(values), motion, loads).joint[1], expected)
-    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(both, values))), kinds_of(()))
-    assert again == both
-    np.testing.assert_array_equal(numbers, values)
+def test_of_a_product_a_number_of_each_driver_scales_the_other():
+    """What is proportional to a load at each position."""
+    driver = "position of joint 2 and gravity torque of joint 2"
+    both = Unnamed("joint2", driver, -1.0, 1.0, "smooth*line", further=(-2.0, 2.0))
+    at = np.stack([np.full(3, 0.4), [-2.0, 0.0, 1.5]])
+    low, middle, high = (RNG.uniform(-1, 1, both.size) @ np.asarray(both.functions_at(at))).tolist()
+    assert high - middle == pytest.approx(0.75 * (middle - low))
 
 
 def example():

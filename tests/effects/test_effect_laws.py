@@ -45,10 +45,10 @@ INERTIA = inertia_of(**INERTIA_ARRAYS)
 EFFECTS = (
     *catalogue(DOF),
     *(JointHarmonic(2), JointHarmonic(3, 50.5), ToolOffset(turned=True)),
-    Unnamed("joint2", "gravity torque of joint 2", -5.0, 5.0, pieces=3),
-    Unnamed("link1", "position of joint 3", -1.0, 1.5, pieces=4, component="y"),
-    Unnamed("base", "time", 0.0, 6.0, pieces=2, component="rx"),
-    Unnamed("tool", "temperature rise", -5.0, 15.0, pieces=1, component="z"),
+    Unnamed("joint2", "gravity torque of joint 2", -5.0, 5.0, "cubic"),
+    Unnamed("link1", "position of joint 3", -1.0, 1.5, "wave", "y"),
+    Unnamed("base", "time", 0.0, 6.0, "line", "rx"),
+    Unnamed("tool", "temperature rise", -5.0, 15.0, "rough", "z"),
     *(JointBacklash(2, 0.0), JointBacklash(3, 0.7), JointWindup(2, 0.0), JointWindup(2, 0.9), JointWindup(3, 0.2)),
     *(JointWarmUp(1, 2.5), JointWarmUp(3, 40.0)),
 )

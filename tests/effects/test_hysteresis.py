@@ -1,19 +1,17 @@
-"""Curves with memory: a plain loop, laws of hysteresis, and springs that yield as oracles."""
+"""Effects with memory: a plain loop, laws of hysteresis, and springs that yield as oracles."""
 
 import json
 from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from lite6jax.effects.bases import plays
+from lite6jax.effects.kernels import plays
 from lite6jax.effects.kinematic.gears import JointBacklash
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import Loads
-from lite6jax.errors import InputError
 
 RNG = np.random.default_rng(5)
 
@@ -57,9 +55,10 @@ def test_the_rate_does_not_matter_and_loops_close():
     np.testing.assert_allclose(coarse[:, 1], coarse[:, 5], rtol=0, atol=1e-15)  # and the outer one's
 
 
-def test_springs_beside_a_slider_are_a_curve_with_memory():
+def test_springs_beside_a_slider_are_a_line_and_a_play():
     """Of stiffness a, beside one of stiffness b whose slider gives way at a force f (Masing)."""
-    a, b, f = 0.7, 1.9, 0.4
+    a, b, half = 0.7, 1.9, 2.0
+    f = 0.2 * half * b / (a + b)  # the play is then a fifth of half the range wide
     load = np.cumsum(RNG.normal(scale=0.3, size=300))
     x, slid, spring = 0.0, 0.0, []
     for force in load:
@@ -69,38 +68,32 @@ def test_springs_beside_a_slider_are_a_curve_with_memory():
             x = (force - side * f) / a
             slid = x - side * f / b
         spring.append(x)
-    driver = jnp.asarray(load)
-    curve = Unnamed("joint1", "gravity torque of joint 1", -1.0, 1.0, memory=(0.0, f * (a + b) / b))
-    found = curve.curve(jnp.array([1 / (a + b), 1 / a - 1 / (a + b)]), driver)
-    np.testing.assert_allclose(found, spring, rtol=0, atol=1e-12)
+    line, play = (Unnamed("joint1", "gravity torque of joint 1", -half, half, kernel) for kernel in ("line", "play"))
+    elastic = half / (a + b) * line.functions_at(load[None])[1]
+    yielding = half * (1 / a - 1 / (a + b)) * play.functions_at(load[None])[3]
+    np.testing.assert_allclose(elastic + yielding, spring, rtol=0, atol=1e-12)
 
 
-def test_a_curve_with_memory_is_written_and_deflects_by_runs():
-    curve = Unnamed("joint1", "position of joint 2", -1.0, 1.0, memory=(0.0, 0.2))
-    assert [c.name for c in curve.coordinates] == ["coefficient1_rad", "coefficient2_rad"]
-    values = np.array([1e-3, -2e-3])
-    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(curve, values))))
-    assert again == curve
+def test_a_process_with_memory_is_written_and_deflects_by_runs():
+    process = Unnamed("joint1", "position of joint 2", -1.0, 1.0, "play")
+    assert process.hysteretic
+    assert not Unnamed("joint1", "position of joint 2", -1.0, 1.0).hysteretic
+    values = RNG.uniform(-1e-3, 1e-3, process.size)
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(process, values))))
+    assert again == process
     np.testing.assert_array_equal(numbers, values)
     q, run = RNG.normal(size=(40, 2)), np.repeat([0, 1], 20)
     motion = motion_of(q, run=run)
-    expected = values[0] * q[:, 1] + values[1] * plainly(q[:, 1], 0.2, run)
-    basis = np.asarray(curve.basis.at(curve.values_at(motion, None), motion.run))
-    bent, units = curve.deflect(jnp.asarray(values), motion, None).joint, curve.units(basis, motion).joint
+    expected = values[0] + sum(
+        value * plainly(q[:, 1], width, run)
+        for value, width in zip(values[1:], (0.05, 0.1, 0.2, 0.4, 0.7), strict=True)
+    )
+    functions = np.asarray(process.functions_at(process.values_at(motion, None), motion.run))
+    bent, units = process.deflect(jnp.asarray(values), motion, None).joint, process.units(functions, motion).joint
     assert bent is not None
     assert units is not None
     np.testing.assert_allclose(bent[0], expected, rtol=0, atol=1e-15)
     np.testing.assert_allclose(np.tensordot(values, np.asarray(units), 1)[0], expected, rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "options", [{"memory": (0.1, -0.2)}, {"memory": (0.1,), "orders": (2.0,), "trust": (1.0, 1.0)}]
-)
-def test_a_memory_that_is_not(options):
-    with pytest.raises(InputError) as caught:
-        Unnamed("base", "time", 0.0, 1.0, **options)
-    widths = options["memory"]
-    assert str(caught.value) == (f"unnamed:base: memory {widths} is not possible; give widths from 0 on, and no orders")
 
 
 def pressed_by(torque):

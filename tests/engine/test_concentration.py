@@ -44,7 +44,7 @@ def test_what_is_left_across_a_joint_is_that_of_least_squares(arm):
     angles = np.random.default_rng(0).normal(size=(40, 6)) * 1e-3 * (np.arange(6) == 1)
     case, fit = restless(arm, angles, samples=40)
     test = score_test(case, fit, OPTIONS)
-    column = next(family.column for family in case.curves if family.site == "joint2")
+    column = next(family.column for family in case.periodic if family.site == "joint2")
     own = np.zeros((len(test.residual), 40))
     for k in range(40):
         own[k : 3 * 40 : 40, k] = column[:, k]

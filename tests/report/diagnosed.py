@@ -12,6 +12,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
+from lite6jax.effects.kernels import orders_of, spectrum_deviations
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import fit
@@ -29,8 +30,10 @@ COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 HARMONIC = "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.5"
 WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)
 AMPLITUDES = np.array([3e-4, 0, 2e-4, 1e-4, 0, 1e-4, -2e-4, 0, 5e-5, 5e-5])
+TURNED = 0.8 * 2 * np.pi
+"""rad to either side: of a spectrum of this range the orders are 0.5, 1, 1.5 …"""
 GAPS = (1.5, 44.0)
-"""Log-likelihood that two rivals of each finding have less: one as good, one rejected."""
+"""Log evidence that two rivals of each finding have less: one as good, one rejected."""
 
 
 def recording_maker(folder):
@@ -55,7 +58,10 @@ def diagnosed(recording, effects, outliers=()):
     fitted = fit(problem, Terms(effects), options.engine)
     scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
     pairs = list(zip(effects, scores, strict=True))
-    tested = (SelectedTerm(e, 1e-9, score, tuple(Alternative(e, gap) for gap in GAPS)) for e, score in pairs)
+    tested = (
+        SelectedTerm(e, score.gain, p_value=1e-9, alternatives=tuple(Alternative(e, gap) for gap in GAPS))
+        for e, score in pairs
+    )
     state = State(baseline, fitted, tuple(tested))
     findings = tuple(
         Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Rival(e, gap) for gap in GAPS))
@@ -71,15 +77,27 @@ def diagnosed(recording, effects, outliers=()):
     return Diagnosis(problem, selection, findings, before, after, (), (), options, folds, outliers=wild)
 
 
-def waves(joint):
-    return Unnamed(f"joint{joint}", f"position of joint {joint}", -7.0, 7.0, orders=WAVES, trust=(1.0, 1.0))
+def gear(joint):
+    """The spectrum of a joint's position."""
+    driver = f"position of joint {joint}"
+    return Unnamed(f"joint{joint}", driver, -TURNED, TURNED, "spectrum", spread=1e-4, rolloff=(12.0, 2.0))
+
+
+def of_waves(angle):
+    """What the waves add at an angle, rad."""
+    turned = np.multiply.outer(np.array(WAVES), angle)
+    return AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
 
 
 def wavy_arm(recorded):
-    """The diagnosis of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
+    """The diagnosis of an arm whose first two joints err at five orders each, as a search of real arms finds it."""
     settings = recorded(COMPLIANCE)[0].settings
-    effects = tuple(waves(joint) for joint in (1, 2, 3, 4))
-    given = [(effect, AMPLITUDES) for effect in effects]
+    effects = tuple(gear(joint) for joint in (1, 2))
+    orders, given = orders_of((-TURNED, TURNED)), []
+    for effect in effects:
+        values, of = np.zeros((len(orders), 2)), spectrum_deviations(effect.bounds, effect.rolloff)[::2, None]
+        values[np.searchsorted(orders, np.array(WAVES) - 1e-9)] = AMPLITUDES.reshape(-1, 2)
+        given.append((effect, (values / of).ravel()))
     recording = simulate(LITE6, effects=given, motion="static", samples=400, settings=settings)
     return diagnosed(recording, effects)
 

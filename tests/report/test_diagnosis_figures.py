@@ -4,10 +4,9 @@ import io
 import re
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosed import AMPLITUDES, COMPLIANCE, HARMONIC, LITE6, WAVES, diagnosed
+from diagnosed import COMPLIANCE, HARMONIC, LITE6, WAVES, diagnosed, of_waves
 from torque_diagnosed import COULOMB, EFFECTS, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
@@ -79,35 +78,78 @@ def test_one_finding_alone(found):
     assert panel.get_title() == "2. joint harmonic, joint1"
 
 
-def test_a_curve_of_waves_lies_on_its_data(wavy):
+def test_the_spectrum_of_a_gear_lies_on_its_data(wavy):
     (panel,) = finding_figure(wavy, "", [0]).axes
+    assert (panel.get_title(), panel.get_ylabel()) == (
+        "1. unnamed effect, joint1",
+        "joint deflection from its mean (µrad)",
+    )
     curve = panel.lines[1]
-    at, drawn = np.deg2rad(curve.get_xdata()), 1e-3 * np.asarray(curve.get_ydata())
+    at, drawn = np.deg2rad(curve.get_xdata()), 1e-6 * np.asarray(curve.get_ydata())
     assert np.diff(at).max() < 2 * np.pi / max(WAVES) / 8  # each wave can be seen
-    turned = np.multiply.outer(np.array(WAVES), at)
-    assert np.sqrt(np.mean((drawn - AMPLITUDES[::2] @ np.sin(turned) - AMPLITUDES[1::2] @ np.cos(turned)) ** 2)) < 3e-5
+    missed = drawn - of_waves(at)
+    assert np.std(missed) < 4e-5
     assert_on_its_data(panel, 0.4)
     band = panel.collections[0].get_paths()[0].vertices
     assert band[:, 0].min() == pytest.approx(curve.get_xdata().min())
-    marks = [line for line in order_spectrum(wavy, "run.csv").axes[1].lines if line.get_marker() == "v"]
-    assert tuple(marks[0].get_xdata()) == WAVES
+    marks = [line for line in order_spectrum(wavy, "run.csv").axes[1].lines if line.get_linewidth() == 6]
+    assert [tuple(mark.get_xdata()) for mark in marks] == [(0.5, 60.0)]
+
+
+@pytest.mark.parametrize(
+    ("driver", "kernel", "further", "levels"),
+    [
+        ("position of joint 2 and gravity torque of joint 2", "smooth*line", (-40.0, 40.0), None),
+        ("direction of motion of joint 2 and position of joint 2", "line*smooth", (-3.0, 3.0), [-1.0, 1.0]),
+    ],
+)
+def test_a_function_of_two_drivers_is_shown_at_some_values_of_one(recorded, driver, kernel, further, levels):
+    """Through its partial residuals, which are those at the nearest of these values."""
+    settings = recorded(COMPLIANCE)[0].settings
+    lower, upper = (-1.0, 1.0) if levels else (-3.0, 3.0)
+    both = Unnamed("joint2", driver, lower, upper, kernel, further=further, spread=3e-4)
+    values = np.random.default_rng(4).normal(scale=3e-4, size=both.size)
+    recording = simulate(LITE6, effects=[(both, values)], motion="static", samples=300, settings=settings)
+    found = diagnosed(recording, (both,))
+    curves = finding_curves(found, 0)
+    beside = [curve.beside for curve in curves]
+    assert len({of.phrase for of, _ in beside}) == 1
+    assert {curve.quantity.phrase for curve in curves} == {"position of joint 2"}
+    assert levels is None or [value for _, value in beside] == levels
+    assert sum(len(curve.driver) for curve in curves) > 250
+    at = both.functions_at(np.asarray(both.values_at(found.problem.motion, found.problem.loads)))
+    for curve, (_, value) in zip(curves, beside, strict=True):
+        pair = np.stack([curve.at, np.full(len(curve.at), value)])[:: -1 if levels else 1]
+        truth = values @ both.functions_at(pair) - (values @ at).mean()
+        assert np.abs(curve.curve - truth).max() < 5 * curve.std.max()
+        missed = curve.partial - np.interp(curve.driver, curve.at, curve.curve)
+        assert np.sqrt(np.mean(missed**2)) < 0.3 * np.std(values @ at)
+    (panel,) = finding_figure(found, "", [0]).axes
+    labels = [text.get_text() for text in panel.get_legend().get_texts()]
+    assert len(labels) == len(curves) == len({line.get_color() for line in panel.get_legend().get_lines()})
+    assert panel.get_xlabel() == "position of joint 2 (deg)"
+    if levels:
+        assert labels == ["direction of motion of joint 2 = -1", "direction of motion of joint 2 = 1"]
+    else:
+        assert all(re.fullmatch(r"gravity torque of joint 2 = -?[\d.]+ Nm", label) for label in labels)
 
 
 def test_a_loop_has_a_point_at_each_sample(recorded):
     """Over its driver it has more than one value."""
     settings = recorded(COMPLIANCE)[0].settings
-    slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, memory=(0.0, 0.5))
-    values = np.array([4e-4, 1.5e-3])
+    slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, "play", spread=1e-3)
+    values = np.array([0.0, 8e-4, 0, 0, 3e-3, 0])
     recording = simulate(LITE6, effects=[(slack, values)], motion="static", samples=300, settings=settings)
     loop = diagnosed(recording, (slack,))
     (panel,) = finding_figure(loop, "", [0]).axes
     dots, curve = panel.lines[:2]
     assert curve.get_linestyle() == "None"
     motion = loop.problem.motion
-    fitted = np.asarray(slack.curve(jnp.asarray(values), motion.joint_position[1], motion.run))
+    fitted = values @ np.asarray(slack.functions_at(motion.joint_position[1:2], motion.run))
     order = np.argsort(np.asarray(motion.joint_position[1]), kind="stable")
     np.testing.assert_allclose(np.deg2rad(curve.get_xdata()), np.asarray(motion.joint_position[1])[order], atol=1e-12)
-    np.testing.assert_allclose(1e-3 * np.asarray(curve.get_ydata()), fitted[order], atol=5e-5)
+    drawn = 1e-6 * np.asarray(curve.get_ydata())
+    np.testing.assert_allclose(drawn - drawn.mean(), (fitted - fitted.mean())[order], atol=6e-5)
     assert len(dots.get_xdata()) > 100
     assert not panel.collections
 
@@ -210,7 +252,8 @@ def test_an_error_of_the_image_is_at_the_sensor(recorded):
     p = recording.position
     seen = replace(recording, position=p * (1 + 4e-3 * np.sum(p**2, 1, keepdims=True)))
     sites, drivers, shares = explained_shares(diagnosed(seen, ()))
-    at, driver = np.unravel_index(np.nanargmax(shares), shares.shape)
+    assert drivers[-1] == "two drivers"  # products of two measured positions explain even more
+    at, driver = np.unravel_index(np.nanargmax(shares[:, :-1]), shares[:, :-1].shape)
     assert (sites[at], drivers[driver]) == ("sensor", "measured position")
 
 

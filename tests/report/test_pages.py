@@ -176,8 +176,8 @@ def test_all_that_was_found_is_said(shown):
     assert deviation == pytest.approx(std, rel=0.06)
     assert re.search(r"order 2 – amplitude 0\.\d+ 0\.\d+ mrad phase \d+\.\d+ \d\.\d+ deg", text)
     assert "Family-wise p-value 1.0e-09 over all effects, sites and orders searched." in text
-    assert "This recording does not distinguish it from: joint compliance at joint2 (log-likelihood -1.5)" in text
-    assert "rejected: joint compliance at joint2 (log-likelihood -44.0)" in text
+    assert "This recording does not distinguish it from: joint compliance at joint2 (log evidence -1.5)" in text
+    assert "rejected: joint compliance at joint2 (log evidence -44.0)" in text
     assert "2 rows are outliers" in text
     assert ", ".join(map(str, found.problem.recording.row[[3, 5]])) in text
     assert "0.0200 mm is declared" in text
@@ -191,15 +191,18 @@ def test_the_same_diagnosis_gives_the_same_page(shown):
 
 @pytest.mark.usefixtures("unpainted")
 def test_physics_without_a_name(recorded):
-    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, 8)
+    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, "medium", spread=1e-3)
     text = paged(diagnosed(recorded(HARMONIC)[0], (curve,)))
     assert "Unnamed: no effect of the catalogue explains the largest effect that was found." in text
-    assert "1. Unnamed effect at joint1, a smooth curve over its position" in text
-    assert "explains an effect at joint1, a function of the position of joint 1: a smooth curve, peak to peak" in text
+    assert "1. Unnamed effect at joint1 as a function of its position" in text
+    said = (
+        r"explains an effect at joint1 as a function of the position of joint 1: a curve \(\d+ effective parameters\)"
+    )
+    assert re.search(f"{said}, peak to peak", text)
     assert "coefficient" not in text
-    swing, std = row_of(r"unit peak to peak ([\d.]+) ([\d.]+) mrad", text)
-    assert swing == pytest.approx(0.8, abs=4 * std)  # twice the amplitude
-    assert std < 0.1
+    swing, std = row_of(r"unit peak to peak ([\d.]+) ([\d.]+) µrad", text)
+    assert swing == pytest.approx(800, abs=4 * std)  # twice the amplitude
+    assert std < 100
 
 
 @pytest.mark.usefixtures("unpainted")

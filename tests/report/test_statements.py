@@ -8,7 +8,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from diagnosed import AMPLITUDES, LITE6, WAVES, Reader, diagnosed, documented, waves, with_rivals
+from diagnosed import LITE6, Reader, diagnosed, documented, gear, of_waves, with_rivals
 from rich.console import Console
 from rich.text import Text
 
@@ -158,59 +158,75 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 # ------------------------------------------------------------------ physics without a name
 
 
-def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
+def test_the_spectrum_of_a_gear_is_said_without_its_orders(wavy, drawn):
     text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
     assert max(map(len, shown.splitlines())) <= 60
     for rank, place in enumerate(ranking.order(documented(wavy)), 1):
         joint = place + 1
-        title = f"Unnamed effect at joint{joint}, harmonics of 5 orders from 3 to 33 over its position"
+        title = f"Unnamed effect at joint{joint} as a function of its position"
         assert text.count(f"{rank}. {title}") == 2  # in the ranking and above its figure
-        assert f"an effect at joint{joint}, a function of the position of joint {joint}: harmonics of 5 orders" in said
+        start = f"an effect at joint{joint} as a function of the position of joint {joint}: waves of many orders"
+        assert re.search(rf"{start}, as of a gear \(\d+ effective parameters\), peak to peak", said)
     for shown_text in (text, said):
         assert "sine" not in shown_text
         assert "coefficient" not in shown_text
     q = np.asarray(wavy.problem.motion.joint_position[0])
     inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
-    turned = np.multiply.outer(np.array(WAVES), inside)
-    truth = AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
     swing, std = wavy.peak_to_peak(0)
-    assert 0 < std < 3e-5
-    assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
-    value, spread = rounded(1e3 * swing, 1e3 * std)
-    assert f"peak to peak {value} ± {spread} mrad; it moves the measured point by " in said
-    assert f"peak to peak {value} {spread} mrad" in text
+    assert 0 < std < 8e-5
+    assert swing == pytest.approx(np.ptp(of_waves(inside)), abs=5 * std)
+    value, spread = rounded(1e6 * swing, 1e6 * std)
+    assert f"peak to peak {value} ± {spread} µrad; it moves the measured point by " in said
+    assert f"peak to peak {value} {spread} µrad" in text
 
 
 @pytest.mark.parametrize(
-    ("effect", "title"),
+    ("effect", "title", "shape"),
     [
-        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0), "joint2, a smooth curve over its gravity torque"),
-        (Unnamed("base", "time", 0.0, 1.0, component="rx"), "base (rx), a smooth curve over time"),
-        (Unnamed("link3", "position of joint 1", 0.0, 1.0, component="z"),
-         "link3 (z), a smooth curve over position of joint 1"),
-        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, memory=(0.0, 0.3)),
-         "joint2, a hysteresis loop over its gravity torque"),
-        (Unnamed("base", "time", 0.0, 1.0, component="x", degree=1), "base (x), a linear function over time"),
-        (Unnamed("sensor", "measured position's distance", 0.0, 1.0, component="scale", degree=2),
-         "sensor (scale), a polynomial of degree 2 over measured position's distance"),
-        (waves(1), "joint1, harmonics of 5 orders from 3 to 33 over its position"),
-        (Unnamed("joint3", "time", 250.99, 251.03, 1), "joint3, a step at 251.01 s over time"),
-        (Unnamed("joint3", "position of joint 3", 0.2, 1.3, 1),
-         "joint3, a rise or fall between 0.2 and 1.3 rad over its position"),
-        (Unnamed("joint2", "gravity torque of joint 2", -8.0, 8.0, 1),
-         "joint2, a smooth curve over its gravity torque"),
+        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0),
+         "joint2 as a function of its gravity torque", "a smooth curve"),
+        (Unnamed("base", "time", 0.0, 1.0, "rough", "rx"), "base (rx) as a function of the time", "steps or kinks"),
+        (Unnamed("link3", "position of joint 1", 0.0, 1.0, "line", "z"),
+         "link3 (z) as a function of the position of joint 1", "a line"),
+        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, "play"),
+         "joint2 as a function of its gravity torque", "a hysteresis loop"),
+        (Unnamed("sensor", "measured position's distance", 0.0, 1.0, "cubic", "scale"),
+         "sensor (scale) as a function of the measured position's distance", "a smooth curve"),
+        (gear(1), "joint1 as a function of its position", "waves of many orders, as of a gear"),
+        (Unnamed("joint3", "position of joint 3 and position of joint 5", 0.0, 1.0, "line*line", further=(0.0, 1.0)),
+         "joint3 as a function of the position of joints 3 and 5", "a surface"),
+        (Unnamed("joint3", "position of joint 3 and gravity torque of joint 3", 0.0, 1.0, "fine*line",
+                 further=(0.0, 1.0)),
+         "joint3 as a function of the position of joint 3 and the gravity torque of joint 3", "a surface"),
     ],
 )  # fmt: skip
-def test_what_is_known_of_an_unnamed_effect_is_its_title(effect, title):
+def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, title, shape):
     where = effect_as_dict(effect, np.zeros(effect.size))["where"]
-    entry = {"effect": "unnamed", "site": effect.site, "driver": effect.drivers[0].phrase, "where": where}
+    entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
     assert remedies.effect_title(entry) == f"unnamed effect at {title}"
+    assert remedies.shape(where) == shape
 
 
-def test_a_function_that_explains_as_much_is_named_by_its_site_and_driver():
-    rival = {"effect": "unnamed", "site": "link3", "driver": "time", "log_likelihood_gap": 2.0, "status": "undecided"}
-    said = "an effect without a name at link3, a function of the time (log-likelihood -2.0)"
-    assert statements.rivals({"confusable_with": [rival]}) == [said]
+def alike(site, driver, gap, **more):
+    return {"effect": "unnamed", "site": site, "driver": driver, "log_evidence_gap": gap, "status": "undecided", **more}
+
+
+def test_an_unnamed_effect_is_said_by_its_sites_and_drivers():
+    """What depends on a further driver contains the effect itself, and says nothing of another cause."""
+    rivals = [
+        alike("link3", "time", 2.0, component="ry"),
+        alike("link3", "position of joint 1 and time", 3.0, component="ry"),
+        alike("joint3", "position of joint 3 and payload", 0.5),
+        {"effect": "joint_offset", "site": "joint4", "driver": "none", "log_evidence_gap": 4.0, "status": "undecided"},
+    ]
+    finding = alike("joint3", "position of joint 3", 0.0, confusable_with=rivals)
+    assert statements.rivals(finding) == [
+        "unnamed effect at link3 (ry) as a function of the time (log evidence -2.0)",
+        "joint offset at joint4 (log evidence -4.0)",
+    ]
+    cause = "joint 3, link 3 or joint 4 has an error that no effect of the catalogue names"
+    assert remedies.cause_of(finding) == cause
+    assert remedies.cause_of({**finding, "confusable_with": []}) == cause.replace(", link 3 or joint 4", "")
 
 
 def test_numbers_have_the_digits_that_they_are_known_to():
@@ -300,9 +316,9 @@ def test_what_to_record_next(undecided, drawn):
         assert "from joint compliance" not in shown_text  # in the model
     assert max(map(len, shown.splitlines())) <= 60
     gaps = {"link compliance at link1": "+0.1", "joint compliance at joint2": "+0.0", "joint lag at joint2": "-5.9"}
-    near = ", ".join(f"{name} (log-likelihood {gap})" for name, gap in gaps.items())
+    near = ", ".join(f"{name} (log evidence {gap})" for name, gap in gaps.items())
     assert f"Not distinguished from {near}." in said
-    assert "rejected: joint harmonic of order 1 at joint2 (log-likelihood -6.1)" in text
+    assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
 
 
 def test_no_poses_are_shown_where_there_are_none(compliant, drawn):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lite6jax.domains.pose.columns import columns_of
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
+from lite6jax.domains.pose.functions import site_of
 from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,
@@ -239,7 +240,7 @@ class DiagnosedArm:
 
 def has_memory(effect: Effect) -> bool:
     """Whether an effect depends on the samples before, as the play operators of a hysteresis do."""
-    return bool(getattr(effect, "memory", ()))
+    return bool(getattr(effect, "hysteretic", False))
 
 
 @final
@@ -391,15 +392,9 @@ class Derivatives:
         The six are positions in the sensor's axes (m) and rotations about the predicted tool's axes (rad).
         """
         units = self._units()
-        q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
-        for first in range(0, q.shape[1], _ROWS_AT_ONCE):
-            rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
-            tool = rigid_tool(self.model.model, q[:, rows], sliding)
-            rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
-            shown = Measured(tool[:, :3, 3].T, rotation, np.ones(2))
-            sites = site_columns(self.model.model, q[:, rows], shown, sliding)
+        for rows, sites in self._sites():
             frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
-            parts = [np.zeros((0, 6, tool.shape[0])), *frames]
+            parts = [np.zeros((0, 6, rows.stop - rows.start)), *frames]
             for unit in units:
                 part = Deflection(*(None if field is None else np.asarray(field)[..., rows] for field in unit))  # type: ignore[arg-type]
                 parts.append(columns_of(part, sites))
@@ -408,6 +403,23 @@ class Derivatives:
     def all(self) -> Array:
         """`(number, 6, sample)` of all rows."""
         return np.concatenate([block for _, block in self.blocks()], 2)
+
+    def unknown(self) -> Array:
+        """`(6, sample)` m² and rad², the variance of nonparametric effects beyond the range of their drivers."""
+        variance, of = np.zeros((6, self.motion.samples)), self._deflections
+        left = [
+            (
+                site_of(effect.where, effect.component),
+                effect.unknown_at(effect.values_at(of.host_motion, of.host_loads)),
+            )
+            for effect in self.model.physics.effects
+            if isinstance(effect, Unnamed)
+        ]
+        if any(part.any() for _, part in left):
+            for rows, sites in self._sites():
+                for site, part in left:
+                    variance[:, rows] += sites[site] ** 2 * part[rows]
+        return variance
 
     def driver_values(self) -> dict[str, Array]:
         """`(sample,)` of every quantity on which effects depend and that the motion has, by its phrase."""
@@ -418,6 +430,15 @@ class Derivatives:
             for phrase, driver in drivers.items()
             if driver.known(self._seen, on_arm)
         }
+
+    def _sites(self) -> Iterator[tuple[slice, dict[Site, Array]]]:
+        """Rows after rows, and how their poses `(6, row)` change with a unit deflection at each site."""
+        q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
+        for first in range(0, q.shape[1], _ROWS_AT_ONCE):
+            rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
+            tool = rigid_tool(self.model.model, q[:, rows], sliding)
+            shown = Measured(tool[:, :3, 3].T, np.moveaxis(tool[:, :3, :3], 0, -1), np.ones(2))
+            yield rows, site_columns(self.model.model, q[:, rows], shown, sliding)
 
     def _units(self) -> list[Deflection]:
         """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
@@ -484,8 +505,9 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None
         if phrase in recorded.drivers
     }
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
-    of = departure(recorded, distance_to(recorded.positions, q), beyond, positions, model.physics.effects)
-    variance = widened(estimated_variance(change, known.covariance), known, _QUANTITIES, of)
+    of = departure(recorded, distance_to(recorded.positions, q), beyond, positions)
+    estimated = estimated_variance(change, known.covariance) + change.unknown()
+    variance = widened(estimated, known, _QUANTITIES, of)
     outside = of.outside | (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
     if known.typical is not None:
         measured = (slice(0, 3), slice(3, 6))[: 2 if model.orientation else 1]

@@ -260,8 +260,7 @@ def _bars(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> tuple[Arra
         if phrase in recorded.drivers:
             beyond[phrase] = beyond_range(values, *recorded.drivers[phrase])
     rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
-    effects = [effect for effect, _ in pairs(model.terms)]
-    of = departure(recorded, distance_to(rows, q), beyond, positions, effects)
+    of = departure(recorded, distance_to(rows, q), beyond, positions)
     variance = widened(_estimated(model, known, bodies, dynamics, runs), known, np.arange(model.dof), of)
     return np.sqrt(variance + np.asarray(known.noise)[:, None] ** 2).T, of.outside
 

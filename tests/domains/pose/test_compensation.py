@@ -309,9 +309,9 @@ def test_an_approach_that_reverses_is_reported(arm, diagnosis, motion, poses):
 
 def test_errors_are_those_of_the_whole_motion_where_an_effect_has_memory(arm):
     """Joint positions are searched row by row; where that is not enough, the rows are not said to be reached."""
-    play = Unnamed("joint2", "position of joint 2", -3.0, 3.0, memory=(0.0, 0.4))
+    play = Unnamed("joint2", "position of joint 2", -3.0, 3.0, "play")
     content = document(arm, [])
-    content["model"]["effects"] = [effect_as_dict(play, [1e-3, 2e-3])]
+    content["model"]["effects"] = [effect_as_dict(play, [0, 3e-3, 0, 6e-3, 0, 0])]
     model, motion = model_from_document(content), static_motion(3, SAMPLES)
     wanted = predict(model, motion["joint_position"])
     found = compensate(model, wanted, start=motion["joint_position"])

@@ -76,14 +76,13 @@ def shown(model, motion):
     return predicted(model, motion["joint_position"], **{name: motion[name] for name in ARRAYS})
 
 
-def known(model, covariance=None, sites=SITES, left=(0.0, 0.0), unseen=(0.0, 0.0), curves=None, joints=None, rows=None):
+def known(model, covariance=None, sites=SITES, left=(0.0, 0.0), unseen=(0.0, 0.0), joints=None, rows=None):
     """A model with an uncertainty of one's own, recorded everywhere where not said otherwise."""
     size = len(sites) + sum(freed(effect).size for effect in model.physics.effects)
     C = np.zeros((size, size)) if covariance is None else covariance
     ranges = np.tile([-9.0, 9.0], (6, 1)) if joints is None else joints
     recorded = RecordedRange(ranges, np.zeros((1, 6)) if rows is None else rows, 99.0 if rows is None else 0.0, {})
-    curves = curves or (None,) * len(model.physics.effects)
-    return replace(model, uncertainty=Uncertainty(sites, C, left, unseen, (0.0, 0.0), curves, recorded))
+    return replace(model, uncertainty=Uncertainty(sites, C, left, unseen, (0.0, 0.0), recorded))
 
 
 # ------------------------------------------------------------------ derivatives and what they carry
@@ -257,19 +256,29 @@ def test_a_quantity_beyond_what_was_recorded_is_outside(arm):
     assert bars.position_std[2, 0] > 10 * bars.position_std[1, 0] == pytest.approx(1e-4)
 
 
-def test_a_curve_is_not_known_beyond_its_range(arm):
+def test_a_process_goes_back_to_its_prior_beyond_its_range(arm):
+    """Its angle is then as uncertain as the process alone: the pose turns by it, and moves by that times the lever."""
+    process = Unnamed("joint3", "position of joint 3", -0.5, 0.5, "medium", spread=2e-4)
+    values = 1e-4 * np.random.default_rng(0).normal(size=process.size)
     content = document(arm, [])
-    curve = Unnamed("joint3", "position of joint 3", -0.5, 0.5, 4)
-    content["model"]["effects"] = [effect_as_dict(curve, 1e-4 * np.arange(curve.size))]
-    model = known(model_from_document(content), curves=((2e-4, 3e-4),))
+    content["model"]["effects"] = [effect_as_dict(process, values)]
+    model = known(model_from_document(content))
     recorded = replace(model.uncertainty.recorded, drivers={"position of joint 3": (-0.5, 0.5)})
     model = replace(model, uncertainty=replace(model.uncertainty, recorded=recorded))
-    q = np.zeros((3, 6))
-    q[:, 2] = 0.0, 0.5, 2.0
-    bars = predicted(model, q)
-    np.testing.assert_allclose(bars.position_std[:2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(bars.position_std[2], 2e-4, rtol=1e-6)
-    np.testing.assert_allclose(bars.orientation_std[2], 3e-4, rtol=1e-6)
+    q = np.zeros((5, 6))
+    q[:, 2] = 0.0, 0.5, 0.6, 2.0, 6.0
+    bars, rigid = predicted(model, q), predict(model.without("unnamed"), q)
+    assert bars.outside.tolist() == [False, False, True, True, True]
+    left = process.unknown_at(q[:, 2][None])
+    np.testing.assert_allclose(np.sum(bars.orientation_std**2, 1), left, rtol=1e-9, atol=1e-30)
+    assert (bars.position_std[:2] == 0).all()
+    assert 0 < left[2] < left[3] == pytest.approx(left[4], rel=1e-3)
+    # beside a constant of unit variance, as well known as the range has lengths of the kernel, the process has its own
+    assert 1.0 < left[4] / 2e-4**2 < 1.3
+    turned = np.linalg.norm(bars.poses[:, :3, 3] - rigid[:, :3, 3], axis=1)
+    lever = turned / np.abs(values @ process.functions_at(q[:, 2][None]))
+    moved = np.sqrt(np.sum(bars.position_std**2, 1))
+    np.testing.assert_allclose(moved[2:], lever[2:] * np.sqrt(left[2:]), rtol=1e-3)
 
 
 # ------------------------------------------------------------------ models that change
@@ -336,7 +345,6 @@ def test_a_document_without_it_is_read(arm):
     [
         (lambda entry: entry["covariance"].pop(), "its covariance is not one of"),
         (lambda entry: entry["sites"].append(["link", 9, 0]), "a site of its uncertainty is none of this arm"),
-        (lambda entry: entry["curves"].append(None), "its curves are not one for each effect"),
         (lambda entry: entry["recorded"]["joint_range_rad"].pop(), "its recorded range is not one of this arm"),
         (
             lambda entry: entry["left"].update(position_m=float("nan")),
