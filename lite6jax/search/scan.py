@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Problem, Quantity
+from lite6jax.estimation.problem import Component, Mask, Problem, Quantity
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
@@ -208,11 +208,11 @@ class Scan:
 
     # -------------------------------------------------------------- what is likeliest
 
-    def ranked(self, test: ScoreTest, pairs: bool = True) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first."""
-        weighed = _Weighed(self, test)
+    def ranked(self, test: ScoreTest, pairs: bool = True, rows: Mask | None = None) -> list[Ranked]:
+        """All that is worth its cost, and the best that is not, the likeliest first; of the sites that act on `rows`."""
+        weighed = _Weighed(self, test, rows)
         if self._among is not None:
-            few = [self.alike(test, *one) for one in self._processes]
+            few = [self.alike(test, *one) for one in self._processes if one[0] in weighed.components]
             found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
             return _in_order(found)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
@@ -237,10 +237,22 @@ class Scan:
             if (site, name) in components and all(phrase in place for phrase in phrases)
         ]
 
+    def usual(self, test: ScoreTest) -> list[Ranked]:
+        """The names that nearly every arm has, the likeliest first."""
+        return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
+
     def named(self, test: ScoreTest) -> list[Ranked]:
         """Names and waves alone."""
         weighed = _Weighed(self, test)
         return [*weighed.named(), *weighed.waves()]
+
+    def has_numbers(self, term: Term) -> bool:
+        """Whether a name is one of several that differ in a number that is tried."""
+        return sum(one.label == term.label for one in self.names) > 1
+
+    def like(self, test: ScoreTest, term: Term) -> Ranked | None:
+        """A name with the likeliest of the numbers that are tried for it; None where it says nothing there."""
+        return _Weighed(self, test).like(term)
 
     def alike(self, test: ScoreTest, component: Component, which: tuple[int, ...]) -> Ranked | None:
         """The likeliest kernel of given quantities at a component; None where they say nothing there."""
@@ -252,25 +264,41 @@ class Scan:
 
 
 class _Weighed:
-    """A scan beside one model."""
+    """A scan beside one model, of the components that act on some rows."""
 
-    def __init__(self, scan: Scan, test: ScoreTest) -> None:
+    def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
         self._scan, self._test, self._marginal = scan, test, Marginal(test)
+        every = scan.problem.components
+        self.components = [one for one in every if rows is None or np.any(one.column[rows])]
         self._problem, self._options = scan.problem, scan.options
         self._known: dict[int, Sums] = {}
 
-    def named(self) -> list[Ranked]:
-        """Names that are not there yet; of those with a number that is tried the likeliest."""
+    def named(self, usual: bool = False) -> list[Ranked]:
+        """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
         test = self._test
         there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
         terms = [term for term in self._scan.names if term not in there and not term.periodic]
+        terms = [term for term in terms if term.usual] if usual else terms
         found = self._of_terms(terms)
-        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[:_REFINED_NUMBERS]
+        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[
+            :_REFINED_NUMBERS
+        ]
         for one in likely:
-            term, number = one.make(), one.make().chosen
-            near = [term.held(number * ratio) for ratio in _RATIOS] if number else []
-            found = [other for other in found if other.cause != one.cause] + self._of_terms([term, *near])
+            found = [other for other in found if other.cause != one.cause] + self._refined(one)
         return found
+
+    def like(self, term: Term) -> Ranked | None:
+        """A name with the likeliest of the numbers that are tried for it; None where it says nothing."""
+        same = [one for one in self._scan.names if one.label == term.label and not term.periodic]
+        found = self._of_terms([term, *same])
+        if found and found[0].make().chosen and same:
+            found = self._refined(found[0])
+        return found[0] if found else None
+
+    def _refined(self, one: Ranked) -> list[Ranked]:
+        """A name with a number that is tried, at the likeliest near this."""
+        term, number = one.make(), one.make().chosen
+        return self._of_terms([term, *(term.held(number * ratio) for ratio in _RATIOS if number)])
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
@@ -307,7 +335,7 @@ class _Weighed:
         many, splines = self._scan.splines
         found: list[Ranked] = []
         at, pulls, informations, limits = [], [], [], []
-        for component in self._problem.components:
+        for component in self.components:
             pull, information, left, freedom = self._equations(component, splines)
             most = bound(pull, information, left, freedom, self._options.confounded)
             costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in many])
@@ -341,7 +369,7 @@ class _Weighed:
     def spectra(self) -> list[Ranked]:
         """Spectra of the positions of joints at these joints."""
         found = []
-        for component in self._problem.components:
+        for component in self.components:
             for k, one in enumerate(self._scan.quantities):
                 if one.driver.quantity == "position" and component.site == f"joint{one.driver.place}":
                     found += self._spectra_of(component, k)
@@ -361,7 +389,7 @@ class _Weighed:
         """Processes of two quantities: of a short list, the likeliest as every kernel."""
         plain = ["line" if discrete else "cubic" for discrete in self._scan.discrete]
         alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
-        components = {id(one): one for one in self._problem.components}
+        components = {id(one): one for one in self.components}
         for component, *which in self._shortlist(singles):
             alike.setdefault((id(component), "*".join(plain[k] for k in which)), []).append(tuple(which))
         first = [
@@ -400,8 +428,8 @@ class _Weighed:
         functions, start, weights = self._scan._few
         i, j = np.triu_indices(len(self._scan.quantities), 1)
         squared, scored = functions**2, []
-        components = {(one.site, one.name): one for one in self._problem.components}
-        for component in self._problem.components:
+        components = {(one.site, one.name): one for one in self.components}
+        for component in self.components:
             sums = self._sums(component)
             score = (functions * sums.pull) @ functions.T
             size = (squared * sums.weight) @ squared.T
@@ -429,6 +457,8 @@ class _Weighed:
         if not ranked.process:
             return ranked
         component, which, kernel, rolloff = ranked.process
+        if self._sums(component).row is not None:
+            return ranked
         columns = self._scan.features(which, kernel, rolloff)[:, None] * component.column
         found = of_process(*self._marginal.dense(columns), self._options.confounded)
         return self._process(found, component, which, kernel, rolloff)
