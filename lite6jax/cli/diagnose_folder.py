@@ -232,10 +232,8 @@ def diagnose_and_reduce(names: Sequence[str], place: Place, command: Command) ->
 def _reduced(command: Command) -> tuple[str, bytes]:
     """The document of the poses of one recording as of the command, or of its torques, and its reduced form."""
     from lite6jax.diagnosis.document import document_text
-    from lite6jax.diagnosis.torque_result import TorqueDiagnosis
     from lite6jax.populations.files import to_bytes
-    from lite6jax.populations.reduction import reduced, reduced_torques
+    from lite6jax.populations.reduction import reduced
 
     found, document = command.diagnosed()
-    made = reduced_torques(found) if isinstance(found, TorqueDiagnosis) else reduced(found)
-    return document_text(document), to_bytes(made)
+    return document_text(document), to_bytes(reduced(found))

@@ -13,7 +13,6 @@ from lite6jax.errors import InputError
 from lite6jax.folders.place import Place, recording_names, sha256_of
 
 if TYPE_CHECKING:  # imported where recordings are pooled
-    from lite6jax.populations.candidate import Candidate
     from lite6jax.populations.files import Heading
     from lite6jax.populations.options import PoolingOptions
     from lite6jax.populations.population import Population
@@ -217,10 +216,10 @@ def pool_folder(
     import numpy as np
     import pyarrow.parquet as pq
 
-    from lite6jax.populations.evidence import Reduced
     from lite6jax.populations.files import read_heading
-    from lite6jax.populations.functions import in_common
+    from lite6jax.populations.pooling import Reduced
     from lite6jax.populations.population import Member, diagnose_population
+    from lite6jax.populations.terms import Tried
 
     rows = pq.read_table(out / TABLE).to_pylist()
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
@@ -253,14 +252,10 @@ def pool_folder(
                 f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
             )
     files = [members[i].file for i in used]
-    candidates: dict[str, Candidate] = {}
-    for file in files:
-        for candidate in (*headings[file].candidates, *headings[file].families):
-            candidates.setdefault(candidate.key, candidate)
-    functions = in_common(function for file in files for function in headings[file].functions)
+    tried = Tried.of([headings[file] for file in files], options.engine)
     with Workers(scheduler, processes, len(used)) as workers:
-        reduced = Reduced([places[file] for file in files], options, workers, functions)
-        return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
+        reduced = Reduced([places[file] for file in files], options, workers)
+        return diagnose_population(arm[0], members, used, tried, reduced, dates, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:

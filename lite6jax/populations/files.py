@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque.filtering import LowPass
+from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
-from lite6jax.populations.candidate import Candidate
-from lite6jax.populations.functions import Function
-from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
+from lite6jax.estimation.problem import Component, Quantity
+from lite6jax.populations.reduced import Found, ReducedArm
+from lite6jax.populations.terms import Candidate, quarters
 
-_VERSION = 3
-_ARRAYS = ("sites", "angles", "training", "basis", "residual", "blocks")
+_VERSION = 4
+_ARRAYS = ("run", "training", "basis", "residual", "blocks")
 
 
 def to_bytes(arm: ReducedArm) -> bytes:
@@ -28,14 +29,13 @@ def to_bytes(arm: ReducedArm) -> bytes:
     about = {
         "version": _VERSION,
         "about": dict(arm.about),
-        "found": [asdict(found) for found in arm.found],
-        "candidates": [asdict(candidate) for candidate in arm.candidates],
-        "families": [asdict(family) for family in arm.families],
-        "functions": [asdict(function) for function in arm.functions],
-        "places": [*arm.places],
-        "drivers": [*arm.drivers],
+        **{name: [asdict(one) for one in getattr(arm, name)] for name in ("found", "candidates", "families")},
+        "components": [[one.site, one.name, unit] for one, unit in zip(arm.components, arm.units, strict=True)],
+        "quantities": [
+            [one.driver.phrase, quarters(one).values.tolist(), sorted(one.own), one.only] for one in arm.quantities
+        ],
     }
-    rows, samples, filtered = len(arm.noise.groups), arm.training.size, arm.smoothing
+    rows, filtered = len(arm.noise.groups), arm.smoothing
     smoothing = {} if filtered is None else {
         "smoothing": np.array([filtered.rate, filtered.cutoff, filtered.every]),
         "runs": filtered.runs,
@@ -49,8 +49,8 @@ def to_bytes(arm: ReducedArm) -> bytes:
         noise=np.array([(model.coefficient, model.share) for model in arm.noise.models]),
         groups=arm.noise.groups,
         starts=np.array(arm.noise.starts),
-        places=np.array([*arm.places.values()]).reshape(-1, rows, samples),
-        drivers=np.array([*arm.drivers.values()]).reshape(-1, samples if filtered is None else len(filtered.runs)),
+        places=np.array([one.column for one in arm.components]).reshape(-1, rows, arm.training.size),
+        drivers=np.array([one.values for one in arm.quantities]).reshape(-1, arm.run.shape[1]),
         **{name: getattr(arm, name) for name in _ARRAYS},
         **smoothing,
     )
@@ -64,31 +64,38 @@ def from_bytes(stored: bytes, place: str = "a reduced recording") -> ReducedArm:
         InputError: the bytes are no such file; the message begins with `place`.
     """
     with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
-        heading, said = _heading(file["about"])
+        heading = _heading(file["about"])._asdict()
         models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
         smoothing = None
         if "smoothing" in file:
             rate, cutoff, every = map(float, file["smoothing"])
             smoothing = LowPass(rate, cutoff, int(every), file["runs"], file["kept"])
+        columns = zip(heading.pop("components"), file["places"], strict=True)
+        values = zip(heading.pop("quantities"), file["drivers"], strict=True)
         return ReducedArm(
             smoothing=smoothing,
-            **heading._asdict(),
+            **heading,
+            components=tuple(one._replace(column=column) for one, column in columns),
+            quantities=tuple(one._replace(values=each) for one, each in values),
             noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
             columns=file["columns"].astype(float),
-            places=dict(zip(said["places"], file["places"], strict=True)),
-            drivers=dict(zip(said["drivers"], file["drivers"], strict=True)),
             **{name: file[name] for name in _ARRAYS},
         )
 
 
 class Heading(NamedTuple):
-    """What a file says of its recording before the numbers; attributes as those of `ReducedArm`."""
+    """What a file says of its recording before the numbers; attributes as those of `ReducedArm`.
+
+    Components have no columns, and quantities a few of their values.
+    """
 
     about: Mapping[str, Any]
     found: tuple[Found, ...]
     candidates: tuple[Candidate, ...]
     families: tuple[Candidate, ...]
-    functions: tuple[Function, ...]
+    components: tuple[Component, ...]
+    units: tuple[str, ...]
+    quantities: tuple[Quantity, ...]
 
 
 def read_heading(path: Path) -> Heading:
@@ -98,20 +105,24 @@ def read_heading(path: Path) -> Heading:
         InputError: as `from_bytes`.
     """
     with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-        return _heading(file["about"])[0]
+        return _heading(file["about"])
 
 
-def _heading(stored: NDArray[np.uint8]) -> tuple[Heading, Mapping[str, Any]]:
+def _heading(stored: NDArray[np.uint8]) -> Heading:
     said = json.loads(stored.tobytes())
     if said["version"] != _VERSION:
         raise ValueError("another version")
-    found = (
-        Found(None if one["term"] is None else PooledTerm(*one["term"]), one["label"], one["p_value"])
-        for one in said["found"]
+    return Heading(
+        said["about"],
+        tuple(Found(**one) for one in said["found"]),
+        *(tuple(map(Candidate.of, said[name])) for name in ("candidates", "families")),
+        tuple(Component(site, name, np.zeros((0, 0))) for site, name, _ in said["components"]),
+        tuple(unit for *_, unit in said["components"]),
+        tuple(
+            Quantity(driver_of(phrase), np.array(values), frozenset(own), only)
+            for phrase, values, own, only in said["quantities"]
+        ),
     )
-    candidates, families = (tuple(map(Candidate.of, said[name])) for name in ("candidates", "families"))
-    functions = tuple(map(Function.of, said["functions"]))
-    return Heading(said["about"], tuple(found), candidates, families, functions), said
 
 
 @contextmanager
