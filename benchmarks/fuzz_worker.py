@@ -12,7 +12,7 @@ from pathlib import Path
 from random import Random
 
 from benchmarks.fuzzed import Command, Reader, Seen, damage, targets
-from lite6jax.cli.exit_codes import BAD_FIT, BAD_INPUT, DONE, NOT_REACHED
+from lite6jax.cli.command import BAD_FIT, BAD_INPUT, DONE, NOT_REACHED
 from lite6jax.errors import InputError, InputWarning
 
 READY = "ready\n"

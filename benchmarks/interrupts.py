@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.measure import Record
-from lite6jax.cli import exit_codes
+from lite6jax.cli.command import INTERRUPTED, TERMINATED
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = (sys.executable, "-m", "lite6jax.cli", "identify", "lite6", "--poses", "60", "--refits", "200000")
 """Longer than the second, with all that a command imports."""
 SAID = {
-    signal.SIGINT: ("interrupted: nothing is left half-written\n", exit_codes.INTERRUPTED),
-    signal.SIGTERM: ("ended by SIGTERM: nothing is left half-written\n", exit_codes.TERMINATED),
+    signal.SIGINT: ("interrupted: nothing is left half-written\n", INTERRUPTED),
+    signal.SIGTERM: ("ended by SIGTERM: nothing is left half-written\n", TERMINATED),
 }
 RIGHT, BEFORE, TRACEBACK, SWALLOWED, OTHER = (
     "right",

@@ -1,14 +1,19 @@
-"""JAX, imported where it is first used: commands that list or convert answer without the half second that it takes.
+"""What takes time to import, imported where it is first used: commands that list or convert answer without waiting.
 
-Modules that describe arms and effects take `jax`, `jnp`, `lax`, `Array` and `ArrayLike` from here, and modules that
+Commands name the modules of the package that they use within `import_lazily`. JAX alone takes half a second: modules
+that describe arms and effects take `jax`, `jnp`, `lax`, `Array` and `ArrayLike` from here, and modules that
 compute import JAX itself. Where JAX is imported already, these are JAX's own.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import update_wrapper
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeVar
+from importlib.abc import Loader
+from threading import RLock
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 T = TypeVar("T")
 
@@ -80,4 +85,59 @@ def _register() -> None:
         sys.modules["jax"].tree_util.register_static(_static.pop())
 
 
-__all__ = ["Array", "ArrayLike", "jax", "jit", "jnp", "lax", "register_static"]
+class _LazyModule(ModuleType):
+    """A module that is executed when a name is wanted that only its code makes."""
+
+    def __getattr__(self, name: str) -> Any:
+        with _one_at_a_time:
+            # within `import_lazily` a package is only asked for its modules
+            lazily = any(isinstance(finder, _LazyLoader) for finder in sys.meta_path)
+            module, loader = cast(Any, self), self.__loader__
+            if isinstance(loader, _LazyLoader) and not lazily:
+                module.__spec__.loader = module.__loader__ = loader.loader
+                try:
+                    loader.loader.exec_module(self)
+                except BaseException:  # of its own imports: the next use says it again
+                    module.__spec__.loader = module.__loader__ = loader
+                    raise
+                module.__class__ = ModuleType
+        if name not in self.__dict__:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        return self.__dict__[name]
+
+
+_one_at_a_time = RLock()
+
+
+class _LazyLoader(Loader):
+    """Finds the modules of this package as other finders do, and loads each as a `_LazyModule`."""
+
+    def __init__(self, loader: Any = None) -> None:
+        self.loader = loader
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
+        others = [finder for finder in sys.meta_path if finder is not self] if name.startswith("lite6jax.") else []
+        spec = next((found for finder in others if (found := finder.find_spec(name, path, target))), None)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _LazyLoader(spec.loader)
+        return spec
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__class__ = _LazyModule
+
+
+@contextmanager
+def import_lazily() -> Iterator[None]:
+    """Has modules of this package that are imported within executed when a name of them is first used.
+
+    They are imported as modules, `from lite6jax.report import screen`: to import a name of one uses it.
+    """
+    finder = _LazyLoader()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+
+
+__all__ = ["Array", "ArrayLike", "import_lazily", "jax", "jit", "jnp", "lax", "register_static"]

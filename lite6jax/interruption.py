@@ -21,10 +21,14 @@ def end_on_signals() -> None:
     """
     global _ends_on_signals
     _ends_on_signals = True
-    for name in SIGNALS:
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # ignored under nohup
-            signal.signal(number, _end)
+    for number in list_signals():
+        signal.signal(number, _end)
+
+
+def list_signals() -> list[int]:
+    """The numbers of `SIGNALS` that this system has and this process does not ignore, as it does under nohup."""
+    numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+    return [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def is_command_line() -> bool:

@@ -76,7 +76,7 @@ def content(inputs):
 def diagnosed(names, place, folder):
     """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
     from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import refusal, row_of
+    from lite6jax.folders.diagnoses import make_refusal, make_row
 
     rows = []
     for name in names:
@@ -87,7 +87,9 @@ def diagnosed(names, place, folder):
         if verdict == "die":
             os.kill(os.getpid(), signal.SIGKILL)
         document = document_of(verdict)
-        rows.append(row_of(name, document, f"document of {name}") if verdict else refusal(name, f"{here / name}: no"))
+        rows.append(
+            make_row(name, document, f"document of {name}") if verdict else make_refusal(name, f"{here / name}: no")
+        )
     return concatenate(rows)
 
 
@@ -96,7 +98,7 @@ def reduced(names, place, command):
     import numpy as np
 
     from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import row_of, with_reduced
+    from lite6jax.folders.diagnoses import make_row
     from lite6jax.populations.files import to_bytes
     from lite6jax.populations.reduced import PooledTerm
     from tests.populations.linear_arms import arm
@@ -105,8 +107,8 @@ def reduced(names, place, command):
     for name in names:
         with place.local_folder([name]) as here:
             rng = np.random.default_rng(int((here / name).read_text()))
-        row = row_of(name, document_of("consistent"), f"document of {name}")
-        rows.append(with_reduced(row, to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))))
+        made = to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))
+        rows.append(make_row(name, document_of("consistent"), f"document of {name}", made))
     return concatenate(rows)
 
 

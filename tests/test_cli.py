@@ -20,6 +20,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
+from lite6jax.errors import InputError
 from lite6jax.fitting import compiled
 from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit
@@ -243,6 +244,10 @@ def test_fit_draws(capsys, tmp_path, calibration):
         assert f"Wrote {path}\n" in said
 
 
+def stop(*given, **named):
+    raise InputError("stopped")
+
+
 def test_the_demo_finds_what_it_hid_and_says_where_the_page_is(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("lite6jax.cli.demo.POSES", 100)
@@ -263,12 +268,12 @@ def test_the_demo_finds_what_it_hid_and_says_where_the_page_is(capsys, tmp_path,
     assert "lite6jax view lite6jax-demo/diagnosis.json" in page
     assert "Converged" in said
 
-    from lite6jax.cli.demo import _fresh
-
-    assert str(_fresh()) == "lite6jax-demo-2"
     before = {path: path.read_bytes() for path in folder.iterdir()}
     assert "exists already" in refused(capsys, "demo", folder)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    monkeypatch.setattr("lite6jax.simulation.simulate", stop)
+    assert refused(capsys, "demo") == "stopped"
+    assert (tmp_path / "lite6jax-demo-2").is_dir()  # a folder of its own where none is named
 
 
 def test_the_demo_needs_a_folder_that_can_be_made(capsys, tmp_path):

@@ -78,3 +78,41 @@ print(fk.lower(SixParameterForm(2), np.full(12, 0.3), q).as_text()[:6], np.asarr
     before, after = (in_a_new_process(code, when) for when in ("before", "after"))
     assert before == after
     assert before[0].startswith("shifted ")
+
+
+def test_what_is_imported_lazily_is_executed_when_a_name_of_it_is_used():
+    code = """
+import sys
+from lite6jax.deferred import import_lazily
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.fitting import source
+    from lite6jax.recordings import sidecar
+print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-10:])
+print(sidecar.sidecar_path("run.csv"), recordings.recording_file("run.csv"), source.load_nominal("lite6").name)
+print(sidecar is sys.modules["lite6jax.recordings.sidecar"] is recordings.sidecar)
+from lite6jax.recordings.sidecar import sidecar_path
+print(sidecar_path is sidecar.sidecar_path, type(sidecar).__name__)
+for wrong in ("sidecar.nothing", "recordings.nothing"):
+    try:
+        eval(wrong)
+    except AttributeError as error:
+        print(error)
+try:
+    with import_lazily():
+        from lite6jax.design import nothing
+except ImportError as error:
+    print(error.name)
+from lite6jax.design import poses
+print(poses.plan_poses.__name__)
+"""
+    assert in_a_new_process(code) == [
+        "False lite6jax.recordings.sidecar sidecar.py",
+        "run.yaml run.csv lite6",
+        "True",
+        "True module",
+        "module 'lite6jax.recordings.sidecar' has no attribute 'nothing'",
+        "module 'lite6jax.recordings' has no attribute 'nothing'",
+        "lite6jax.design",
+        "plan_poses",
+    ]

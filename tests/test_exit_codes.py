@@ -7,22 +7,22 @@ from pathlib import Path
 from typed import flat, run
 
 from lite6jax import interruption
-from lite6jax.cli import exit_codes
+from lite6jax.cli import command
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMED = {name: value for name, value in vars(exit_codes).items() if name.isupper() and isinstance(value, int)}
+NAMED = {name: value for name, value in vars(command).items() if name.isupper() and type(value) is int}
 
 
 def test_the_documented_table_is_that_of_the_code():
     rows = re.findall(r"^\| (\d+) \| (.+) \|$", (ROOT / "docs/reference/exit_codes.md").read_text(), re.MULTILINE)
-    assert {int(code): meaning for code, meaning in rows} == dict(exit_codes.MEANINGS)
+    assert {int(code): meaning for code, meaning in rows} == dict(command.MEANINGS)
     assert len(rows) == len(NAMED)
-    assert sorted(NAMED.values()) == sorted(exit_codes.MEANINGS)
+    assert sorted(NAMED.values()) == sorted(command.MEANINGS)
 
 
 def test_help_has_the_table(capsys):
     said = flat(run(capsys, "--help", width=200)[1])
-    for code, meaning in exit_codes.MEANINGS.items():
+    for code, meaning in command.MEANINGS.items():
         assert f"{code} {meaning}"[:60] in said
 
 
@@ -30,7 +30,7 @@ def test_signals_end_with_codes_of_the_table():
     import signal
 
     signals = {128 + getattr(signal, name) for name in interruption.SIGNALS if hasattr(signal, name)}
-    assert signals <= set(exit_codes.MEANINGS)
+    assert signals <= set(command.MEANINGS)
 
 
 def test_commands_return_named_codes_only():

@@ -12,12 +12,11 @@ from typed import flat, refused, run
 
 from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
-from lite6jax.cli.arguments import refuse_inputs
+from lite6jax.cli.command import check_outputs
 from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.folders.fleet import fit_folder
-from lite6jax.folders.place import Place, fleet_names
-from lite6jax.folders.rows import table_of_rows
+from lite6jax.folders.fleet import fit_folder, tabulate_rows
+from lite6jax.folders.place import Place, list_fleet
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
 
 
@@ -147,14 +146,14 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
     for source in ("run7.arrows", "run7.ARROWS", "run7.mcap#/joint_states"):
         for output in (sidecar, arm):
             with pytest.raises(InputError, match="is read by this command and would be replaced"):
-                refuse_inputs([output], [str(tmp_path / source)])
-    refuse_inputs([sidecar, arm], [tmp_path / "run7.doc"])
+                check_outputs([output], [str(tmp_path / source)], True)
+    check_outputs([sidecar, arm], [tmp_path / "run7.doc"], True)
 
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):
     FACTORY.write(tmp_path)
-    out = write_tables([table_of_rows([])], tmp_path / "fleet.parquet")
-    assert fleet_names(Place.of(tmp_path), out) == ["arm.yaml"]
+    out = write_tables([tabulate_rows([])], tmp_path / "fleet.parquet")
+    assert list_fleet(Place.of(tmp_path), out) == ["arm.yaml"]
 
 
 # ------------------------------------------------------------------ what crashed on numbers

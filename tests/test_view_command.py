@@ -19,7 +19,7 @@ from report.torque_diagnosed import recorded as torques_recorded
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.cli.inputs import inputs
+from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
@@ -46,7 +46,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("arm")
     recording, effects = recording_maker(folder)(COMPLIANCE, HARMONIC)
     path = write_recording(recording, folder / "run7.csv")
-    document = {**documented(diagnosed(recording, effects)), "inputs": inputs(path)}
+    document = {**documented(diagnosed(recording, effects)), "inputs": list_inputs(path)}
     return write_document(document, folder / "diagnosis.json"), path, document
 
 
@@ -169,7 +169,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     recording = torques_recorded()
     path = write_recording(recording, tmp_path / "torques.csv")
     found = torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))).document()
-    document = {**statements.with_statements(found), "inputs": inputs(path)}
+    document = {**statements.with_statements(found), "inputs": list_inputs(path)}
     file = write_document(document, tmp_path / "torques.json")
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")

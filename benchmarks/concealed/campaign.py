@@ -60,7 +60,7 @@ def _drawn(seed: int, index: int, sealed: bool) -> Drawn:
 
 def _commands(given: Path) -> None:
     from lite6jax.cli.diagnose import Diagnose
-    from lite6jax.cli.predict import Predict
+    from lite6jax.cli.diagnosis import Predict
     from lite6jax.fitting.compiled import keep_compiled_code
 
     keep_compiled_code()

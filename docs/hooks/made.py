@@ -28,7 +28,7 @@ from lite6jax.effects import catalogue, drivers, user_effects
 from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
 from lite6jax.folders import diagnoses
-from lite6jax.folders.rows import table_of_rows
+from lite6jax.folders.fleet import tabulate_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
 from lite6jax.report import remedies
 
@@ -256,7 +256,7 @@ def recorded_table() -> str:
 
 def fleet_table() -> str:
     """The columns of a fleet's table."""
-    return ", ".join(f"`{name}`" for name in table_of_rows([]).column_names)
+    return ", ".join(f"`{name}`" for name in tabulate_rows([]).column_names)
 
 
 def diagnoses_table() -> str:

@@ -1,6 +1,7 @@
 """The commands: arguments in, sentences, tables and files out; the numbers come from the library.
 
-What computes or draws is imported by the command that needs it: help and mistakes answer at once.
+What computes or draws is executed when a command first uses it (`deferred.import_lazily`): help and mistakes answer at
+once.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             end the process (`interruption.end_on_signals`), from before the first import that takes time.
 
     Returns:
-        the exit code, as in `lite6jax.cli.exit_codes`.
+        the exit code, as in `lite6jax.cli.command`.
     """
     if arguments is None:
         interruption.end_on_signals()

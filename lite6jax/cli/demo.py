@@ -1,17 +1,26 @@
 """The command that shows the point: a simulated arm with two hidden faults is diagnosed, its factory file fitted."""
 
 from dataclasses import dataclass
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import refuse_inputs
-from lite6jax.cli.exit_codes import DONE
-from lite6jax.cli.inputs import inputs
+from lite6jax.cli import command
+from lite6jax.cli.fit import Fit
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable, exists, write_atomically
+from lite6jax.storage import exists, write_atomically
+
+with import_lazily():
+    from lite6jax import recordings, simulation
+    from lite6jax.arms import factory as factories
+    from lite6jax.diagnosis import diagnose, fold_processes
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.diagnosis import options as diagnosis_options
+    from lite6jax.effects import serialization
+    from lite6jax.report import demo, pages, ranking, screen, statements
 
 CALIBRATION = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
 """The factory calibration of the simulated arm."""
@@ -35,12 +44,13 @@ class Demo:
 
     folder: Annotated[Positional[Path | None], arg(metavar="DIR")] = None
     """Write the files here; into lite6jax-demo, or lite6jax-demo-2 …, where not given."""
-    force: bool = False
-    """Replace files that exist."""
+    force: command.Force = False
 
     def run(self) -> int:
         """Simulates, diagnoses, fits, and shows what was hidden beside what was found."""
-        folder = self.folder or (FOLDER if self.force else _fresh())
+        numbered = (FOLDER.with_name(f"{FOLDER.name}-{number}") for number in count(2))
+        free = (folder for folder in chain([FOLDER], numbered) if self.force or not exists(folder))
+        folder = self.folder or next(free)
         run, factory, diagnosis, page, table = (
             folder / name for name in ("run.csv", "factory.yaml", "diagnosis.json", "report.html", "model.json")
         )
@@ -48,42 +58,23 @@ class Demo:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: this folder cannot be created ({error.strerror}); choose another") from error
-        for path in (run, run.with_suffix(".yaml"), factory, diagnosis, page, table):
-            check_writable(path, self.force)
-        refuse_inputs([factory], [CALIBRATION])
-        from lite6jax.arms.factory import read_factory
-        from lite6jax.cli.fit import Fit
-        from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import write_document
-        from lite6jax.diagnosis.fold_processes import fold_processes
-        from lite6jax.diagnosis.options import QUICK
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.recordings import RecordingSettings
-        from lite6jax.report import demo, screen
-        from lite6jax.report.pages import page_text
-        from lite6jax.report.ranking import Files
-        from lite6jax.report.statements import with_statements
-        from lite6jax.simulation import simulate
-
+        outputs = [run, run.with_suffix(".yaml"), factory, diagnosis, page, table]
+        command.check_outputs(outputs, [CALIBRATION], self.force)
         write_atomically(factory, CALIBRATION.read_bytes(), self.force)
-        arm = read_factory(factory)
-        settings = RecordingSettings(arm="lite6", factory_calibration=factory.name)
-        simulated = simulate(arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings)
+        arm = factories.read_factory(factory)
+        settings = recordings.RecordingSettings(arm="lite6", factory_calibration=factory.name)
+        simulated = simulation.simulate(
+            arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings
+        )
         simulated.save(run, overwrite=self.force)
         screen.show(demo.beginning(run, POSES))
-        with fold_processes(None), screen.stages() as entered:
-            found = diagnose(run, options=QUICK, progress=entered)
-        document = {**with_statements(found.to_dict()), "inputs": inputs(run)}
-        write_document(document, diagnosis, self.force)
-        write_atomically(page, page_text(found, document, Files(run, diagnosis)), self.force)
+        with fold_processes.fold_processes(None), screen.stages() as follow:
+            found = diagnose.diagnose(run, options=diagnosis_options.QUICK, progress=follow)
+        document = {**statements.with_statements(found.to_dict()), "inputs": command.list_inputs(run)}
+        diagnosis_file.write_document(document, diagnosis, self.force)
+        write_atomically(page, pages.page_text(found, document, ranking.Files(run, diagnosis)), self.force)
         screen.show(demo.diagnosed(document, run, diagnosis, page))
         screen.show(demo.before_the_fit(factory, table))
         Fit(factory, out=table, force=self.force).run()
-        screen.show(demo.end([parse_effect(text) for text in HIDDEN], found, page))
-        return DONE
-
-
-def _fresh() -> Path:
-    """The first folder that does not exist yet."""
-    numbered = (FOLDER.with_name(f"{FOLDER.name}-{number}") for number in count(2))
-    return FOLDER if not exists(FOLDER) else next(folder for folder in numbered if not exists(folder))
+        screen.show(demo.end([serialization.parse_effect(text) for text in HIDDEN], found, page))
+        return command.DONE

@@ -1,34 +1,57 @@
-"""The command `diagnose`: what an arm has beyond its model, found in a recording; of a folder see `diagnose_folder`."""
+"""The command `diagnose`: what an arm has beyond its model, found in a recording, in each of a folder, or in all."""
 
-from collections.abc import Callable
-from contextlib import nullcontext
-from dataclasses import dataclass
+import contextlib
+import io
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import (
-    ArmName,
-    Folder,
-    OutFile,
-    Processes,
-    Scheduler,
-    check_out,
-    check_processes,
-    refuse_inputs,
-)
-from lite6jax.cli.exit_codes import BAD_FIT, DONE
-from lite6jax.cli.inputs import inputs
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+from lite6jax.folders.place import Place, attempt, hash_files, list_recordings, restore_url
 from lite6jax.storage import write_atomically
 
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.diagnosis import (
+        combined,
+        diagnose,
+        fold_processes,
+        torque_diagnosis,
+    )
+    from lite6jax.diagnosis import (
+        document as diagnosis_file,
+    )
+    from lite6jax.diagnosis import (
+        options as diagnosis_options,
+    )
+    from lite6jax.distribution import batches
+    from lite6jax.effects import user_effects
+    from lite6jax.fitting import source
+    from lite6jax.folders import diagnoses
+    from lite6jax.populations import files as population_files
+    from lite6jax.populations import options, reduction
+    from lite6jax.report import (
+        canvas,
+        diagnosis_figures,
+        documents,
+        fleets,
+        pages,
+        ranking,
+        screen,
+        sections,
+        statements,
+    )
+
 if TYPE_CHECKING:
-    from lite6jax.diagnosis.result import Diagnosis
-    from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-    from lite6jax.recordings import Recording
-    from lite6jax.report.ranking import Files
+    import pyarrow as pa
 
 Domain = Literal["poses", "torques", "both"]
 
@@ -50,14 +73,14 @@ class Diagnose:
     """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
     rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
     recordings, or a URL that fsspec reads: each recording is diagnosed."""
-    out: OutFile = None
+    out: command.OutFile = None
     """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without. Of a folder
     of recordings: a folder, for a document of each and the table summary.parquet."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
     """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
     earlier. The report first states whether the model reproduces it, and the differences if not. Of torques in another
     motion, what each recording shows is compared."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """What is known of its geometry: as the sidecar declares; exactly the factory calibration; near it; nothing."""
@@ -72,99 +95,120 @@ class Diagnose:
     rows is the same; the errors after are rather too large."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
-    json: bool = False
-    """Print the JSON document instead of the report."""
-    report: OutFile = None
+    json: command.Json = False
+    report: command.OutFile = None
     """Write a self-contained page with the findings and their figures here (.html)."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw the figures into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-    assume_degrees: bool = False
-    """Take joint columns that say rad as degrees."""
-    assume_millimetres: bool = False
-    """Take position columns that say m as millimetres."""
+    force: command.Force = False
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
     fleet: bool = False
     """Of a folder of recordings of many arms of one type: also pool them, to find what the type shares and no recording
     shows alone, and which arms differ. Writes fleet.json beside the table."""
     over: Literal["date"] | None = None
     """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
-    processes: Processes = None
+    processes: command.Processes = None
     """So many processes of this machine, each with one thread; one a core where not given. Of one recording they work
     on the held-out blocks, and are five at most; with --effects threads of one do."""
-    scheduler: Scheduler = None
+    scheduler: command.Scheduler = None
     """Of a folder: the Dask cluster of the scheduler at this address (tcp://HOST:8786), in place of processes here."""
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
         if self.poses and self.torques:
             raise InputError("--poses and --torques: give one of them, or none to diagnose both")
-        from lite6jax.cli.diagnose_folder import diagnose_recorded_fleet, diagnose_recordings, is_folder
-
         if self.over is not None and not self.fleet:
             raise InputError("--over: is of recordings that are pooled; add --fleet")
-        if is_folder(self.source):
-            return diagnose_recorded_fleet(self) if self.fleet else diagnose_recordings(self)
-        if self.fleet:
-            raise InputError(f"--fleet: is for a folder of recordings; {self.source} is one file")
-        if self.scheduler is not None:
-            raise InputError(f"--scheduler: is for a folder of recordings; {self.source} is one file")
-        check_processes(self.processes, None)
-        if self.out:
-            check_out(self.out, ".json", self.force)
-        if self.report:
-            check_out(self.report, ".html", self.force)
-        refuse_inputs([self.out, self.report], [self.source, self.reference, self.arm, self.effects])
+        if _is_folder(self.source):
+            return self._diagnose_folder()
+        for option in ("fleet", "scheduler"):
+            if getattr(self, option):
+                raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
+        command.check_processes(self.processes, None)
+        read = [self.source, self.reference, self.arm, self.effects]
+        command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         self._check_figures("poses")
-        from lite6jax.diagnosis.fold_processes import fold_processes
-
         # other processes cannot import classes that this one reads from a file
-        with nullcontext() if self.effects else fold_processes(self.processes):
-            return self._diagnosed_file()
-
-    def _diagnosed_file(self) -> int:
-        """Diagnoses one file: reads it, searches, and writes and prints the result."""
-        from lite6jax.diagnosis.document import document_text, write_document
-        from lite6jax.report import screen
-        from lite6jax.report.ranking import Files
-        from lite6jax.report.sections import diagnosis_report
-
-        recording, domain, search = self._search(both=True)
-        if domain != "poses":
-            self._check_figures(domain)
-        with screen.stages() as entered:
-            found: Any = search(progress=entered)
-        document = self._document(found, domain)
-        poses = found.poses if domain == "both" else found
-        files = Files(self.source, self.out, self.effects)
-        written = [write_document(document, self.out, self.force)] if self.out else []
+        with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
+            recording, domain, search = self._prepare(both=True)
+            if domain != "poses":
+                self._check_figures(domain)
+            with screen.stages() as follow:
+                found: Any = search(progress=follow)
+        document, files = self._document(found, domain), ranking.Files(self.source, self.out, self.effects)
+        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if self.report or self.figures:
-            against = None if poses.against is None else poses.against.file
-            if domain == "both" and self.reference:
-                against = str(self.reference)
-            sides = str(self.source) if against is None else f"{self.source} against {against}"
-            written += self._draw(found, domain, document, sides, files)
+            written += self._draw(found, domain, document, files)
         if self.json:
-            print(document_text(document))
+            print(diagnosis_file.document_text(document))
         else:
-            screen.show(diagnosis_report(document, str(self.source), files, self.details))
+            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
             screen.show(screen.notes(recording.notes))
             screen.written(written)
-        return BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else DONE
+        poses = found.poses if domain == "both" else found
+        return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
 
-    def _draw(self, found: Any, domain: "Domain", document: Any, sides: str, files: "Files") -> list[Path]:
+    def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
+        """Reads what is to be diagnosed.
+
+        Args:
+            both: whether poses and torques of one recording are diagnosed together.
+
+        Returns:
+            the recording, what of it is diagnosed, and the search, which takes `progress`.
+        """
+        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
+        arm = source.load_nominal(self.arm)
+        recording = source.load_recording(self.source, arm, **assumed)
+        effects = command.load_own_effects(self.effects)
+        kinematic, dynamic = user_effects.by_domain(effects)
+        domain: Domain = "poses"
+        if self.torques or (recording.position is None and recording.has_torques):
+            domain = "torques"
+        elif both and recording.has_torques and recording.position is not None and not self.poses:
+            domain = "both"
+        if domain != "torques":
+            arm = arm or source.arm_of(recording)
+        other = source.load_recording(self.reference, arm, **assumed) if self.reference else None
+        given: dict[str, Any] = {"options": diagnosis_options.QUICK if self.quick else None}
+        if domain == "torques":
+            given |= {"effects": dynamic}
+            alone, against = torque_diagnosis.diagnose_torques, torque_diagnosis.diagnose_torques_against
+        else:
+            given |= {"effects": kinematic, "geometry": self.geometry}
+            alone, against = diagnose.diagnose, diagnose.diagnose_against
+        if domain == "both":
+            given |= {"effects": effects, "reference": other}
+            return recording, domain, partial(combined.diagnose_combined, recording, arm, **given)
+        compared = [] if other is None else [other]
+        return recording, domain, partial(against if compared else alone, recording, *compared, arm, **given)
+
+    def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
+        """The document of what was found, with the files that were read and with sentences."""
+        document = found.to_dict() if domain == "both" else found.document()
+        document |= {"inputs": command.list_inputs(self.source, self.arm, self.reference, self.effects)}
+        if domain != "both" and found.against is not None:
+            document["against"] = found.against.to_dict()
+        return statements.with_statements(document)
+
+    def _check_figures(self, domain: Domain) -> None:
+        if self.figures:
+            names = [f"{self.source.stem}_{name}" for name in _name_figures(domain)]
+            command.check_figures(self.figures, names, self.force)
+
+    def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
         """Writes the figures and the page where there are places for them.
 
         Args:
             found: the diagnosis.
             domain: of what it is.
             document: as in the JSON file, with statements.
-            sides: what was diagnosed, and against what.
             files: for commands to copy.
         """
-        from lite6jax.report import canvas, diagnosis_figures, pages, screen
-
-        written, drawn, most = [], {}, len(_figures_of(domain))
+        against = self.reference if domain == "both" else found.against and found.against.file
+        sides = f"{self.source} against {against}" if against else str(self.source)
+        written, drawn, most = [], {}, len(_name_figures(domain))
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -178,85 +222,121 @@ class Diagnose:
                 written.append(write_atomically(self.report, html, self.force))
         return written
 
-    def _check_figures(self, domain: "Domain") -> None:
-        """Refuses figures that cannot be written where they are asked for, before a long computation."""
-        if self.figures:
-            from lite6jax.report import canvas
+    # ------------------------------------------------------------------ of a folder
 
-            names = [f"{self.source.stem}_{name}" for name in _figures_of(domain)]
-            canvas.check_names(self.figures, names, self.force)
+    def _diagnose_folder(self) -> int:
+        """Diagnoses every recording, writes documents and table, and with --fleet pools them into fleet.json."""
+        many = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
+        for option in ("reference", "report", "figures"):
+            if getattr(self, option) is not None:
+                raise InputError(f"--{option}: is of one recording, and {many}; leave it out")
+        if self.out is None:
+            raise InputError(f"{self.source}: is a folder; add --out DIR for the documents of its recordings")
+        if self.out.suffix.lower() == ".json":
+            raise InputError(
+                f"{self.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
+            )
+        command.check_processes(self.processes, self.scheduler)
+        # what the diagnoses depend on, and the checksums of the files that they all read
+        alike = {"source": Path(), "out": None, "force": True}
+        alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
+        files = [Path(file.partition("#")[0]) for file in (self.arm, self.effects and str(self.effects)) if file]
+        asked, also_read = replace(self, **alike), hash_files(files)
+        if self.fleet:
+            return self._diagnose_fleet(self.out, asked, also_read)
+        run = self._diagnose_each(self.out, asked, also_read)
+        rows = fleets.read_diagnoses(run.path)
+        report = fleets.diagnoses_report(rows, run.kept)
+        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [run.path])
 
-    def diagnosed(self) -> "tuple[Diagnosis | TorqueDiagnosis, dict[str, Any]]":
-        """The diagnosis of the recording's poses, or with `torques`, or where it has no poses, of its torques.
+    def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "batches.Run":
+        with screen.progress_of_many("diagnosing") as advance:
+            return diagnoses.diagnose_folder(
+                self.source,
+                out,
+                diagnose_names,
+                (asked,),
+                also_read=also_read,
+                scheduler=self.scheduler,
+                processes=self.processes,
+                progress=advance,
+                overwrite=self.force,
+            )
 
-        Returns:
-            the diagnosis and its document; nothing is written or printed.
+    def _diagnose_fleet(self, out: Path, asked: "Diagnose", also_read: bytes) -> int:
+        import pyarrow as pa
 
-        Raises:
-            InputError: the recording has neither, or as `diagnose` and `diagnose_torques`.
+        place, path = Place.of(self.source), out / diagnoses.POOLED
+        names = list_recordings(place)
+        diagnoses.check_pooled(out, names, self.force)
+        parts = batches.Parts(path, asked)
+        key = parts.key(place.content(names) + also_read)
+        if parts.find(key) is None:  # a run that was ended while it pooled has them all
+            run = self._diagnose_each(out, asked, also_read)
+            parts.keep(key, pa.table({"recordings": [run.rows]}))
+        effects = [0]
+        with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
+            document = diagnoses.pool_folder(
+                str(self.source),
+                out,
+                options.DEFAULTS,
+                self.over,
+                self.scheduler,
+                self.processes,
+                lambda count: effects.__setitem__(0, count),
+            ).to_dict()
+        write_atomically(path, diagnosis_file.document_text(document), overwrite=self.force)
+        parts.remove()
+        if self.json:
+            print(diagnosis_file.document_text(document))
+        else:
+            screen.show(fleets.population_report(document))
+            screen.written([out / diagnoses.TABLE, path])
+        return command.DONE
+
+    def diagnose(self) -> tuple[str, bytes | None]:
+        """The document of the recording, as `run` writes it, and with `fleet` the reduced recording.
+
+        A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        _, domain, search = self._search(both=False)
+        _, domain, search = self._prepare(both=not self.fleet)
         found = search()
-        return found, self._document(found, domain)
-
-    def _search(self, both: bool) -> "tuple[Recording, Domain, Callable[..., Any]]":
-        """Reads what is to be diagnosed.
-
-        Args:
-            both: whether poses and torques of one recording are diagnosed together.
-
-        Returns:
-            the recording, what of it is diagnosed, and the search, which takes `progress`.
-        """
-        from lite6jax.diagnosis import diagnose, torque_diagnosis
-        from lite6jax.diagnosis.options import QUICK
-        from lite6jax.effects.user_effects import by_domain, load_effects
-        from lite6jax.fitting.source import arm_of, load_nominal, load_recording
-
-        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        arm = load_nominal(self.arm)
-        recording = load_recording(self.source, arm, **assumed)
-        effects = load_effects(self.effects) if self.effects else ()
-        kinematic, dynamic = by_domain(effects)
-        domain: Domain = "poses"
-        if self.torques or (recording.position is None and recording.has_torques):
-            domain = "torques"
-        elif both and recording.has_torques and recording.position is not None and not self.poses:
-            domain = "both"
-        if domain != "torques":
-            arm = arm or arm_of(recording)
-        other = load_recording(self.reference, arm, **assumed) if self.reference else None
-        given: dict[str, Any] = {"options": QUICK if self.quick else None}
-        if domain == "torques":
-            given["effects"] = dynamic
-            if other is None:
-                return recording, domain, partial(torque_diagnosis.diagnose_torques, recording, arm, **given)
-            return recording, domain, partial(torque_diagnosis.diagnose_torques_against, recording, other, arm, **given)
-        given |= {"geometry": self.geometry, "effects": kinematic}
-        if domain == "both":
-            from lite6jax.diagnosis import combined
-
-            given |= {"effects": effects, "reference": other}
-            return recording, domain, partial(combined.diagnose_combined, recording, arm, **given)
-        if other is None:
-            return recording, domain, partial(diagnose.diagnose, recording, arm, **given)
-        return recording, domain, partial(diagnose.diagnose_against, recording, other, arm, **given)
-
-    def _document(self, found: "Any", domain: "Domain") -> dict[str, Any]:
-        """The document of what was found, with the files that were read and with sentences."""
-        from lite6jax.report.statements import with_statements
-
-        document = found.to_dict() if domain == "both" else found.document()
-        document |= {"inputs": inputs(self.source, self.arm, self.reference, self.effects)}
-        if domain != "both" and found.against is not None:
-            document["against"] = found.against.to_dict()
-        return with_statements(document)
+        text = diagnosis_file.document_text(self._document(found, domain))
+        if not self.fleet:
+            return text, None
+        return text, population_files.to_bytes(reduction.reduced(found))
 
 
-def _figures_of(domain: "Domain") -> list[str]:
+def _name_figures(domain: Domain) -> list[str]:
     """The names of the figures of a diagnosis of poses, of torques or of both."""
-    from lite6jax.report.diagnosis_figures import NAMES, PREFIX, TORQUE_NAMES
+    poses, torques = diagnosis_figures.NAMES, diagnosis_figures.TORQUE_NAMES
+    if domain == "both":
+        return [*poses, *(diagnosis_figures.PREFIX + name for name in torques)]
+    return [*(torques if domain == "torques" else poses)]
 
-    if domain == "torques":
-        return [*TORQUE_NAMES]
-    return [*NAMES, *(PREFIX + name for name in TORQUE_NAMES)] if domain == "both" else [*NAMES]
+
+def _is_folder(source: Path) -> bool:
+    """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
+    if restore_url(source) is not None or not os.path.isdir(source):
+        return restore_url(source) is not None
+    return recordings.recording_file(source) is None
+
+
+def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
+    """The rows of some recordings of a folder, with their documents and of a fleet with their reduced recordings.
+
+    Args:
+        names: of the recordings.
+        place: the folder.
+        asked: the command as it was given, but for its source.
+    """
+    rows = []
+    for name in names:
+        with place.local_folder([name]) as folder, contextlib.redirect_stdout(io.StringIO()):
+            found, said = attempt(folder / name, replace(asked, source=folder / name).diagnose)
+            said = place.show(said, folder)
+        if found is None:
+            rows.append(diagnoses.make_refusal(name, said))
+        else:
+            rows.append(diagnoses.make_row(name, json.loads(found[0]), *found, said))
+    return batches.concatenate(rows)

@@ -1,7 +1,6 @@
 """The command that emulates controllers on loopback."""
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,18 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax import emulator, simulation
+    from lite6jax.arms import factory as factories
+    from lite6jax.arms import files
+    from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.effects.dynamic import catalogue as torque_catalogue
+    from lite6jax.effects.dynamic import torque_effect
+    from lite6jax.report import screen
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from lite6jax.emulator import Body, Controller, Faults
-
-MOST_ARMS = 32
-REFRESH_S = 0.25
+_MOST_ARMS = 32
+_REFRESH_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Emulate:
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
     """The calibration, or one for each arm; by default drawn with deviations of 0.8 mm and 0.15 deg per parameter."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The arm: a bundled one or a description; by default lite6, or the arm of the calibration."""
     arms: Annotated[int | None, arg(metavar="N")] = None
     """The number of controllers, on this address and the next ones."""
@@ -67,14 +73,13 @@ class Emulate:
     """The tool offset in the controller, mm and degrees."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """The payload at the flange."""
-    payload_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    payload_at: command.Triple = (0.0, 0.0, 0.0)
     """The centre of mass of the payload, mm in the flange's frame."""
     warm_up: Annotated[float, arg(metavar="K")] = 12.0
     """The final temperature rise from 25 °C, with a time constant of 20 min."""
     speed: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """The speed of the clock relative to real time."""
-    duration: Annotated[float | None, arg(metavar="S")] = None
-    """The duration; by default until Ctrl-C."""
+    duration: command.Duration = None
     seed: int = 0
     """The seed of drawn calibrations and motions."""
 
@@ -83,48 +88,37 @@ class Emulate:
         from rich.live import Live
         from rich.table import Table
 
-        from lite6jax.emulator import describe_faults, parse_faults
-        from lite6jax.report import screen
-
         if self.faults:
             table = Table.grid(padding=(0, 2))
-            for name, words in describe_faults():
+            for name, words in emulator.describe_faults():
                 table.add_row(name, words)
             screen.show([table])
-            return DONE
-        faults = parse_faults(self.fault)
-        if self.duration is not None and not 0 < self.duration < math.inf:
-            raise InputError(f"--duration {self.duration}: give seconds above 0")
-        controllers = self._controllers(faults)
-        end = math.inf if self.duration is None else time.monotonic() + self.duration
-        terminal = screen.console()
+            return command.DONE
+        faults = emulator.parse_faults(self.fault)
+        command.check_duration(self.duration)
+        controllers, terminal = self._controllers(faults), screen.console()
         with ExitStack() as stack:
             for controller in controllers:
                 stack.enter_context(controller)
             screen.show(self._page(controllers))
+            live = None
             if terminal.is_terminal:
                 live = stack.enter_context(Live(console=terminal, auto_refresh=False, transient=True))
-                while (remaining := end - time.monotonic()) > 0:
-                    live.update(_status_table(controllers), refresh=True)
-                    time.sleep(min(REFRESH_S, remaining))
-            else:
-                terminal.file.flush()  # another program may wait for these lines
-                while (remaining := end - time.monotonic()) > 0:
-                    for controller in controllers:
-                        controller.snapshot()
-                    time.sleep(min(REFRESH_S, remaining))
-        return DONE
+            terminal.file.flush()  # another program may wait for these lines
+            for _ in command.repeat(self.duration, _REFRESH_S):
+                table = _status_table(controllers)
+                if live is not None:
+                    live.update(table, refresh=True)
+        return command.DONE
 
-    def _controllers(self, faults: "Faults") -> "list[Controller]":
+    def _controllers(self, faults: "emulator.Faults") -> "list[emulator.Controller]":
         import ipaddress
 
         import numpy as np
 
-        from lite6jax.emulator import Controller, read_path
-
         count = self.arms if self.arms is not None else max(1, len(self.factory))
-        if not 1 <= count <= MOST_ARMS:
-            raise InputError(f"--arms {count}: give 1 to {MOST_ARMS}")
+        if not 1 <= count <= _MOST_ARMS:
+            raise InputError(f"--arms {count}: give 1 to {_MOST_ARMS}")
         if len(self.factory) not in (0, count):
             raise InputError(f"--factory: {len(self.factory)} files for {count} arms; give one for each, or none")
         try:
@@ -134,58 +128,42 @@ class Emulate:
             raise InputError(f"--address {self.address!r}: is not an address; write it like 127.0.0.1") from error
         if self.payload < 0 or not math.isfinite(self.payload):
             raise InputError(f"--payload {self.payload}: give kg, 0 or more")
-        controllers = []
-        for i, address in enumerate(addresses):
-            body = self._body(i)
-            controllers.append(
-                Controller(
-                    body,
-                    path=read_path(self.motion, body.arm, self.seed + i),
-                    faults=faults,
-                    tool=[*self.tool_offset[:3], *np.deg2rad(self.tool_offset[3:])],
-                    payload=[self.payload, *self.payload_at],
-                    address=address,
-                    control_port=self.control_port,
-                    speed=self.speed,
-                )
+        return [
+            emulator.Controller(
+                body,
+                path=emulator.read_path(self.motion, body.arm, self.seed + i),
+                faults=faults,
+                tool=[*self.tool_offset[:3], *np.deg2rad(self.tool_offset[3:])],
+                payload=[self.payload, *self.payload_at],
+                address=address,
+                control_port=self.control_port,
+                speed=self.speed,
             )
-        return controllers
+            for i, address in enumerate(addresses)
+            for body in [self._body(i)]
+        ]
 
-    def _body(self, index: int) -> "Body":
+    def _body(self, index: int) -> "emulator.Body":
         import numpy as np
 
-        from lite6jax.arms.factory import read_factory
-        from lite6jax.arms.files import read_arm
-        from lite6jax.effects.catalogue import kinds_of
-        from lite6jax.effects.composition import Physics
-        from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
-        from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.effects.user_effects import load_effects
-        from lite6jax.emulator import Body
-        from lite6jax.simulation import draw_calibration
-
-        user_effects = () if self.effects is None else load_effects(self.effects)
-        kinds = {**OF_TORQUES, **kinds_of(user_effects)}
-        torque_effects, parsed = [], []
-        for effect, values in (parse_effect(text, kinds) for text in self.effect):
-            if isinstance(effect, TorqueEffect):
-                torque_effects.append((effect, values))
-            else:
-                parsed.append((effect, values))
-        physics = Physics(tuple(effect for effect, _ in parsed))
-        nominal = None if self.arm is None else read_arm(self.arm)
+        kinds = {**torque_catalogue.BUILT_IN, **catalogue.kinds_of(command.load_own_effects(self.effects))}
+        hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
+        of_torques = torque_effect.TorqueEffect
+        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
+        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
+        physics = composition.Physics(tuple(effect for effect, _ in parsed))
+        nominal = None if self.arm is None else files.read_arm(self.arm)
         if self.factory:
-            factory = read_factory(self.factory[index], nominal)
+            factory = factories.read_factory(self.factory[index], nominal)
             arm, kinematics = factory.arm, factory.kinematics
         else:
-            arm = nominal or read_arm("lite6")
-            kinematics = draw_calibration(arm, self.seed + index)
+            arm = nominal or files.read_arm("lite6")
+            kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
         values = physics.join([values for _, values in parsed])
-        return Body(arm, kinematics, physics, values, self.warm_up, tuple(torque_effects), noise)
+        return emulator.Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
 
-    def _page(self, controllers: "Sequence[Controller]") -> "Iterator[RenderableType]":
+    def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""
         from rich.text import Text
 
@@ -197,17 +175,15 @@ class Emulate:
         clock = "" if self.speed == 1 else f" Its clock runs {self.speed:g} times as fast."
         yield Text(f"Calibration: {drawn}.", no_wrap=True, overflow="ignore")
         yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True, overflow="ignore")
-        physics, values = first.body.physics, first.body.values
+        physics = first.body.physics
         if physics.effects:
             yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
-            for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
-                numbers = ", ".join(f"{key} = {estimate.value:.6g}" for key, estimate in parameters.items())
-                yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+            yield from command.list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))
         if first.body.torque_effects:
             yield Text("Hidden effects, in the torques")
-            for effect, values in first.body.torque_effects:
-                numbers = ", ".join(f"{key} = {found.value:.6g}" for key, found in effect.reported(values).items())
-                yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+            yield from command.list_effects(
+                (effect, effect.reported(values)) for effect, values in first.body.torque_effects
+            )
         if first.body.torque_noise.any():
             yield Text(f"Noise of the torques: {' '.join(f'{sigma:g}' for sigma in first.body.torque_noise)} N m.")
         if self.fault:
@@ -229,7 +205,7 @@ class Emulate:
         yield Text("Stop with Ctrl-C.")
 
 
-def _status_table(controllers: "Sequence[Controller]") -> "Table":
+def _status_table(controllers: "Sequence[emulator.Controller]") -> "Table":
     """One row per controller: clock, state, joints, connections and requests."""
     from rich.table import Table
 

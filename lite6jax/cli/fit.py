@@ -1,20 +1,69 @@
-"""Commands that fit: one arm, two or more to compare, a folder of them."""
+"""Commands on calibrations and recordings without effects: check one, fit one, compare arms, fit a folder."""
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
-from lite6jax.cli.exit_codes import BAD_FIT, DONE, NOT_REACHED
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 
-if TYPE_CHECKING:
-    from lite6jax.arms.arm import Arm
-    from lite6jax.arms.factory import FactoryCalibration
-    from lite6jax.controller.verification import Verification
-    from lite6jax.recordings import Recording
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import factory
+    from lite6jax.controller import calibration as controller_calibration
+    from lite6jax.controller import exchange
+    from lite6jax.controller import verification as verifying
+    from lite6jax.domains.pose import check as pose_check
+    from lite6jax.domains.pose import fit as pose_fit
+    from lite6jax.fitting import fit, solution
+    from lite6jax.fitting import fleet as comparing
+    from lite6jax.fitting import source as sources
+    from lite6jax.folders import fleet
+    from lite6jax.report import data_faults, documents, figures, fits, fleets, live, screen
+
+
+@final
+@dataclass(frozen=True)
+class Check:
+    """Rule out the easy causes of a mismatch first: nominal table, tool offset, smooth or jumping error.
+
+    For example:
+
+        lite6jax check arm.yaml run7.csv
+    """
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
+    """Calibrations (.yaml, .json, .conf) and recordings (.csv, .parquet)."""
+    arm: command.ArmName = None
+    """The nominal arm; recognised, or from the sidecar, where not given."""
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
+    json: command.Json = False
+    """Print a JSON object for each file, a line each, instead of the report."""
+
+    def run(self) -> int:
+        """Reads, checks, prints."""
+        if not self.files:
+            raise InputError("check needs a file or more; name them")
+        nominal = sources.load_nominal(self.arm)
+        for path in self.files:
+            source = sources.read_source(
+                path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+            )
+            if isinstance(source, recordings.Recording):
+                found = pose_check.check_recording(source, nominal)
+            else:
+                found = pose_check.check_calibration(source)
+            if self.json:
+                print(documents.line({"file": str(path), **documents.document(found)}))
+            else:
+                screen.show(data_faults.check_report(path, found))
+        return command.DONE
 
 
 @dataclass(frozen=True)
@@ -34,20 +83,19 @@ class Fit:
     ip: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """In place of a file: read the calibration of the arm at this address, fit it, and compare it with the controller's
     own forward kinematics. The arm does not move."""
-    save_calibration: OutFile = None
+    save_calibration: command.OutFile = None
     """With --ip: write the calibration that was read here (YAML of the vendor's form, which `fit` reads again)."""
     no_sdk: bool = False
     """With --ip: read and fit only."""
     fk_samples: int = 1000
     """With --ip: joint positions at which to ask the controller."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm: a bundled name, or a description or URDF. Recognised, or from the sidecar, where not given."""
-    out: OutFile = None
+    out: command.OutFile = None
     """Write the effective table (JSON, mm and deg) here."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw the error against each joint into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
+    force: command.Force = False
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
     loss: Literal["student_t", "least_squares"] = "student_t"
@@ -58,120 +106,72 @@ class Fit:
     """Of a calibration: joint positions drawn inside the limits."""
     seed: int = 0
     """Of those."""
-    assume_degrees: bool = False
-    """Take joint columns that say rad as degrees."""
-    assume_millimetres: bool = False
-    """Take position columns that say m as millimetres."""
-    json: bool = False
-    """Print JSON instead of the report."""
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
+    json: command.Json = False
 
     def run(self) -> int:
-        """Reads, fits, prints, writes."""
+        """Reads, fits, writes, prints."""
         if (self.source is None) == (self.ip is None):
             raise InputError("fit needs a FILE, or an arm with --ip ADDRESS; give one of the two")
         if self.fk_samples < 1:
             raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
         if self.save_calibration and self.ip is None:
             raise InputError("--save-calibration: is of what an arm's controller says; add --ip ADDRESS")
-        for path, suffix in ((self.out, ".json"), (self.save_calibration, ".yaml")):
-            if path:
-                check_out(path, suffix, self.force)
-        refuse_inputs([self.out, self.save_calibration], [self.source, self.arm])
-        from lite6jax.fitting.source import load_nominal
-        from lite6jax.recordings import Recording
-
-        nominal = load_nominal(self.arm)
-        stem = self.source.stem if self.source else str(self.ip).replace(":", "_")
+        outputs = [self.out, self.save_calibration]
+        command.check_outputs(outputs, [self.source, self.arm], self.force, [".json", ".yaml"])
+        nominal = sources.load_nominal(self.arm)
         title = self.source.name if self.source else str(self.ip)
-        names = [f"{stem}_error_by_joint", f"{stem}_error_distribution", f"{stem}_controller"]
-        source, written = self._read(nominal), []
-        if self.save_calibration and not isinstance(source, Recording):  # at once: no failure below costs what was read
-            from lite6jax.arms.factory import write_factory
-
-            written.append(write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
-        recording = source if isinstance(source, Recording) else None
-        verified = self.ip is not None and not self.no_sdk
-        if self.figures:
-            from lite6jax.report import canvas
-
-            kept = (True, recording is not None, verified)
-            canvas.check_names(self.figures, [n for n, keep in zip(names, kept, strict=True) if keep], self.force)
-        if isinstance(source, Recording):
-            from lite6jax.domains.pose.fit import fit_recording
-
-            solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
+        stem = self.source.stem if self.source else title.replace(":", "_")
+        source, written, kinds = self._read(nominal), [], ["error_by_joint"]
+        if isinstance(source, recordings.Recording):
+            kinds.append("error_distribution")
+        elif self.save_calibration:  # at once: no failure below costs what was read
+            written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
+        verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
+        names = [f"{stem}_{kind}" for kind in (*kinds, *(["controller"] if verified else []))]
+        command.check_figures(self.figures, names, self.force)
+        if isinstance(source, recordings.Recording):
+            found = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
+            report = [fits.recording_read(source, found)]
         else:
-            from lite6jax.fitting.fit import fit_calibration
+            found = fit.fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
+            report = [fits.calibration_read(source)]
+            if verified:
+                try:
+                    with screen.progress(self.fk_samples, "asking the controller") as advance:
+                        address = exchange.parse_address(title)
+                        verification = verifying.verify(source, address, self.fk_samples, self.seed, advance)
+                except InputError as error:  # the fit is good all the same: it is shown and written first
+                    refusal = error
+        report.append(fits.solution_report(found, found.recording))
+        agrees = {}
+        if verification:
+            report.append(live.verification_report(verification, title))
+            agrees = {"controller_agrees": bool(verification.passed)}
 
-            solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
-        recording = solution.recording
-        verification, refusal = None, None
-        if verified and not isinstance(source, Recording):
-            try:
-                verification = self._verify(source)
-            except InputError as error:  # the fit is good all the same: it is shown and written first
-                refusal = error
-
-        from lite6jax.report import fits, screen
-
-        # before anything is printed: a reader who leaves early, like `head`, must not cost the files
-        if self.out:
-            from lite6jax.fitting.solution import write_solution
-
-            written.append(write_solution(solution, self.out, self.force))
-        if self.figures:
-            from lite6jax.report import canvas, figures
-
-            drawn = {names[0]: figures.error_by_joint(solution, title)}
-            if recording:
-                drawn[names[1]] = figures.error_distribution(solution, recording, title)
+        def draw():
+            yield figures.error_by_joint(found, title)
+            if found.recording:
+                yield figures.error_distribution(found, found.recording, title)
             if verification:
-                drawn[names[2]] = figures.verification_figure(verification, title)
-            written += canvas.save(drawn, self.figures, self.force)
-        if self.json:
-            from lite6jax.report import documents
+                yield figures.verification_figure(verification, title)
 
-            document = documents.document(solution)
-            if verification:
-                document["controller_agrees"] = bool(verification.passed)
-            print(documents.text(document, written))
-        else:
-            if isinstance(source, Recording):
-                screen.show(fits.recording_read(source, solution))
-            else:
-                screen.show(fits.calibration_read(source))
-            screen.show(fits.solution_report(solution, recording))
-            if verification:
-                from lite6jax.report import live
-
-                screen.show(live.verification_report(verification, str(self.ip)))
-            screen.written(written)
+        written += [solution.write_solution(found, self.out, self.force)] if self.out else []
+        written += command.save_figures(self.figures, names, draw, self.force)
+        command.present(self.json, lambda: documents.document(found) | agrees, chain(*report), written)
         if refusal:
             raise refusal
-        passed = verification is None or verification.passed
-        if solution.result.name != "CONVERGED" or not passed:
-            return NOT_REACHED
-        return BAD_FIT if solution.quality.verdict == "bad" else DONE
+        if found.result.name != "CONVERGED" or (verification is not None and not verification.passed):
+            return command.NOT_REACHED
+        return command.BAD_FIT if found.quality.verdict == "bad" else command.DONE
 
-    def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
+    def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
         if self.source is None:
-            from lite6jax.controller.calibration import read_calibration
-            from lite6jax.controller.exchange import parse_address
-
-            return read_calibration(parse_address(str(self.ip)), nominal).calibration
-        from lite6jax.fitting.source import read_source
-
-        return read_source(
+            return controller_calibration.read_calibration(exchange.parse_address(str(self.ip)), nominal).calibration
+        return sources.read_source(
             self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
         )
-
-    def _verify(self, calibration: "FactoryCalibration") -> "Verification":
-        from lite6jax.controller.exchange import parse_address
-        from lite6jax.controller.verification import verify
-        from lite6jax.report import screen
-
-        with screen.progress(self.fk_samples, "asking the controller") as advance:
-            return verify(calibration, parse_address(str(self.ip)), self.fk_samples, self.seed, advance)
 
 
 @dataclass(frozen=True)
@@ -185,42 +185,67 @@ class Compare:
 
     files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
     """Two calibrations or more (.yaml, .json)."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm of all of them; recognised where not given."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw the differences into this folder (PNG and SVG)."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace files that exist."""
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
-        """Reads, compares, prints, draws."""
-        from lite6jax.arms.factory import read_factory
-        from lite6jax.fitting.fleet import compare
-        from lite6jax.fitting.source import load_nominal
+        """Reads, compares, draws, prints."""
+        nominal, names = sources.load_nominal(self.arm), ("compare_parameters", "compare_distances")
+        command.check_figures(self.figures, names, self.force)
+        found = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
 
-        nominal = load_nominal(self.arm)
-        names = ("compare_parameters", "compare_distances")
-        if self.figures:
-            from lite6jax.report import canvas
+        def draw():
+            return figures.parameter_differences(found), figures.distance_between(found)
 
-            canvas.check_names(self.figures, names, self.force)
-        comparison = compare([read_factory(path, nominal) for path in self.files])
+        written = command.save_figures(self.figures, names, draw, self.force)
+        return command.present(self.json, found, fits.comparison_report(found, screen.console().width), written)
 
-        from lite6jax.report import fits, screen
 
-        written = []
-        if self.figures:
-            from lite6jax.report import canvas, figures
+@dataclass(frozen=True)
+class Fleet:
+    """Fit every calibration and recording of a folder; a bad file becomes a row that says why. A run that was ended
+    goes on where it stopped.
 
-            drawn = (figures.parameter_differences(comparison), figures.distance_between(comparison))
-            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
-        if self.json:
-            from lite6jax.report import documents
+    For example:
 
-            print(documents.text(documents.document(comparison), written))
-            return DONE
-        screen.show(fits.comparison_report(comparison, screen.console().width))
-        screen.written(written)
-        return DONE
+        lite6jax fleet calibrations --out fleet.parquet
+        lite6jax fleet s3://bucket/calibrations --out fleet.parquet --scheduler tcp://10.0.0.5:8786
+    """
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder, or a URL that fsspec reads; its subfolders are not read."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write a row a file here (Parquet; SI units in the column names)."""
+    arm: command.ArmName = None
+    """The nominal arm of all of them; recognised file by file where not given."""
+    processes: command.Processes = None
+    """Processes of this machine, each with one thread; one a core where not given."""
+    scheduler: command.Scheduler = None
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Fits, writes, prints."""
+        command.check_outputs([self.out], [], self.force, [".parquet"])
+        command.check_processes(self.processes, self.scheduler)
+        nominal = None if self.arm is None else sources.load_nominal(self.arm)
+        with screen.progress_of_many("fitting") as advance:
+            run = fleet.fit_folder(
+                self.folder,
+                self.out,
+                nominal,
+                scheduler=self.scheduler,
+                processes=self.processes,
+                progress=advance,
+                overwrite=self.force,
+            )
+        return command.present(
+            self.json,
+            lambda: documents.of_folder(list(fleet.read_rows(run.path))),
+            fleets.folder_report(fleet.read_rows(run.path, parameters=False), run.kept),
+            [run.path],
+        )

@@ -1,26 +1,43 @@
-"""The command that looks at a table with column names of its own and writes the sidecar by which all others read it."""
+"""The command that looks at a table with column names of its own and writes the sidecar by which all others read it.
+
+Two files with clocks of their own, and points on one body, are joined to one table before.
+"""
 
 import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, arm_reference, pairs
-from lite6jax.cli.exit_codes import DONE
-from lite6jax.cli.join import join
-from lite6jax.errors import InputError
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
+from lite6jax.errors import InputError, command_line
 from lite6jax.storage import check_writable, write_atomically
 
-if TYPE_CHECKING:
-    from pathlib import Path
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import urdf
+    from lite6jax.domains.pose import inspection as pose_inspection
+    from lite6jax.domains.pose import joining as pose_joining
+    from lite6jax.domains.pose import reflectors
+    from lite6jax.domains.pose.screening import options as screening_options
+    from lite6jax.domains.pose.screening import screen as screening
+    from lite6jax.fitting import source as sources
+    from lite6jax.recordings import fault, naming, raw, writing
+    from lite6jax.recordings import settings as sidecar_settings
+    from lite6jax.recordings import sources as tables
+    from lite6jax.recordings import table as tabulation
+    from lite6jax.report import data_faults, inspection, joining, screen
 
-    from lite6jax.domains.pose.inspection import Inspection
-    from lite6jax.recordings.fault import DataFault
-    from lite6jax.recordings.raw import RawTable
+if TYPE_CHECKING:
+    import numpy as np
+
+    Columns = Mapping[str, np.ndarray]
 
 _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "joint_source": ("Where are the joint positions from?", ("measured", "commanded", "unknown")),
@@ -32,6 +49,22 @@ _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "tool": ("Are the poses of the flange itself (none), or of a tool (unknown)?", ("unknown", "none")),
     "torque_source": ("Where are the torques from?", ("measured", "current", "estimated", "unknown")),
 }
+
+
+class _Table(NamedTuple):
+    """A table as it is looked at: where it is or will be, its columns, their numbers, and how it was read or made."""
+
+    path: Path
+    content: "raw.RawTable"
+    columns: "list[tuple[str, np.ndarray | None]]"
+    notes: list[str]
+
+    def write(self, overwrite: bool) -> Path:
+        """Writes it."""
+        import pyarrow as pa
+
+        numbers = pa.table({name: values for name, values in self.columns if values is not None})
+        return write_atomically(self.path, lambda target: writing.write_table(numbers, target), overwrite)
 
 
 @final
@@ -53,7 +86,7 @@ class Init:
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
     """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or
     two files, one with the joints and one with the poses, which are joined to one table."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
     """What a column is, such as joint_1=q1_deg, tcp_x=x_mm, or foo=ignore. May be repeated."""
@@ -70,116 +103,104 @@ class Init:
 
     def run(self) -> int:
         """Looks, asks, writes, prints."""
-        from lite6jax.domains.pose.inspection import inspect
-        from lite6jax.fitting.source import load_nominal
-        from lite6jax.recordings.ros import ArmJoints
-        from lite6jax.recordings.settings import declared_settings
-        from lite6jax.recordings.sidecar import sidecar_path
-        from lite6jax.recordings.sources import open_table, split_topics
-        from lite6jax.report import inspection, screen
+        settings = command.parse_pairs("--set", self.set, as_yaml=True)
+        given = command.parse_pairs("--column", self.column)
+        sidecar_settings.declared_settings(None, None, settings)
+        joined, source = _join(self.source, sources.load_nominal(self.arm), given, self.force), self.source[0]
+        if joined is not None:
+            source, given = str(joined.path), {k: v for k, v in given.items() if k in joined.content.names}
+        path, topics = tables.split_topics(source)
+        sidecar, arm, shown = recordings.sidecar_path(path), self.arm, False
 
-        settings = pairs("--set", self.set, parsed=True)
-        given = pairs("--column", self.column)
-        declared_settings(None, None, settings)
-        joined = join(self.source, load_nominal(self.arm), given, self.force)
-        source, given = (self.source[0], given) if joined is None else (str(joined.path), dict(joined.given))
-        path, topics = split_topics(source)
-        sidecar = sidecar_path(path)
-        arm, shown = self.arm, False
-
-        def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
+        def open_source() -> _Table:
             if joined is not None:
-                return joined.path, joined.table, list(joined.table.numbers()), list(joined.notes)
+                return joined
             notes: list[str] = []
-            place, table = open_table(path, topics, ArmJoints.of(load_nominal(arm)), notes)
-            return place, table, list(table.numbers()), notes
+            joints = recordings.ArmJoints.of(sources.load_nominal(arm))
+            place, content = tables.open_table(path, topics, joints, notes)
+            return _Table(place, content, list(content.numbers()), notes)
 
-        def look() -> "Inspection":
+        def look() -> "pose_inspection.Inspection":
             said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
-            return inspect(columns, load_nominal(arm), given, str(file), assumed=table.assumed, **said)
+            source, assumed = str(table.path), table.content.assumed
+            return pose_inspection.inspect(
+                table.columns, sources.load_nominal(arm), given, source, assumed=assumed, **said
+            )
 
-        file, table, columns, notes = opened()
+        table = open_source()
+        file, notes = table.path, [*table.notes]
         check_writable(sidecar, self.force)
-        given = table.renamed(str(file), given, self.names)
+        given = table.content.renamed(str(file), given, self.names)
         found = look()
-        if arm and (before_jaw := _before_jaw(arm, found)):
-            arm = before_jaw
+        if arm and (shorter := _leave_out_jaw(arm, found)):
+            arm = shorter
             found = look()
             notes.append(f"the jaw is left out, as its column is a gripper's: the arm is {arm}")
         if not (self.yes or self.json) and _on_a_terminal():
             screen.show(inspection.inspection_report(found, str(file)))
-            arm = arm or _asked_arm(found)
+            arm = arm or _ask_arm(found)
             if arm and not self.arm:  # the joint states of a log are in the units of its joints
-                file, table, columns, notes = opened()
+                table = open_source()
+                notes = [*table.notes]
             before = dict(given)
-            given |= _asked_motors(look())
-            given |= _asked_pose(look())
-            given |= _asked_columns(look())
-            settings |= _asked(look(), settings)
+            for ask in (_ask_motors, _ask_pose, _ask_columns):
+                given |= ask(look())
+            settings |= _ask_settings(look(), settings)
             found, shown = look(), bool(arm) == bool(self.arm) and given == before
         if found.motors:
             raise InputError(f"{file}: {inspection.choice_of_motors(found)}")
         if found.undecided:
             raise InputError(f"{file}: {inspection.choice_of_pose(found)}")
-        named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
+        named = command.name_arm(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         if found.computed:
             settings.setdefault("pose_source", "controller_fk")
-        self._check(found, table, file, notes)
+        _check(found, table.content, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
         made = [] if joined is None else [joined.write(self.force)]
         made.append(write_atomically(sidecar, text, self.force))
-        faults = _gross_faults(source, found, settings, notes)
+        faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
-            told = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
-            print(json.dumps({**found.to_dict(), **told}, indent=1, allow_nan=False))
-            return DONE
+            more = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
+            print(json.dumps({**found.to_dict(), **more}, indent=1, allow_nan=False))
+            return command.DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
         if faults:
-            from lite6jax.report import data_faults
-
             screen.show(data_faults.fault_lines(faults))
         screen.show(screen.notes(notes))
         screen.written(made)
         screen.show(inspection.next_steps(found, settings, source))
-        return DONE
-
-    def _check(self, found: "Inspection", table: "RawTable", path: "Path", notes: list[str]) -> None:
-        """Refuses what the other commands would refuse, before anything is written."""
-        from lite6jax.recordings.table import tabulated
-        from lite6jax.report.inspection import no_angles
-
-        q = found.of("q")
-        if q is not None and q.unit.reason in ("percent", "ticks"):
-            raise InputError(f"{path}: {no_angles(q)}")
-        if q is None and not any(name.startswith("q1_") for name in found.given.values()):
-            listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
-            raise InputError(
-                f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
-                f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
-            )
-        dof = None if found.arm is None else found.arm.dof
-        tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
+        return command.DONE
 
 
-def _gross_faults(
-    source: str, found: "Inspection", settings: Mapping[str, Any], notes: list[str]
-) -> "tuple[DataFault, ...]":
+def _check(found: "pose_inspection.Inspection", table: "raw.RawTable", path: "Path", notes: list[str]) -> None:
+    """Refuses what the other commands would refuse, before anything is written."""
+    q = found.of("q")
+    if q is not None and q.unit.reason in ("percent", "ticks"):
+        raise InputError(f"{path}: {inspection.no_angles(q)}")
+    if q is None and not any(name.startswith("q1_") for name in found.given.values()):
+        listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
+        raise InputError(
+            f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
+            f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
+        )
+    dof = None if found.arm is None else found.arm.dof
+    tabulation.tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
+
+
+def _find_gross_faults(
+    source: str, found: "pose_inspection.Inspection", settings: Mapping[str, Any], notes: list[str]
+) -> "tuple[fault.DataFault, ...]":
     """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
-    from lite6jax.domains.pose.screening.options import ScreeningOptions
-
     if found.arm is None or found.of("q") is None or found.of("position") is None or not isfinite(found.error):
         return ()
     declared = settings.get("pose_frame") == "base" or settings.get("tool", "unknown") != "unknown"
-    if not declared and found.error <= ScreeningOptions().suspect_reach * found.arm.reach:
+    if not declared and found.error <= screening_options.ScreeningOptions().suspect_reach * found.arm.reach:
         return ()  # nothing is declared that could be wrong, and the nominal arm agrees
-    from lite6jax.domains.pose.screening.screen import screen as screened
-    from lite6jax.recordings import read_recording
-
     try:
-        return screened(read_recording(source), allow_undecided=True, coarse=True).found
+        return screening.screen(recordings.read_recording(source), allow_undecided=True, coarse=True).found
     except InputError as error:  # of too few rows, and the like: the table was recognised all the same
         notes.append(str(error))
         return ()
@@ -189,31 +210,26 @@ def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def _asked_arm(found: "Inspection") -> str | None:
+def _ask_arm(found: "pose_inspection.Inspection") -> str | None:
     if found.arm is not None:
         return None
     return input("Arm (a bundled name or a file; nothing for later): ").strip() or None
 
 
-def _before_jaw(arm: str, found: "Inspection") -> str | None:
+def _leave_out_jaw(arm: str, found: "pose_inspection.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
-    from lite6jax.arms.urdf import tip_before_jaw
-    from lite6jax.recordings.naming import is_of_gripper
-
     q = found.of("q")
-    if not arm.endswith(".urdf") or q is None or not is_of_gripper(q.block.columns[-1]):
+    if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.block.columns[-1]):
         return None
-    tip = tip_before_jaw(arm)
+    tip = urdf.tip_before_jaw(arm)
     return f"{arm}#{tip}" if tip else None
 
 
-def _asked_motors(found: "Inspection") -> dict[str, str]:
+def _ask_motors(found: "pose_inspection.Inspection") -> dict[str, str]:
     """The columns of the arm's joints, where a table has more of them than the arm."""
-    from lite6jax.report.inspection import choice_of_motors
-
     if not found.motors or found.arm is None:
         return {}
-    print(choice_of_motors(found))
+    print(inspection.choice_of_motors(found))
     every = [name for group in found.motors for name in group]
     usual = ",".join(every[: found.arm.dof])
     while True:
@@ -224,7 +240,7 @@ def _asked_motors(found: "Inspection") -> dict[str, str]:
         print(f"write {found.arm.dof} of {', '.join(every)}, between commas")
 
 
-def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
+def _ask_settings(found: "pose_inspection.Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     """Answers to the questions that the table raises and no option has answered."""
     poses = found.of("position") is not None
     torques = found.of("tau") is not None or found.of("current") is not None
@@ -234,44 +250,125 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
         if key in settings or (key == "pose_source" and found.computed):
             continue
         question, choices = _QUESTIONS[key]
-        answers[key] = _answer(question, choices, "unknown")
+        answers[key] = _ask(question, choices, "unknown")
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
 
 
-def _asked_pose(found: "Inspection") -> dict[str, str]:
+def _ask_pose(found: "pose_inspection.Inspection") -> dict[str, str]:
     """The columns of the poses that are not meant, to be ignored, where several are there and none is taken."""
-    from lite6jax.report.inspection import source_statement
-
     if not found.undecided:
         return {}
     for source in found.sources:
-        print(source_statement(source))
+        print(inspection.source_statement(source))
     names = [source.columns[0] for source in found.sources]
-    answer = _answer("Which pose is meant?", names, names[-1])
+    answer = _ask("Which pose is meant?", names, names[-1])
     return {name: "ignore" for source in found.sources if source.columns[0] != answer for name in source.columns}
 
 
-def _asked_columns(found: "Inspection") -> dict[str, str]:
+def _ask_columns(found: "pose_inspection.Inspection") -> dict[str, str]:
     """The names of columns whose unit or form is only assumed."""
-    from lite6jax.report.inspection import statement
-
     given: dict[str, str] = {}
     for meaning in found.meanings:
         form, unit = meaning.form, meaning.unit
         doubtful = form is not None and form.sure == "assumed"
         if not doubtful and (unit.sure != "assumed" or len(meaning.units) < 2):
             continue
-        print(statement(meaning))
+        print(inspection.statement(meaning))
         if form is not None and doubtful:
-            given |= meaning.renamed(form=_answer("Which form is it?", meaning.forms, form.choice))
+            given |= meaning.renamed(form=_ask("Which form is it?", meaning.forms, form.choice))
         if unit.choice and unit.sure == "assumed":
-            given |= meaning.renamed(unit=_answer("In which unit?", meaning.units, unit.choice))
+            given |= meaning.renamed(unit=_ask("In which unit?", meaning.units, unit.choice))
     return given
 
 
-def _answer(question: str, choices: Sequence[str], usual: str) -> str:
+def _ask(question: str, choices: Sequence[str], usual: str) -> str:
     while True:
         answer = input(f"{question} [{' | '.join(choices)}; nothing for {usual}]: ").strip() or usual
         if answer in choices:
             return answer
         print(f"write one of {', '.join(choices)}")
+
+
+# ------------------------------------------------------------------ join
+
+
+def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, str], overwrite: bool) -> _Table | None:
+    """One table of two files, or of one with three or more points on one body; None where one file is as it is to be.
+
+    Raises:
+        InputError: no file or more than two, what neither holds, no arm for two, or the table exists already.
+    """
+    if not 1 <= len(sources) <= 2:
+        raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
+    if len(sources) == 1:
+        first, columns = _read_columns(sources[0], arm, only_with_reflectors=True)
+        found = pose_joining.with_pose_of_reflectors(columns) if columns else None
+        if found is None:
+            return None
+        place, columns, notes = _name_table(first, "poses", overwrite), found.columns, joining.said_of_reflectors(found)
+    else:
+        if arm is None:
+            example = command_line("init", *sources, "--arm", "NAME")
+            raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
+        files, notes = [], []
+        for source in sources:
+            path, columns = _read_columns(source, arm)
+            if (found := pose_joining.with_pose_of_reflectors(columns)) is not None:
+                columns = found.columns
+                notes += [f"{path.name}: {said}" for said in joining.said_of_reflectors(found)]
+            own = {name: meaning for name, meaning in given.items() if name in columns}
+            meanings = pose_inspection.inspect(list(columns.items()), arm, own, str(path))
+            files.append(pose_joining.File(str(path), path.stem, columns, meanings))
+        if named := sorted(given.keys() - files[0].columns.keys() - files[1].columns.keys()):
+            raise InputError(f"--column {named[0][:60]}: neither {sources[0]} nor {sources[1]} has it; check the name")
+        joints, poses = _assign_roles(*files)
+        if joints.found.of("q") is None:
+            moved = pose_joining.with_joints(joints, arm)
+            joints = moved.file
+            notes += joining.said_of_path(moved, arm.name)
+        place = _name_table(Path(files[0].source), files[1].stem, overwrite)
+        whole = pose_joining.join_files(joints, poses, arm)
+        notes += joining.said_of_files(whole, Path(joints.source).name, Path(poses.source).name)
+        columns = whole.columns
+    made = raw.of_arrays(columns)
+    return _Table(place, made, list(made.numbers()), notes)
+
+
+def _read_columns(source: str, arm: "arms.Arm | None", only_with_reflectors: bool = False) -> "tuple[Path, Columns]":
+    """The numbers of a table by name; none where only points are of interest and its names tell of none."""
+    path, topics = tables.split_topics(source)
+    if only_with_reflectors and path.suffix.lower() not in tables.TABLES:
+        return path, {}
+    path, table = tables.open_table(path, topics, recordings.ArmJoints.of(arm), [])
+    if only_with_reflectors and not reflectors.reflector_columns(table.names):
+        return path, {}
+    return path, {name: values for name, values in table.numbers() if values is not None}
+
+
+def _assign_roles(
+    one: "pose_joining.File", other: "pose_joining.File"
+) -> "tuple[pose_joining.File, pose_joining.File]":
+    """The file with the joints and the one with the poses, whatever their order.
+
+    Where neither has joints, the robot's is the one whose poses are the controller's by their names, or the first.
+    """
+    with_joints = [file for file in (one, other) if file.found.of("q") is not None]
+    if len(with_joints) == 2:
+        raise InputError(
+            f"{one.source} and {other.source}: both have joint positions; say which are none by --column NAME=ignore"
+        )
+    roles = [any(source.role == "controller" for source in file.found.sources) for file in (one, other)]
+    joints = with_joints[0] if with_joints else other if roles == [False, True] else one
+    poses = other if joints is one else one
+    if poses.found.of("position") is None:
+        raise InputError(
+            f"{poses.source}: no columns look like positions of the tool; say which they are, --column NAME=x_mm "
+            "--column NAME=y_mm --column NAME=z_mm"
+        )
+    return joints, poses
+
+
+def _name_table(path: Path, other: str, overwrite: bool) -> Path:
+    """The name of the table beside the first file, where nothing is yet."""
+    suffix = path.suffix.lower() if path.suffix.lower() in tables.TABLES else ".csv"
+    return check_writable(path.with_name(f"{path.stem}_{other}{suffix}"), overwrite)

@@ -1,63 +1,49 @@
-"""The program: which commands there are, how one is run, and what becomes of its mistakes."""
+"""The program: which commands there are, how their help is shown, how one is run, and what becomes of its mistakes."""
 
+import ast
 import gc
 import inspect
 import operator
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import is_dataclass
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
+from itertools import pairwise
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 
-from lite6jax.cli.compensate import Compensate
+from lite6jax.cli.arms import Arms, Convert, Effects
+from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.demo import Demo
-from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose
+from lite6jax.cli.diagnosis import Compensate, Predict, Report, View
 from lite6jax.cli.emulate import Emulate
-from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
-from lite6jax.cli.files import Check, Convert
-from lite6jax.cli.fit import Compare, Fit
-from lite6jax.cli.fleet import Fleet
-from lite6jax.cli.help import is_help, with_readable_options, wrapped
+from lite6jax.cli.fit import Check, Compare, Fit, Fleet
 from lite6jax.cli.init import Init
-from lite6jax.cli.listing import Arms, Effects
 from lite6jax.cli.live import Read, Record
-from lite6jax.cli.predict import Predict
-from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
-from lite6jax.cli.study import Identify, Sensitivity
-from lite6jax.cli.view import View
+from lite6jax.cli.study import Design, Identify, Sensitivity
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
 
+with import_lazily():
+    from lite6jax.fitting import compiled
+
 COMMANDS = {
-    "init": Init,
-    "fit": Fit,
-    "compare": Compare,
-    "fleet": Fleet,
-    "identify": Identify,
-    "sensitivity": Sensitivity,
-    "design": Design,
-    "diagnose": Diagnose,
-    "report": Report,
-    "view": View,
-    "predict": Predict,
-    "compensate": Compensate,
-    "simulate": Simulate,
-    "emulate": Emulate,
-    "convert": Convert,
-    "check": Check,
-    "read": Read,
-    "record": Record,
-    "effects": Effects,
-    "arms": Arms,
-    "demo": Demo,
+    command.__name__.lower(): command
+    for command in (
+        *(Init, Fit, Compare, Fleet, Identify, Sensitivity, Design, Diagnose, Report, View, Predict, Compensate),
+        *(Simulate, Emulate, Convert, Check, Read, Record, Effects, Arms, Demo),
+    )
 }
 DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
 calibrations: of a UFACTORY Lite 6, or of any serial arm.
@@ -75,16 +61,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments == ["--version"]:
             print(f"lite6jax {_version()}")
             return DONE
-        with wrapped() if is_help(arguments) else nullcontext():
+        with _wrap_lines() if _asks_help(arguments) else nullcontext():
             command = tyro.cli(
                 _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
-        from lite6jax.fitting.compiled import keep_compiled_code
-
-        keep_compiled_code()
+        compiled.keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
-        with _warnings_as_lines():
+        with _warn_in_lines():
             code = command.run()
         sys.stdout.flush()
     except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
@@ -101,21 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _subcommands(arguments: Sequence[str]) -> Any:
-    """The commands as tyro takes them; the list of all commands has their first paragraphs only."""
-    options, alone = [], not set(arguments) & set(COMMANDS)
-    for name, command in COMMANDS.items():
-        text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
-        if alone:
-            text = " ".join(text.partition("\n\n")[0].split())
-        elif is_help(arguments):
-            with_readable_options(command)
-        options.append(Annotated[command, subcommand(name, description=text)])
-    return reduce(operator.or_, options)
-
-
 @contextmanager
-def _warnings_as_lines() -> Iterator[None]:
+def _warn_in_lines() -> Iterator[None]:
     """Prints each warning of the input once, as one line on stderr."""
     shown, said = warnings.showwarning, set()
 
@@ -142,3 +113,89 @@ def _version() -> str:
         return version("lite6jax")
     except PackageNotFoundError:
         return "(not installed)"
+
+
+# ------------------------------------------------------------------ help
+
+
+def _asks_help(arguments: Sequence[str]) -> bool:
+    return not {"-h", "--help"}.isdisjoint(arguments)
+
+
+def _subcommands(arguments: Sequence[str]) -> Any:
+    """The commands as tyro takes them; the list of all commands has their first paragraphs only."""
+    options, alone = [], not set(arguments) & set(COMMANDS)
+    for name, command in COMMANDS.items():
+        text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
+        if alone:
+            text = " ".join(text.partition("\n\n")[0].split())
+        elif _asks_help(arguments):
+            _describe_options(command)
+        options.append(Annotated[command, subcommand(name, description=text)])
+    return reduce(operator.or_, options)
+
+
+def _describe_options(command: Any) -> None:
+    """Lets help show a command's options, and groups of options in it, as people read them.
+
+    Nothing is said of the default of an option that is left out, or of a flag that is not set. Descriptions become one
+    paragraph: tyro would keep the line breaks of the source.
+    """
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
+    assert isinstance(tree, ast.ClassDef)
+    said = {
+        field.target.id: " ".join(text.value.value.split())
+        for field, text in pairwise(tree.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }
+    for name, annotation in command.__annotations__.items():
+        if is_dataclass(annotation):
+            _describe_options(annotation)
+        else:
+            described = arg(help=said.get(name), help_behavior_hint=_describe_default)
+            command.__annotations__[name] = Annotated[annotation, described]
+
+
+def _describe_default(default: str) -> str:
+    if default in ("None", "False", ""):
+        return ""
+    return "(default: on)" if default == "True" else f"(default: {default})"
+
+
+class _Wrapping:
+    """A stream that breaks lines of prose at words before it hands them on; frames are as wide as they are."""
+
+    def __init__(self, stream: Any, width: int) -> None:
+        self._stream, self._width = stream, width
+
+    def write(self, text: str) -> int:
+        self._stream.write("\n".join(map(self._wrap, text.split("\n"))))
+        return len(text)
+
+    def _wrap(self, line: str) -> str:
+        if len(line) <= self._width or line[0] in "╭│╰" or line.startswith("    lite6jax "):
+            return line  # a command to copy is one line
+        line = line.replace(",", ", ") if line.startswith("usage: ") else line  # the commands are one word there
+        indent = " " * (len(line) - len(line.lstrip()))
+        return textwrap.fill(
+            line, self._width, subsequent_indent=indent and indent + "    ", break_long_words=False,
+            break_on_hyphens=False,
+        )  # fmt: skip
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def _wrap_lines() -> Iterator[None]:
+    """Within, lines that are printed break at words."""
+    stream = sys.stdout
+    sys.stdout = _Wrapping(stream, max(40, shutil.get_terminal_size().columns))  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        sys.stdout = stream

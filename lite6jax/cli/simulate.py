@@ -1,7 +1,6 @@
 """The command that simulates: a recording of an arm with chosen effects, as a sensor measures it."""
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,22 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import refuse_inputs
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
+
+with import_lazily():
+    from lite6jax import recordings, simulation
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import factory as factories
+    from lite6jax.arms import files
+    from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.report import screen, words
 
 if TYPE_CHECKING:
     import numpy as np
     from rich.console import RenderableType
 
-    from lite6jax.arms.arm import Arm
-    from lite6jax.effects.composition import Physics
-    from lite6jax.recordings import RecordingSettings
-    from lite6jax.simulation import Instrument, Measured
-
 Known = Literal["known", "unknown"]
-Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,36 @@ class Noise:
     """Undeclared: share of the rows that are outliers, 0 to 1."""
     outlier_size: Annotated[float, arg(metavar="MM")] = 5.0
     """Displacement of an outlier, mm; each is 0.5 to 2 times this."""
+
+    def instrument(self, sensor: str) -> "simulation.Instrument":
+        """The sensor with the declared noise."""
+        position = None if self.position_noise is None else self.position_noise / 1e3
+        orientation = None if self.orientation_noise is None else math.radians(self.orientation_noise)
+        chosen = simulation.INSTRUMENTS[sensor]
+        noisy = chosen.sensor.with_noise(position, orientation, math.radians(self.joint_noise))
+        return chosen._replace(sensor=noisy)
+
+    def undeclared(self) -> "simulation.UndeclaredNoise":
+        """How the noise differs from the declared one."""
+        return simulation.UndeclaredNoise(
+            factor=self.noise_factor,
+            correlation=self.noise_correlation,
+            growth_per_m=self.noise_growth,
+            joint_noise=math.radians(self.undeclared_joint_noise),
+            outlier_share=self.outliers,
+            outlier_size=self.outlier_size / 1e3,
+        )
+
+    def describe_undeclared(self) -> str:
+        """The same as phrases; empty where it does not differ."""
+        parts = [
+            (self.noise_factor != 1, f"{self.noise_factor:g} times as large"),
+            (self.noise_correlation, f"with autocorrelation {self.noise_correlation:g} from row to row"),
+            (self.noise_growth, f"growing by {100 * self.noise_growth:g} % per m from the base"),
+            (self.undeclared_joint_noise, f"joints' read-outs {self.undeclared_joint_noise:g} deg"),
+            (self.outliers, f"{100 * self.outliers:g} % outliers"),
+        ]
+        return ", ".join(text for given, text in parts if given)
 
 
 @dataclass(frozen=True)
@@ -85,7 +115,7 @@ class Simulate:
     """That no joint of a trajectory exceeds."""
     payload: Annotated[tuple[float, ...], arg(metavar="KG…")] = (0.0,)
     """At the flange; several one after the other in equal parts of the recording."""
-    payload_at: Triple = (0.0, 0.0, 0.0)
+    payload_at: command.Triple = (0.0, 0.0, 0.0)
     """Its centre of mass, mm in the flange's frame."""
     warm_up: Annotated[float | None, arg(metavar="K")] = None
     """Record temperatures that rise by this. 0: constant temperatures."""
@@ -102,43 +132,23 @@ class Simulate:
     """known: poses are in the arm's base frame; unknown: in the frame of a sensor whose place is not declared."""
     tool: Known = "known"
     """Whether the sidecar declares the measured point on the flange."""
-    tool_at: Triple = (0.0, 0.0, 0.0)
+    tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The measured point, mm in the flange's frame."""
     noise: Noise = Noise()
     seed: int = 0
     """Of the random numbers."""
-    force: bool = False
-    """Replace files that exist."""
+    force: command.Force = False
 
     def run(self) -> int:
         """Draws, measures, writes, prints."""
-        from lite6jax.arms.factory import write_factory
-        from lite6jax.arms.files import read_arm
-        from lite6jax.recordings import sidecar_path, write_recording
-        from lite6jax.report import screen
-        from lite6jax.simulation import UndeclaredNoise, draw_motion, draw_sensor_frame, measure
-
         if self.out.suffix.lower() not in (".csv", ".parquet"):
             raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
-        written = [self.out, sidecar_path(self.out)]
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
-        written += [calibration] if self.tolerance else []
-        for path in written:
-            check_writable(path, self.force)
-        refuse_inputs(written, [self.source, self.factory, self.effects])
-        arm = read_arm(self.source)
-        physics, values = self._physics()
+        written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]
+        command.check_outputs(written, [self.source, self.factory, self.effects], self.force)
+        arm, (physics, values) = files.read_arm(self.source), self._physics()
         declared, kinematics = self._geometry(arm)
-        noise = self.noise
-        undeclared = UndeclaredNoise(
-            factor=noise.noise_factor,
-            correlation=noise.noise_correlation,
-            growth_per_m=noise.noise_growth,
-            joint_noise=math.radians(noise.undeclared_joint_noise),
-            outlier_share=noise.outliers,
-            outlier_size=noise.outlier_size / 1e3,
-        )
-        motion = draw_motion(
+        motion = simulation.draw_motion(
             arm,
             self.motion,
             self.samples,
@@ -150,54 +160,46 @@ class Simulate:
             settings=self._settings(calibration),
             seed=self.seed,
         )
-        measured = measure(
+        measured = simulation.measure(
             motion,
             arm,
             physics,
             values,
             kinematics=kinematics,
-            sensor=self._instrument(),
-            undeclared=undeclared,
-            T_sensor_base=draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
-            tool=[*(value / 1e3 for value in self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
+            sensor=self.noise.instrument(self.sensor),
+            undeclared=self.noise.undeclared(),
+            T_sensor_base=simulation.draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
+            tool=[*command.metres(self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
             tool_known=self.tool == "known",
             seed=self.seed,
         )
         existed = calibration.exists()
         if self.tolerance:
-            write_factory(declared, calibration, overwrite=self.force)
+            factories.write_factory(declared, calibration, overwrite=self.force)
         try:
-            write_recording(measured.recording, self.out, self.force)
+            recordings.write_recording(measured.recording, self.out, self.force)
         except InputError:
             if self.tolerance and not existed:  # all files or none
                 calibration.unlink(missing_ok=True)
             raise
         screen.show(self._page(arm, physics, values, measured))
         screen.written(written)
-        return DONE
+        return command.DONE
 
-    def _physics(self) -> "tuple[Physics, np.ndarray]":
-        from lite6jax.effects.catalogue import kinds_of
-        from lite6jax.effects.composition import Physics
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.effects.user_effects import load_effects
-
-        own = () if self.effects is None else load_effects(self.effects)
-        parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
+    def _physics(self) -> "tuple[composition.Physics, np.ndarray]":
+        kinds = catalogue.kinds_of(command.load_own_effects(self.effects))
+        parsed = [serialization.parse_effect(text, kinds) for text in self.effect]
         for effect, _ in parsed:
             if self.warm_up is None and any(d.quantity.startswith("temperature") for d in effect.drivers):
                 raise InputError(f"{effect.label}: depends on temperatures that rise; add --warm-up 15")
             if self.motion == "static" and any(driver.quantity == "velocity" for driver in effect.drivers):
                 raise InputError(f"{effect.label}: depends on joint velocities; add --motion trajectory")
-        physics = Physics(tuple(effect for effect, _ in parsed))
+        physics = composition.Physics(tuple(effect for effect, _ in parsed))
         return physics, physics.join([values for _, values in parsed])
 
-    def _geometry(self, arm: "Arm") -> "tuple[np.ndarray, np.ndarray]":
+    def _geometry(self, arm: "arms.Arm") -> "tuple[np.ndarray, np.ndarray]":
         """The kinematics of the calibration, and those of the arm."""
         import numpy as np
-
-        from lite6jax.arms.factory import read_factory
-        from lite6jax.simulation import draw_calibration, perturbed
 
         if self.factory is not None and self.tolerance:
             raise InputError("--factory and --tolerance: both give the arm's geometry; keep one")
@@ -206,7 +208,7 @@ class Simulate:
             raise InputError("--factory-uncertainty: is one of a calibration; add --factory or --tolerance")
         declared = arm.kinematics
         if self.factory is not None:
-            factory = read_factory(self.factory, arm)
+            factory = factories.read_factory(self.factory, arm)
             if not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
                 raise InputError(
                     f"{self.factory}: holds a transform after the last joint, where a recording has its tool; give the "
@@ -214,54 +216,31 @@ class Simulate:
                 )
             declared = factory.kinematics
         elif self.tolerance:
-            declared = draw_calibration(arm, self.seed)
+            declared = simulation.draw_calibration(arm, self.seed)
         if self.factory_uncertainty is None:
             return declared, declared
         length, angle = self.factory_uncertainty
-        return declared, perturbed(declared, length / 1e3, math.radians(angle), self.seed)
+        return declared, simulation.perturbed(declared, length / 1e3, math.radians(angle), self.seed)
 
-    def _settings(self, calibration: Path) -> "RecordingSettings":
-        from lite6jax.arms.bundled import bundled_arms
-        from lite6jax.recordings import FactoryUncertainty, RecordingSettings
-
-        def from_sidecar(path: str | Path) -> str:
-            return Path(os.path.relpath(Path(path).resolve(), self.out.resolve().parent)).as_posix()
-
-        factory = calibration if self.tolerance else self.factory
+    def _settings(self, calibration: Path) -> "recordings.RecordingSettings":
+        factory, uncertainty = calibration if self.tolerance else self.factory, None
         if self.geometry == "unknown":
             factory = None
-        uncertainty = None
         if self.factory_uncertainty is not None:
             length, angle = self.factory_uncertainty
-            uncertainty = FactoryUncertainty(length / 1e3, math.radians(angle))
-        x, y, z = self.payload_at
-        return RecordingSettings(
-            arm=self.source if self.source in bundled_arms() else from_sidecar(self.source),
-            factory_calibration=None if factory is None else from_sidecar(factory),
+            uncertainty = recordings.FactoryUncertainty(length / 1e3, math.radians(angle))
+        return recordings.RecordingSettings(
+            arm=command.name_arm(self.source, self.out),
+            factory_calibration=None if factory is None else command.relative_path(factory, self.out),
             factory_uncertainty=uncertainty,
-            payload_com_m=(x / 1e3, y / 1e3, z / 1e3),
-        )
-
-    def _instrument(self) -> "Instrument":
-        from lite6jax.simulation import INSTRUMENTS
-
-        instrument, noise = INSTRUMENTS[self.sensor], self.noise
-        return instrument._replace(
-            sensor=instrument.sensor.with_noise(
-                None if noise.position_noise is None else noise.position_noise / 1e3,
-                None if noise.orientation_noise is None else math.radians(noise.orientation_noise),
-                math.radians(noise.joint_noise),
-            )
+            payload_com_m=command.metres(self.payload_at),
         )
 
     def _page(
-        self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measured"
+        self, arm: "arms.Arm", physics: "composition.Physics", values: "np.ndarray", measured: "simulation.Measured"
     ) -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
         from rich.text import Text
-
-        from lite6jax.report import screen
-        from lite6jax.report.words import fixed, number
 
         recording, settings = measured.recording, measured.recording.settings
         kind = "positions" if recording.quaternion is None else "poses"
@@ -283,7 +262,7 @@ class Simulate:
             said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
         said += [f"joints {self.noise.joint_noise:.3g} deg"] if self.noise.joint_noise else []
         yield Text(f"Noise, as declared: {', '.join(said)}.")
-        if hidden := self._undeclared():
+        if hidden := self.noise.describe_undeclared():
             yield Text(f"Noise, not declared: {hidden}.")
         yield from screen.notes(recording.notes)
         yield ""
@@ -291,22 +270,9 @@ class Simulate:
             yield Text("No effects: the arm is rigid.")
             return
         yield Text("Effects beyond the rigid model")
-        for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
-            numbers = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in parameters.items())
-            yield Text(f"  {effect.name} at {effect.site}: {numbers}")
-        (distance, turn), largest = measured.rms, float(measured.displacement.max())
+        yield from command.list_effects(zip(physics.effects, physics.reported(values), strict=True))
+        distance, largest = (words.number(1e3 * size) for size in (measured.rms[0], float(measured.displacement.max())))
         yield Text(
-            f"The effects displace the measured point by {number(1e3 * distance)} mm RMS ({number(1e3 * largest)} mm "
-            f"at most) and rotate it by {fixed(math.degrees(turn))} deg RMS."
+            f"The effects displace the measured point by {distance} mm RMS ({largest} mm at most) and rotate it by "
+            f"{words.fixed(math.degrees(measured.rms[1]))} deg RMS."
         )
-
-    def _undeclared(self) -> str:
-        noise = self.noise
-        parts = [
-            (noise.noise_factor != 1, f"{noise.noise_factor:g} times as large"),
-            (noise.noise_correlation, f"with autocorrelation {noise.noise_correlation:g} from row to row"),
-            (noise.noise_growth, f"growing by {100 * noise.noise_growth:g} % per m from the base"),
-            (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g} deg"),
-            (noise.outliers, f"{100 * noise.outliers:g} % outliers"),
-        ]
-        return ", ".join(text for given, text in parts if given)

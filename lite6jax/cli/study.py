@@ -1,30 +1,34 @@
-"""Commands that study an arm: what poses or torques determine of it, and which parameters its error comes from."""
+"""Commands that study an arm: what poses or torques determine of it, which to record, and what its error comes from."""
 
-import json
 import math
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, Processes, Scheduler, check_processes, check_seed, stem
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import files
+    from lite6jax.design import candidates, clearance, identify, information, motions, poses, sensitivity, torques
+    from lite6jax.design import sensor as sensors
+    from lite6jax.effects import serialization
+    from lite6jax.effects.dynamic import catalogue
+    from lite6jax.fitting import source
+    from lite6jax.report import documents, figures, study, words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
     from rich.console import RenderableType
 
-    from lite6jax.arms.arm import Arm
-    from lite6jax.design.candidates import Filter
-    from lite6jax.design.information import Experiment
-    from lite6jax.design.motions import MotionRoom
-    from lite6jax.design.torques import TorqueModel
-    from lite6jax.recordings import Recording, RecordingSettings
+    Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
+    """A design, what is written of it, and its report."""
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 Known = Literal["known", "unknown"]
@@ -43,11 +47,11 @@ class Setup:
     """Whether the sensor's frame is known."""
     tool: Known = "known"
     """Whether the measured point's place on the flange is known."""
-    tool_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The nominal place of the measured point, mm in the flange's frame."""
-    axis: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 1.0)
+    axis: command.Triple = (0.0, 0.0, 1.0)
     """The dial gauge's direction, in the sensor's frame."""
-    center: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (300.0, 0.0, 0.0)
+    center: command.Triple = (300.0, 0.0, 0.0)
     """The ball bar's other end, mm in the sensor's frame."""
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
     """One standard deviation per axis, mm, in place of the sensor's."""
@@ -60,7 +64,7 @@ class Setup:
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """Mass at the flange, for effects of gravity."""
 
-    def experiment(self, arm: "Arm") -> "Experiment":
+    def experiment(self, arm: "arms.Arm") -> "information.Experiment":
         """The experiment that this set-up is on an arm.
 
         Raises:
@@ -68,33 +72,27 @@ class Setup:
         """
         import numpy as np
 
-        from lite6jax.design.information import plan_experiment
-        from lite6jax.design.sensor import sensor_named
-
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
                 raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
         if not (math.isfinite(self.payload) and self.payload >= 0):
             raise InputError(f"--payload {self.payload}: give a mass in kg, not below 0")
-        sensor = sensor_named(self.sensor).with_noise(
+        sensor = sensors.sensor_named(self.sensor).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        center, tool_at = (tuple(value / 1e3 for value in numbers) for numbers in (self.center, self.tool_at))
-        setup = plan_experiment(
+        setup = information.plan_experiment(
             arm,
-            replace(sensor, direction=self.axis, center=center),
+            replace(sensor, direction=self.axis, center=command.metres(self.center)),
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
-            tool_at=tool_at,  # type: ignore[arg-type]
+            tool_at=command.metres(self.tool_at),
         )
         if not self.effect:
             return setup
-        from lite6jax.effects.serialization import parse_effect
-
-        effects, values = zip(*(parse_effect(text, neutral=True) for text in self.effect), strict=True)
+        effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
         try:
             return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
         except InputError as error:
@@ -131,7 +129,9 @@ class TorqueSetup:
     acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
     """The greatest acceleration, likewise."""
 
-    def model(self, arm: "Arm", declared: "RecordingSettings | None" = None, unknown: bool = True) -> "TorqueModel":
+    def model(
+        self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None, unknown: bool = True
+    ) -> "torques.TorqueModel":
         """What is unknown of an arm, and the noise.
 
         Args:
@@ -141,23 +141,27 @@ class TorqueSetup:
         Raises:
             InputError: as `torque_model`.
         """
-        from lite6jax.design.torques import GRAVITY, torque_model
-
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
-        gravity = self.gravity or (declared.gravity_m_per_s2 if declared else GRAVITY)
+        gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
         inertial = unknown if self.inertial is None else self.inertial == "unknown"
-        return torque_model(arm, noise, gravity, inertial)
+        return torques.torque_model(arm, noise, gravity, inertial)
 
-    def room(self, arm: "Arm", filters: "Sequence[Filter]" = (), margin: float = 0.0) -> "MotionRoom":
+    def room(
+        self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
+    ) -> "motions.MotionRoom":
         """Where a motion may be.
 
         Raises:
             InputError: as `motion_limits` and `MotionRoom`.
         """
-        from lite6jax.design.motions import MotionRoom, motion_limits
+        import numpy as np
 
-        limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
-        return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
+        def scale(numbers: tuple[float, ...]):  # one in degrees, or one per joint in degrees and mm
+            scales, _ = words.joint_units(arm.sliding, arm.dof)
+            return np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
+
+        limits = motions.motion_limits(arm, scale(self.velocity), scale(self.acceleration), margin)
+        return motions.MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
 
     def refuse_unused(self) -> None:
         """Refuses options of torques where poses are studied.
@@ -168,16 +172,6 @@ class TorqueSetup:
         given = [field.name for field in fields(self) if getattr(self, field.name) != field.default]
         if given:
             raise InputError(f"--{given[0].replace('_', '-')}: is for torques; add --torque")
-
-
-def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
-    """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
-    import numpy as np
-
-    from lite6jax.report.words import joint_units
-
-    scales, _ = joint_units(arm.sliding, arm.dof)
-    return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
 
 
 @final
@@ -204,47 +198,36 @@ class Identify:
     """Seed of the poses and of simulated readings."""
     refits: int = 0
     """Number of sets of simulated readings that are fitted to test the prediction."""
-    processes: Processes = None
+    processes: command.Processes = None
     """Processes of this machine that fit them, each with one thread; none but this one where not given."""
-    scheduler: Scheduler = None
-    """In place of processes of this machine: the Dask cluster of the scheduler at this address (tcp://HOST:8786)."""
+    scheduler: command.Scheduler = None
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
-    arm: ArmName = None
+    arm: command.ArmName = None
     """The nominal arm of a recording; from the sidecar where not given."""
-    figures: Folder = None
+    figures: command.Folder = None
     """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-    json: bool = False
-    """Print one JSON object (SI units) instead of sentences and tables."""
-    assume_degrees: bool = False
-    """Take joint columns that say rad as degrees."""
-    assume_millimetres: bool = False
-    """Take position columns that say m as millimetres."""
+    force: command.Force = False
+    json: command.Json = False
+    assume_degrees: command.AssumeDegrees = False
+    assume_millimetres: command.AssumeMillimetres = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
-        from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.recordings import Recording, recording_file
-
-        check_seed(self.seed)
-        check_processes(self.processes, self.scheduler)
+        command.check_seed(self.seed)
+        command.check_processes(self.processes, self.scheduler)
         if not self.refits and (self.processes is not None or self.scheduler is not None):
             raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
-        names = [f"{stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, names, self.force)
+        names = [f"{command.stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
+        command.check_figures(self.figures, names, self.force)
         nominal = recording = None
-        if recording_file(self.source) is not None:
-            nominal = load_nominal(self.arm)
-            recording = read_source(
+        if recordings.recording_file(self.source) is not None:
+            nominal = source.load_nominal(self.arm)
+            recording = source.read_source(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
-            assert isinstance(recording, Recording)  # by its suffix
+            assert isinstance(recording, recordings.Recording)  # by its suffix
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None
@@ -253,11 +236,9 @@ class Identify:
         self.torque.refuse_unused()
         return self._identify_poses(recording, nominal, names)
 
-    def _identify_poses(self, recording: "Recording | None", nominal: "Arm | None", names: list[str]) -> int:
-        from lite6jax.design.identify import identify, identify_recording
-        from lite6jax.effects.serialization import parse_effect
-        from lite6jax.report import study
-
+    def _identify_poses(
+        self, recording: "recordings.Recording | None", nominal: "arms.Arm | None", names: list[str]
+    ) -> int:
         refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
         if recording is None:
             if self.poses < 1:
@@ -267,30 +248,20 @@ class Identify:
         if recording is None or recording.position is None:
             q = None if recording is None else recording.joint_position
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
-            found = identify(experiment, q, poses=self.poses, **refits)
+            found = identify.identify(experiment, q, poses=self.poses, **refits)
         else:
             if replace(self.setup, effect=()) != Setup():
                 raise InputError(
                     f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a set-up"
                     " but --effect"
                 )
-            effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
-            found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
-        written = []
-        if self.figures:
-            from lite6jax.report import canvas
-
-            drawn = found.plot(self.source).values()
-            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+            effects = [serialization.parse_effect(text, neutral=True)[0] for text in self.setup.effect]
+            found = identify.identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
+        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         report = study.identification_report(found, self.source, drawn=recording is None)
-        return self._present(found, report, written)
+        return command.present(self.json, found, report, written)
 
-    def _identify_torques(self, recording: "Recording | None", nominal: "Arm | None") -> int:
-        from lite6jax.design.motions import random_motions, read_motion
-        from lite6jax.design.torques import identify_torques
-        from lite6jax.report import study
-        from lite6jax.report.words import torque_units
-
+    def _identify_torques(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> int:
         poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
         if poses or self.figures is not None:
             raise InputError(
@@ -300,44 +271,29 @@ class Identify:
         arm, notes = self._read_arm(recording, nominal), []
         if recording is None:
             room = self.torque.room(arm)
-            trajectory = room.trajectory(random_motions(room, self.seed, 1)[0])
+            trajectory = room.trajectory(motions.random_motions(room, self.seed, 1)[0])
             model, motion = self.torque.model(arm), trajectory.motion
             phrase = f"a random motion of {room.duration:g} s inside the limits, {len(trajectory.time)} samples"
         else:
-            motion, assumed = read_motion(recording)
+            motion, assumed = motions.read_motion(recording)
             model = self.torque.model(arm, recording.settings)
             phrase, notes = f"{recording.samples} samples of a recording", [*recording.notes, *assumed]
             if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:
-                each = dict.fromkeys(zip(model.noise.tolist(), torque_units(arm.sliding, arm.dof), strict=True))
+                each = dict.fromkeys(zip(model.noise.tolist(), words.torque_units(arm.sliding, arm.dof), strict=True))
                 said = " and ".join(f"{noise:g} {unit}" for noise, unit in each)
                 are = "are" if len(each) > 1 else "is"
                 notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
-        found = identify_torques(model, motion, notes=tuple(notes))
+        found = torques.identify_torques(model, motion, notes=tuple(notes))
         report = study.torque_identification_report(found, self.source, phrase)
-        return self._present(found, report)
+        return command.present(self.json, found.to_dict, report)
 
-    def _present(self, found: Any, report: "Iterable[RenderableType]", written: "Iterable[Path]" = ()) -> int:
-        from lite6jax.report import screen
-
-        if self.json:
-            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
-        else:
-            screen.show(report)
-            screen.written(written)
-        return DONE
-
-    def _read_arm(self, recording: "Recording | None", nominal: "Arm | None") -> "Arm":
+    def _read_arm(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> "arms.Arm":
         """The arm itself, or that of a recording."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.recordings import recording_file
-
         if nominal is not None or recording is None:
-            return nominal or read_arm(self.source)
-        file = recording_file(self.source)
-        assert file is not None
+            return nominal or files.read_arm(self.source)
         if recording.settings.arm is None:
             raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-        return read_arm(recording.settings.arm_reference(file.parent))
+        return files.read_arm(recording.settings.arm_reference(Path(recording.source).parent))
 
 
 @final
@@ -362,47 +318,224 @@ class Sensitivity:
     """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
     arms: int = 1024
     """Number of arms for Sobol's indices, a power of 2."""
-    seed: int = 0
-    """Seed of the random numbers."""
-    figures: Folder = None
+    seed: command.Seed = 0
+    figures: command.Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace files that exist."""
+    json: command.Json = False
+    force: command.Force = False
 
     def run(self) -> int:
         """Computes, draws, prints."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.design.sensitivity import global_sensitivity, sensitivity
-        from lite6jax.report import screen, study
-
-        check_seed(self.seed)
+        command.check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
-        names = [f"{stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, names, self.force)
-        arm = read_arm(self.source)
+        names = [f"{command.stem(self.source)}_sensitivity_{kind}" for kind in ("by_joint", "workspace")]
+        command.check_figures(self.figures, names, self.force)
+        arm = files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
-        found = sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
+        found = sensitivity.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
         over_arms = None
         if self.global_indices:
-            over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
-        written = []
-        if self.figures:
-            from lite6jax.report import canvas
+            over_arms = sensitivity.global_sensitivity(
+                arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed
+            )
+        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
+        report = study.sensitivity_report(found, over_arms, self.source)
+        return command.present(self.json, lambda: documents.of_sensitivity(found, over_arms), report, written)
 
-            drawn = found.plot(self.source).values()
-            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
-        if self.json:
-            from lite6jax.report import documents
 
-            print(documents.text(documents.of_sensitivity(found, over_arms), written))
+@final
+@dataclass(frozen=True)
+class Design:
+    """Which poses to record: those that determine an arm's parameters best, and how many are enough; or, with --torque,
+    which motion to make: one from rest to rest whose torques determine an arm's dynamics best.
+
+    For example:
+
+        lite6jax design lite6 --poses 40 --sensor tracker --out poses.csv
+        lite6jax design lite6 --poses 30 --box 100 -300 0 500 300 500 --floor 20 --out poses.csv
+        lite6jax design lite6 --discriminate joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
+            joint_harmonic:joint=2,order=1 --out poses.csv
+        lite6jax design lite6 --torque --out motion.csv
+        lite6jax design lite6 --torque --discriminate viscous_friction:joint=2,viscous_Nm_s_per_rad=1
+            coulomb_friction:joint=2 --out motion.csv
+    """
+
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it."""
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
+    """A bundled arm or an arm's file."""
+    setup: Setup = field(default_factory=Setup)
+    torque: TorqueSetup = field(default_factory=TorqueSetup)
+    poses: int = 40
+    """Number of poses to choose."""
+    accuracy: Annotated[float | None, arg(metavar="MM")] = None
+    """Say how many poses predict positions to this accuracy (one standard deviation)."""
+    criterion: Literal["I", "D", "A", "E"] = "I"
+    """I: positions predicted over the workspace; D, A, E: the parameters' volume, mean variance, worst direction."""
+    discriminate: Annotated[tuple[str, str] | None, arg(metavar="EFFECT EFFECT")] = None
+    """Choose the poses that discriminate between these two effects instead. The first must have a size; the second
+    may have one, and then each is tested against the other."""
+    candidates: int = 100_000
+    """Number of joint positions drawn, among which poses are chosen."""
+    recorded: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A recording whose poses count as already measured."""
+    limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
+    """The least distance of each joint from its limits."""
+    box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
+    """Where the sensor measures the tool: least x y z, then greatest x y z, mm in the base's frame."""
+    floor: Annotated[float | None, arg(metavar="MM")] = None
+    """Height above which all joints, the flange and the tool stay, mm in the base's frame."""
+    link_radius: Annotated[float | None, arg(metavar="MM")] = None
+    """The radius of the capsules around the links; a twentieth of the reach where not given, 0 for no check."""
+    collision_geometry: Annotated[str | None, arg(metavar="URDF")] = None
+    """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
+    filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
+    """A function of yours from (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
+    refine: bool = True
+    """Move the chosen poses on by gradient, between the candidates."""
+    seed: command.Seed = 0
+    processes: command.Processes = None
+    """With --torque: so many processes of this machine compute, each with one thread; this one alone where not
+    given."""
+    scheduler: command.Scheduler = None
+    """With --torque, in place of processes of this machine: the Dask cluster of the scheduler at this address
+    (tcp://HOST:8786)."""
+    figures: command.Folder = None
+    """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Draws candidates or motions, chooses, writes, prints."""
+        sidecar = recordings.sidecar_path(self.out)
+        filters = (reference.rpartition(":")[0] for reference in self.filter)
+        inputs = [self.source, self.recorded, self.collision_geometry, *filters]
+        command.check_outputs([self.out, sidecar], inputs, self.force)
+        command.check_seed(self.seed)
+        command.check_processes(self.processes, self.scheduler)
+        self._check_options()
+        of_motion = self.torque.torque
+        name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
+        command.check_figures(self.figures, [name], self.force)
+        design = self._design_motion if of_motion else self._design_poses
+        found, recording, report = design(files.read_arm(self.source))
+        written = [recordings.write_recording(recording, self.out, self.force), sidecar]
+
+        def draw():
+            yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(found, self.source)
+
+        written += command.save_figures(self.figures, [name], draw, self.force)
+        return command.present(self.json, found, report, written)
+
+    def _check_options(self) -> None:
+        if self.torque.torque:
+            others = ("poses", "accuracy", "criterion", "candidates", "recorded", "refine")
+            default = {item.name: item.default for item in fields(self)}
+            given = [f"--{name}" for name in others if getattr(self, name) != default[name]]
+            if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
+                given.append("the options of a sensor")
+            if given:
+                raise InputError(f"--torque: designs a motion; leave {given[0]} out")
+            return
+        self.torque.refuse_unused()
+        if self.processes is not None or self.scheduler is not None:
+            raise InputError(
+                "--processes, --scheduler: apply only to the design of a motion; add --torque, or leave them out"
+            )
+        if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
+            raise InputError(
+                "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
+            )
+        if self.accuracy is not None and not self.accuracy > 0:
+            raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
+
+    def _design_poses(self, arm: "arms.Arm") -> "Designed":
+        experiment = self.setup.experiment(arm)
+        recorded = None
+        if self.recorded is not None:
+            recorded = source.read_source(self.recorded, arm)
+            if not isinstance(recorded, recordings.Recording):
+                raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
+            recorded = recorded.joint_position
+        margin = math.radians(self.limit_margin)
+        filters, disabled = self._filters(arm)
+        drawn = candidates.candidates(arm, self.candidates, self.seed, filters, margin)
+        options = {
+            "recorded": recorded,
+            "refined": self.refine,
+            "limits": candidates.inside_limits(arm, margin),
+            "feasible": lambda q: candidates.all_pass(filters, q),
+            "seed": self.seed,
+        }
+        accuracy = None if self.accuracy is None else self.accuracy / 1e3
+        if self.discriminate is None:
+            options |= {"criterion": self.criterion, "accuracy": accuracy}
+            found = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
-            screen.show(study.sensitivity_report(found, over_arms, self.source))
-            screen.written(written)
-        return DONE
+            one, other = self.discriminate
+            rivals = (serialization.parse_effect(one), serialization.parse_effect(other, neutral=True))
+            found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
+        q = found.joint_position[poses.shortest_round(found.joint_position)]
+        settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
+        planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding)
+        report = study.design_report(found, drawn, disabled, self.source, accuracy)
+        return found, planned, report
+
+    def _design_motion(self, arm: "arms.Arm") -> "Designed":
+        filters, disabled = self._filters(arm)
+        room = self.torque.room(arm, filters, math.radians(self.limit_margin))
+        search = motions.MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
+        if self.discriminate is None:
+            found = torques.plan_motion(self.torque.model(arm), room, search)
+            report = study.torque_plan_report(found, disabled, self.source)
+        else:
+            model = self.torque.model(arm, unknown=False)
+            one, other = self.discriminate
+            rivals = [
+                serialization.parse_effect(one, catalogue.BUILT_IN, False, arm.sliding),
+                serialization.parse_effect(other, catalogue.BUILT_IN, True, arm.sliding),
+            ]
+            found = torques.plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
+            report = study.torque_discrimination_report(found, disabled, self.source)
+        time, motion = found.trajectory.time, found.trajectory.motion
+        settings = recordings.RecordingSettings(
+            arm=command.name_arm(self.source, self.out),
+            motion="trajectory",
+            gravity_m_per_s2=self.torque.gravity or torques.GRAVITY,
+        )
+        recording = recordings.Recording.assembled(
+            motion.q.T,
+            time=time,
+            joint_velocity=motion.dq.T,
+            joint_acceleration=motion.ddq.T,
+            settings=settings,
+            sliding=arm.sliding,
+        )
+        return found, recording, report
+
+    def _filters(self, arm: "arms.Arm") -> "tuple[list[candidates.Filter], tuple[tuple[str, str], ...]]":
+        if self.floor is not None and not math.isfinite(self.floor):
+            raise InputError(f"--floor {self.floor}: give a height in mm")
+        at = command.metres(self.setup.tool_at)
+        filters: list[candidates.Filter] = []
+        disabled: tuple[tuple[str, str], ...] = ()
+        if self.box is not None:
+            filters.append(candidates.inside_box(arm, command.metres(self.box[:3]), command.metres(self.box[3:]), at))
+        if self.floor is not None:
+            filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
+        if self.collision_geometry is not None:
+            file, _, tip = str(self.collision_geometry).partition("#")
+            shapes = clearance.urdf_capsules(file, arm, tip=tip or None)
+        elif self.link_radius != 0:
+            radius = None if self.link_radius is None else self.link_radius / 1e3
+            shapes = clearance.chain_capsules(arm, radius, at)
+        else:
+            shapes = []
+        if shapes:
+            apart = clearance.self_collision(arm, shapes)
+            disabled = apart.disabled
+            filters.append(candidates.clear_of_itself(apart))
+        filters += map(candidates.user_filter, self.filter)
+        return filters, disabled

@@ -15,10 +15,8 @@ from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
     fold_count,
-    held_out_ahead,
     held_out_errors,
     held_out_folds,
-    likely_folds,
     refitted_errors,
     verify,
 )
@@ -83,15 +81,13 @@ def diagnose(
         # what cannot be read at all ends here, before any process has begun
         screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
         case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
-        if (likely := likely_folds(rows.recording, options)) is not None:
-            held_out_ahead(case, likely)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
             found = explain(case)
             selection = found.selection
             entered("estimating")
             selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
         folds = held_out_folds(found.problem, options)
-        errors = held_out_errors(case, found.final_decisions, folds)
+        errors = held_out_errors(replace(case, among=selection.considered), found.final_decisions, folds)
         kept, of_all = ~_outliers(selection, options), selection
         verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
         selection, errors = verified.selection, verified.errors

@@ -65,14 +65,6 @@ def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
     return recording.contiguous_folds(fold_count(problem.samples, options, needed))
 
 
-def likely_folds(recording: Recording, options: Options) -> list[Mask] | None:
-    """The blocks of `held_out_folds`, before a problem is made, where no arm needs more of them; None of fewer rows."""
-    count = fold_count(recording.samples, options)
-    if fold_count(recording.samples, options, _MANY_ROWS) != count:
-        return None
-    return recording.contiguous_folds(count)
-
-
 def fold_count(samples: int, options: Options, needed: int = 0) -> int:
     """How many blocks of so many rows are held out: more than usual where the other rows would be fewer than `needed`,
     and at most one for each row.
@@ -194,7 +186,7 @@ def verify(
         assert isinstance(tested.term, Effect)
         rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        gain, std, share = tested.score.gain, tested.chosen_std, tested.input_share
+        gain, std, share = tested.gain, tested.chosen_std, tested.input_share
         findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
     found = tuple(findings)
     if not found or not errors.rejects(selection, kept, folds, options):
@@ -299,16 +291,6 @@ def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> 
         folds: those of `held_out_folds`.
     """
     return errors_of_folds(errors_of_search, (case, decisions), folds)
-
-
-def held_out_ahead(case: Case, folds: Sequence[Mask]) -> None:
-    """Has other processes, where there are any, begin with the last folds before the decisions are known.
-
-    Nearly all recordings are explained without a fault that resembles physics, which is supposed here;
-    `held_out_errors` of the same case takes the results if the decisions are those.
-    """
-    if (others := at_hand()) is not None:
-        others.ahead(RemoteWork(errors_of_search, (case, Decisions(Corrections(known_jumps=())))), folds)
 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:

@@ -174,10 +174,9 @@ class Workers:
             return died(one) if rows is None else rows
 
         def fill() -> None:
-            while pool.has_room and (batch := next(following, None)) is not None:
+            while len(at_work) < pool.room and (batch := next(following, None)) is not None:
                 submit(*batch)
 
-        pool.begin()
         fill()
         while at_work:
             for future in wait(at_work, return_when=FIRST_COMPLETED).done:

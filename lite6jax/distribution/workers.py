@@ -17,6 +17,7 @@ from functools import cache
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, final
 
 from lite6jax import interruption, threads
@@ -223,15 +224,22 @@ def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...
 
 @final
 class Processes:
-    """Processes of this machine, started by the `with` statement, and a thread here for each."""
+    """Processes of this machine, started by the `with` statement, and a thread here for each.
+
+    Attributes:
+        room: the batches that are given to them at a time.
+    """
 
     def __init__(self, count: int, imports: tuple[str, ...] = ()) -> None:
         """Starts nothing; the modules `imports` are imported by each at once."""
-        self._count, self._imports = count, imports
+        self.room, self._imports = count, imports
 
     def __enter__(self) -> "Processes":
-        self._all = [Process(self._imports) for _ in range(self._count)]
-        self._threads = ThreadPoolExecutor(self._count)
+        self._all = [Process(self._imports) for _ in range(self.room)]
+        self._threads = ThreadPoolExecutor(self.room)
+        self._idle: SimpleQueue[Process] = SimpleQueue()
+        for process in self._all:
+            self._idle.put(process)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -243,21 +251,16 @@ class Processes:
         """Calls a function with each process, side by side."""
         return [self._threads.submit(function, process) for process in self._all]
 
-    def begin(self) -> None:
-        """Forgets the batches that were not taken."""
-        self._free, self._at_work = list(self._all), dict[Future[Any], Process]()
-
-    @property
-    def has_room(self) -> bool:
-        """Whether a process has nothing to do."""
-        return bool(self._free)
-
     def submit(self, job: bytes, inputs: Sequence[Any]) -> Future[Any]:
         """Gives a batch to a process that has nothing to do, as `Process.work` takes it."""
-        process = self._free.pop()
-        future = self._threads.submit(process.work, job, inputs)
-        self._at_work[future] = process
-        return future
+        return self._threads.submit(self._work, job, inputs)
+
+    def _work(self, job: bytes, inputs: Sequence[Any]) -> "pa.Table":
+        process = self._idle.get()
+        try:
+            return process.work(job, inputs)
+        finally:
+            self._idle.put(process)
 
     def take(self, future: Future[Any]) -> "pa.Table | None":
         """The rows of a batch that is done; None where its worker died.
@@ -265,7 +268,6 @@ class Processes:
         Raises:
             Exception: as `Process.work`.
         """
-        self._free.append(self._at_work.pop(future))
         try:
             return future.result()
         except WorkerDiedError:
@@ -293,15 +295,12 @@ class Cluster:
         try:
             from distributed import Client
         except ImportError as error:
-            raise InputError(
-                f"--scheduler {self._address}: takes Dask; pip install 'lite6jax[distributed]', or leave it out"
-            ) from error
+            raise self._error("takes Dask; pip install 'lite6jax[distributed]', or leave it out") from error
         try:
             self._client = Client(self._address, timeout=ANSWERS_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise InputError(
-                f"--scheduler {self._address}: no scheduler answers there; start one by `dask scheduler`, or correct "
-                "the address (tcp://HOST:8786)"
+            raise self._error(
+                "no scheduler answers there; start one by `dask scheduler`, or correct the address (tcp://HOST:8786)"
             ) from error
         self._executor = self._client.get_executor(pure=False)
         self._versions = compiled.versions()
@@ -310,16 +309,12 @@ class Cluster:
     def __exit__(self, *error: object) -> None:
         self._client.close(timeout=ANSWERS_WITHIN)
 
-    def begin(self) -> None:
-        """As `Processes.begin`."""
-        self._at_work = set[Future[Any]]()
-
     @property
-    def has_room(self) -> bool:
-        """Whether the workers are soon through with what they have."""
+    def room(self) -> int:
+        """The batches that are sent ahead: what the workers have soon done."""
         counts: Any = self._client.nthreads()
         self._threads = sum(counts.values())
-        return len(self._at_work) < _SENT_AHEAD * max(self._threads, 1)
+        return _SENT_AHEAD * max(self._threads, 1)
 
     def submit(self, job: bytes, inputs: Sequence[Any]) -> Future[Any]:
         """Sends a batch to the scheduler, as `work` takes it.
@@ -328,14 +323,12 @@ class Cluster:
             InputError: the cluster has no worker.
         """
         future = self._executor.submit(work, job, list(inputs), self._versions)
-        self._at_work.add(future)
         if not self._threads:  # a cluster that adapts to its load starts some for what it has
             try:
                 self._client.wait_for_workers(1, timeout=WORKERS_WITHIN)
             except TimeoutError as error:
-                raise InputError(
-                    f"--scheduler {self._address}: the cluster has no worker; start some by `dask worker "
-                    f"{self._address} --nthreads 1`"
+                raise self._error(
+                    f"the cluster has no worker; start some by `dask worker {self._address} --nthreads 1`"
                 ) from error
         return future
 
@@ -348,13 +341,14 @@ class Cluster:
         """
         from distributed import KilledWorker
 
-        self._at_work.remove(future)
         try:
             return future.result()[0]
         except KilledWorker:
             return None
         except CancelledError as error:
-            raise InputError(
-                f"--scheduler {self._address}: the scheduler is gone; start it, and the same command goes on where it "
-                "stopped"
+            raise self._error(
+                "the scheduler is gone; start it, and the same command goes on where it stopped"
             ) from error
+
+    def _error(self, what: str) -> InputError:
+        return InputError(f"--scheduler {self._address}: {what}")

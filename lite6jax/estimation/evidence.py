@@ -11,6 +11,7 @@ their χ² statistic. The scale of the noise is not known: integrated over, it m
 −½ ν ln(1 − q / S), of ν degrees of freedom and the sum of squares S that is left without the term.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -120,28 +121,33 @@ class Marginal:
         acting[rows] = True
         return white @ left, white @ white.T - inside @ inside.T, *self._of_groups(acting)
 
-    def of_columns(self, columns: Array) -> tuple[Evidence, Array]:
-        """The evidence of a named term, and the `(number,)` estimates: all directions are determined equally well.
+    def of_names(self, groups: Sequence[Array]) -> list[Evidence]:
+        """The evidence of named terms, whose numbers have no prior: all their directions count as equally determined.
 
         Args:
-            columns: `(number, row, sample)`.
+            groups: of each term its columns `(number, row, sample)`.
         """
-        pull, information, left, freedom = self.dense(columns)
-        length = np.sqrt(np.maximum(self._lengths(columns), 1e-300))
-        eigenvalues, V = np.linalg.eigh(information / np.outer(length, length))
-        kept = eigenvalues > self.test.options.confounded
-        none = np.zeros(())
-        if not kept.any():
-            return Evidence(none, none, none), np.zeros(len(columns))
-        T = V[:, kept] / np.sqrt(eigenvalues[kept]) / length[:, None]
-        squares = (T.T @ pull) ** 2
-        found = best_amplitude(np.ones(int(kept.sum())), squares, left, freedom)
-        likelihood = -0.5 * freedom * np.log1p(-min(squares.sum() / left, 1 - 1e-12))
-        return found._replace(volume=np.maximum(likelihood - found.gain, 0.0)), -T @ (T.T @ pull)
-
-    def _lengths(self, columns: Array) -> Array:
-        rows = np.flatnonzero(np.any(columns, (0, 2)))
-        return np.sum((self.test.whitened(columns[:, rows], rows) / self.test.scale[0]) ** 2, (1, 2))
+        columns = np.concatenate(groups)
+        acting = np.any(columns, 2)
+        white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
+        measured = white.shape[1]
+        inside, pull = white @ self.test.basis[:, :measured].T, white @ self.test.left[:measured]
+        lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
+        found, ends = [], np.cumsum([0, *map(len, groups)])
+        for own in map(slice, ends[:-1], ends[1:]):
+            size = lengths[own]
+            C = (white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size)
+            eigenvalues, V = np.linalg.eigh(C)
+            kept = eigenvalues > self.test.options.confounded
+            if not kept.any():
+                found.append(Evidence(*(np.zeros(()),) * 3))
+                continue
+            squares = (V[:, kept].T @ (pull[own] / size)) ** 2 / eigenvalues[kept]
+            left, freedom = self._of_groups(acting[own].any(0))
+            one = best_amplitude(np.ones(int(kept.sum())), squares, left, freedom)
+            likelihood = -0.5 * freedom * np.log1p(-min(squares.sum() / left, 1 - 1e-12))
+            found.append(one._replace(volume=np.maximum(likelihood - one.gain, 0.0)))
+        return found
 
 
 def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, freedom: Array | float) -> Evidence:

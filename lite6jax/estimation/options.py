@@ -149,6 +149,7 @@ class EngineOptions:
         0.5, "log evidence by which another term must be likelier to be exchanged for", "a refit may differ"
     )
     exchanges: int = option(4, "most exchanges of terms", "two suffice mostly")
+    names_for_process: int = option(3, "most names that take the place of a process", "as many orders as gears have")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
     # forward selection
     most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")

@@ -3,19 +3,18 @@
 from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 
 from lite6jax import storage
+from lite6jax.deferred import import_lazily
 from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place, recording_names, sha256_of
+from lite6jax.folders.place import DIED, Place, hash_files, list_recordings
 
-if TYPE_CHECKING:  # imported where recordings are pooled
-    from lite6jax.populations.files import Heading
-    from lite6jax.populations.options import PoolingOptions
-    from lite6jax.populations.population import Population
+with import_lazily():  # where recordings are pooled
+    from lite6jax.populations import files, options, pooling, population, terms
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
@@ -70,7 +69,7 @@ def diagnose_folder(
     Args:
         folder: a path, or a URL.
         out: a folder for the documents and the table, made where it is not there.
-        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `row_of` or `refusal` each.
+        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `make_row` or `make_refusal` each.
         given: to it.
         also_read: the checksums of files that all diagnoses depend on.
         scheduler, processes: as `run_batches`.
@@ -78,12 +77,12 @@ def diagnose_folder(
         overwrite: whether a table and documents that are there may be replaced.
 
     Raises:
-        InputError: as `Place.of`, `recording_names` and `run_batches`; `out` is no folder, or that of the
+        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the
             recordings.
     """
     place = Place.of(folder)
-    names = recording_names(place)
-    table = _folder_for(out, place) / TABLE
+    names = list_recordings(place)
+    table = _make_folder(out, place) / TABLE
     storage.check_writable(table, overwrite)
     # a document has the stem of its recording, or the whole name where another has the same stem
     stems = [Path(name).stem for name in names]
@@ -99,17 +98,16 @@ def diagnose_folder(
         (row,) = rows.to_pylist()
         for what, suffix in (("document", ".json"), ("reduced", ".npz")):
             if (content := row.get(_CONTENT[what])) is not None:
-                path = storage.write_atomically(
-                    (out / documents[inputs[0]]).with_suffix(suffix), content, overwrite=True
-                )
-                row |= {what: path.name, f"{what}_sha256": sha256_of([path]).hex()}
+                path = (out / documents[inputs[0]]).with_suffix(suffix)
+                storage.write_atomically(path, content, overwrite=True)
+                row |= {what: path.name, f"{what}_sha256": hash_files([path]).hex()}
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
 
     def files_intact(rows: pa.Table) -> bool:
         (row,) = rows.to_pylist()
         return all(
-            row.get(what) is None or sha256_of([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
+            row.get(what) is None or hash_files([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
         )
 
     return run_batches(
@@ -118,9 +116,7 @@ def diagnose_folder(
         (place, *given),
         out=table,
         content=lambda inputs: place.content(inputs) + also_read,
-        died=lambda name: refusal(
-            name, f"{name}: the process that read it was ended; the file is damaged or too large for this machine"
-        ),
+        died=lambda name: make_refusal(name, f"{name}: {DIED}"),
         store=write_files,
         is_intact=files_intact,
         scheduler=scheduler,
@@ -130,13 +126,16 @@ def diagnose_folder(
     )
 
 
-def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "") -> pa.Table:
+def make_row(
+    name: str, document: Mapping[str, Any], text: str, reduced: bytes | None = None, message: str = ""
+) -> pa.Table:
     """The row of a recording and its document.
 
     Args:
         name: of the recording in its folder.
         document: as `diagnose` writes it.
         text: of its file.
+        reduced: the file of its reduced recording, of a fleet.
         message: what was remarked on the way.
     """
     of_torques = document.get("domain") == "torque"
@@ -158,25 +157,24 @@ def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "")
     if torques is not None:
         row["torque_verdict"] = torques["verdict"]
         row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}
-    return _table(row | {"data_faults": list(dict.fromkeys(faults)), "findings": findings}, text.encode())
+    row |= {"data_faults": list(dict.fromkeys(faults)), "findings": findings}
+    contents = {"document": text.encode()} | ({} if reduced is None else {"reduced": reduced})
+    return _table(row, contents)
 
 
-def refusal(name: str, message: str) -> pa.Table:
+def make_refusal(name: str, message: str) -> pa.Table:
     """The row of a recording that was not diagnosed, and why."""
-    return _table({"file": name, "result": UNREADABLE, "message": message}, None)
+    return _table({"file": name, "result": UNREADABLE, "message": message}, {"document": None})
 
 
-def with_reduced(row: pa.Table, reduced: bytes) -> pa.Table:
-    """A row with the bytes of the file of its reduced recording."""
-    return row.append_column(_CONTENT["reduced"], pa.array([reduced], pa.binary()))
-
-
-def _table(row: Mapping[str, Any], content: bytes | None) -> pa.Table:
+def _table(row: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> pa.Table:
     table = pa.Table.from_pylist([row], SCHEMA)
-    return table.append_column(_CONTENT["document"], pa.array([content], pa.binary()))
+    for what, content in contents.items():
+        table = table.append_column(_CONTENT[what], pa.array([content], pa.binary()))
+    return table
 
 
-def _folder_for(out: Path, place: Place) -> Path:
+def _make_folder(out: Path, place: Place) -> Path:
     if not place.remote and out.exists() and out.samefile(place.root):
         raise InputError(f"{out}: is the folder of the recordings; write to another")
     try:
@@ -194,18 +192,18 @@ def _folder_for(out: Path, place: Place) -> Path:
 def pool_folder(
     folder: str,
     out: Path,
-    options: "PoolingOptions",
+    thresholds: "options.PoolingOptions",
     over: Literal["date"] | None = None,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,
-) -> "Population":
+) -> "population.Population":
     """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type, or of one over time.
 
     Args:
         folder: of the recordings, as it was given: what messages name.
         out: the folder of results, with the table and the reduced recordings.
-        options: thresholds.
+        thresholds: of the tests.
         over: "date" where the recordings are of one arm, whose effects may drift with the dates of their sidecars.
         scheduler, processes: as `run_batches`.
         progress: called with the number of effects at each round of the search.
@@ -216,14 +214,9 @@ def pool_folder(
     import numpy as np
     import pyarrow.parquet as pq
 
-    from lite6jax.populations.files import read_heading
-    from lite6jax.populations.pooling import Reduced
-    from lite6jax.populations.population import Member, diagnose_population
-    from lite6jax.populations.terms import Tried
-
     rows = pq.read_table(out / TABLE).to_pylist()
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
-    headings = {file: read_heading(path) for file, path in places.items()}
+    headings = {file: files.read_heading(path) for file, path in places.items()}
     if not headings:
         reason = next((row["message"] for row in rows if row["message"]), "no reason is known")
         raise InputError(f"{folder}: none of its recordings could be diagnosed: {reason}")
@@ -233,9 +226,10 @@ def pool_folder(
     for row in rows:
         heading = headings.get(row["file"])
         if heading is None or row["result"] != DIAGNOSED:
-            members.append(Member(row["file"], {}, (), row["message"] or "was not diagnosed"))
+            about, found, unused = {}, (), row["message"] or "was not diagnosed"
         else:
-            members.append(Member(row["file"], heading.about, heading.found, _reason_unused(heading, arm, over)))
+            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm, over)
+        members.append(population.Member(row["file"], about, found, unused))
     used = [i for i, member in enumerate(members) if not member.unused]
     if len(used) < _FEWEST:
         reason = next((f" ({member.unused})" for member in members if member.unused), "")
@@ -251,11 +245,11 @@ def pool_folder(
                 f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
                 f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
             )
-    files = [members[i].file for i in used]
-    tried = Tried.of([headings[file] for file in files], options.engine)
+    used_files = [members[i].file for i in used]
+    tried = terms.Tried.of([headings[file] for file in used_files], thresholds.engine)
     with Workers(scheduler, processes, len(used)) as workers:
-        reduced = Reduced([places[file] for file in files], options, workers)
-        return diagnose_population(arm[0], members, used, tried, reduced, dates, progress)
+        reduced = pooling.Reduced([places[file] for file in used_files], thresholds, workers)
+        return population.diagnose_population(arm[0], members, used, tried, reduced, dates, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
@@ -271,12 +265,12 @@ def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
         storage.check_writable(out / POOLED, overwrite)
 
 
-def _kind(heading: "Heading") -> tuple[str, int, str]:
+def _kind(heading: "files.Heading") -> tuple[str, int, str]:
     """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
-def _reason_unused(heading: "Heading", arm: tuple[str, int, str], over: str | None) -> str:
+def _reason_unused(heading: "files.Heading", arm: tuple[str, int, str], over: str | None) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
     own = heading.about
     if _kind(heading)[:2] != arm[:2]:

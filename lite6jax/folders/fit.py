@@ -1,6 +1,5 @@
 """Files of a folder read and fitted: calibrations together by type of arm, recordings one by one."""
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,13 +15,18 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.deferred import import_lazily
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
 from lite6jax.fitting.start import SAMPLES
-from lite6jax.folders.place import kind_of
-from lite6jax.folders.rows import Row, Statistics
+from lite6jax.folders.fleet import Row, Statistics
+from lite6jax.folders.place import attempt, guess_kind
 from lite6jax.model import ModelForm
+
+with import_lazily():  # a folder of calibrations does not wait for what recordings take
+    from lite6jax import recordings
+    from lite6jax.domains.pose import fit as pose_fit
+    from lite6jax.fitting import source
 
 Array = NDArray[np.floating]
 T = TypeVar("T")
@@ -33,10 +37,6 @@ class _Content(NamedTuple):
 
     parsed: Any
     kinematics: Array | None
-
-
-class _NotOneError(InputError):
-    """A file of the right suffix that does not mean to be a calibration."""
 
 
 def fit_files(
@@ -55,55 +55,49 @@ def fit_files(
     rows: dict[Path, Row] = {}
     remarks: dict[Path, list[str]] = {path: [] for path in files}
 
-    def attempt(path: Path, work: Callable[[], T]) -> T | None:
+    def try_work(path: Path, work: Callable[[], T]) -> T | None:
         """What comes of the work; None where nothing does, and the row says why."""
-        kind = kind_of(path)
-        try:
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always", InputWarning)
-                done = work()
-        except InputError as error:
-            kind, said = "other" if isinstance(error, _NotOneError) else kind, str(error)
-        except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
-            found = " ".join(f"{type(error).__name__}: {error}".split())
-            said = f"{path}: unexpected {found}; please report it with this file"
-        else:
-            remarks[path] += [str(each.message) for each in caught if issubclass(each.category, InputWarning)]
-            return done
-        rows[path], remarks[path] = Row(path.name, kind, Result.UNREADABLE, as_shown(said)), []
-        return None
+        done, said = attempt(path, work)
+        if done is None:
+            rows[path] = Row(path.name, guess_kind(path), Result.UNREADABLE, as_shown(said))
+        elif said:
+            remarks[path].append(said)
+        return done
 
     read: dict[Path, _Content] = {}
     for path in files:
-        if kind_of(path) == "recording":
-            if (row := attempt(path, partial(_fit_recording, path, nominal))) is not None:
+        if guess_kind(path) == "recording":
+            if (row := try_work(path, partial(_fit_recording, path, nominal))) is not None:
                 rows[path] = row
-        elif (content := attempt(path, partial(_read, path))) is not None:
+        elif isinstance(content := try_work(path, partial(_read, path)), str):
+            rows[path] = Row(path.name, "other", Result.UNREADABLE, as_shown(content))
+        elif content is not None:
             read[path] = content
     types: dict[str, dict[Path, FactoryCalibration]] = {}
     for path, near in _recognise(read, nominal).items():
-        calibration = attempt(path, partial(_calibration, path, read[path], near, nominal))
+        calibration = try_work(path, partial(_calibration, path, read[path], near, nominal))
         if calibration is not None:
             types.setdefault(calibration.arm.name, {})[path] = calibration
     for alike in types.values():
         rows |= _fit_calibrations(alike)
-    for path, said in remarks.items():
-        if said:
-            message = f"{rows[path].message}; {as_shown('; '.join(dict.fromkeys(said)))}"
-            rows[path] = replace(rows[path], message=message)
+    for path, row in rows.items():
+        if remarks[path] and row.result != Result.UNREADABLE:
+            message = f"{row.message}; {as_shown('; '.join(dict.fromkeys(remarks[path])))}"
+            rows[path] = replace(row, message=message)
     return [rows[path] for path in files]
 
 
-def _read(path: Path) -> _Content:
+def _read(path: Path) -> _Content | str:
+    """What the file of a calibration holds, or why it is none."""
     if path.suffix.lower() not in (".yaml", ".yml"):
         return _Content(None, None)
     content = storage.read_yaml(path)
     if is_table(content):
         return _Content(None, None)
     if not isinstance(content, dict) or "kinematics" not in content:
-        raise _NotOneError(f"{path}: not a calibration (it has no key 'kinematics'); passed over")
+        return f"{path}: not a calibration (it has no key 'kinematics'); passed over"
     if "name" in content:
-        raise _NotOneError(f"{path}: not a calibration but the description of a type of arm; passed over")
+        return f"{path}: not a calibration but the description of a type of arm; passed over"
     entries.mapping(content, f"{path}:", ("kinematics",))
     return _Content(content, entries.kinematics(content["kinematics"], str(path))[0])
 
@@ -136,62 +130,33 @@ def _fit_calibrations(alike: Mapping[Path, FactoryCalibration]) -> Iterator[tupl
     kinematics = np.stack([calibration.kinematics for calibration in calibrations])
     flanges = np.stack([calibration.T_joint_flange for calibration in calibrations])
     fitted = fit_calibrations(kinematics, flanges, arm)
-    for i, path in enumerate(alike):
-        result = Result(int(fitted.result[i]))
-        errors = [Statistics(*map(float, part[i])) for part in (fitted.fitted, fitted.checked, fitted.nominal)]
+    for i, (path, result, steps) in enumerate(zip(alike, fitted.result, fitted.steps, strict=True)):
+        errors = (Statistics(*map(float, part[i])) for part in (fitted.fitted, fitted.checked, fitted.nominal))
         quality = quality_of_calibration(fitted.checked[i, 1:2])
-        yield (
-            path,
-            Row(
-                file=path.name,
-                kind="calibration",
-                result=result,
-                message=result.message + _remark(quality),
-                quality=quality.verdict,
-                arm=arm.name,
-                joints=arm.dof,
-                samples=SAMPLES,
-                steps=int(fitted.steps[i]),
-                parameters=_parameters(form, fitted.parameters[i]),
-                fitted=errors[0],
-                checked=errors[1],
-                nominal=errors[2],
-            ),
-        )
+        row = Row(path.name, "calibration", Result(int(result)), "", samples=SAMPLES, steps=int(steps))
+        yield path, _complete(row, arm, form, fitted.parameters[i], quality, *errors)
 
 
 def _fit_recording(path: Path, nominal: Arm | None) -> Row:
-    # a folder of calibrations does not import what recordings take
-    from lite6jax.domains.pose.fit import fit_recording
-    from lite6jax.fitting.source import read_source
-    from lite6jax.recordings import Recording
+    recording = source.read_source(path, nominal)
+    assert isinstance(recording, recordings.Recording)
+    found = pose_fit.fit_recording(recording, nominal)
+    errors = map(Statistics.of, (found.errors, found.checked, found.nominal_errors))
+    faults = f"; data faults: {', '.join(fault.code for fault in found.faults)}" if found.faults else ""
+    row = Row(path.name, "recording", found.result, faults, samples=recording.samples, steps=found.steps)
+    return _complete(row, found.arm, ModelForm(found.form.chain), found.parameters, found.quality, *errors)
 
-    recording = read_source(path, nominal)
-    assert isinstance(recording, Recording)
-    solution = fit_recording(recording, nominal)
-    faults = f"; data faults: {', '.join(fault.code for fault in solution.faults)}" if solution.faults else ""
-    return Row(
-        file=path.name,
-        kind="recording",
-        result=solution.result,
-        message=solution.result.message + _remark(solution.quality) + faults,
-        quality=solution.quality.verdict,
-        arm=solution.arm.name,
-        joints=solution.arm.dof,
-        samples=recording.samples,
-        steps=solution.steps,
-        parameters=_parameters(ModelForm(solution.form.chain), solution.parameters),
-        fitted=Statistics.of(solution.errors),
-        checked=Statistics.of(solution.checked),
-        nominal=Statistics.of(solution.nominal_errors),
+
+def _complete(row: Row, arm: Arm, form: ModelForm, parameters: Array, quality: Quality, *errors: Statistics) -> Row:
+    """A row with what was fitted of an arm; `errors` are those of the fitted and of other data, and of the nominal."""
+    values = zip(form.names, form.units, np.asarray(parameters).tolist(), strict=True)
+    misfit = "; but the model does not describe the data" if quality.verdict == "bad" else ""
+    return replace(
+        row,
+        message=row.result.message + misfit + row.message,
+        quality=quality.verdict,
+        arm=arm.name,
+        joints=arm.dof,
+        parameters=tuple((f"{name}_{unit}", value) for name, unit, value in values),
+        **dict(zip(("fitted", "checked", "nominal"), errors, strict=True)),
     )
-
-
-def _parameters(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:
-    """Parameters by their names with the unit."""
-    values = np.asarray(parameters).tolist()
-    return tuple((f"{name}_{unit}", value) for name, unit, value in zip(form.names, form.units, values, strict=True))
-
-
-def _remark(quality: Quality) -> str:
-    return "; but the model does not describe the data" if quality.verdict == "bad" else ""

@@ -3,15 +3,21 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, TypeVar, final
 
 from lite6jax import storage
-from lite6jax.errors import InputError
+from lite6jax.deferred import import_lazily
+from lite6jax.errors import InputError, InputWarning
+
+with import_lazily():
+    from lite6jax import recordings
+    from lite6jax.recordings import sidecar
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")
@@ -20,16 +26,18 @@ LOGS = (".mcap", ".bag")
 BATCH = 128
 """Calibrations fitted together, as a whole: so their numbers do not depend on what was done before. A run that is
 killed loses so many for each of its workers."""
+DIED = "the process that read it was ended; the file is damaged or too large for this machine"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 """Of a path made of a URL, which has lost a slash; one letter before the colon is a drive of Windows."""
+T = TypeVar("T")
 
 
-def kind_of(name: str | Path) -> Literal["calibration", "recording"]:
+def guess_kind(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
     return "calibration" if _suffix(name) in CALIBRATIONS else "recording"
 
 
-def url_of(path: str | Path) -> str | None:
+def restore_url(path: str | Path) -> str | None:
     """The URL that a path was given as; None where it names a file or folder of this machine."""
     match = _URL.fullmatch(str(path))
     if match is None:
@@ -38,7 +46,7 @@ def url_of(path: str | Path) -> str | None:
     return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
 
 
-def sha256_of(paths: Sequence[str | Path]) -> bytes:
+def hash_files(paths: Iterable[str | Path]) -> bytes:
     """The SHA-256 of each file, one after the other; of one that cannot be read, as many zeros."""
     found = []
     for path in paths:
@@ -51,6 +59,21 @@ def sha256_of(paths: Sequence[str | Path]) -> bytes:
         except OSError:
             found.append(bytes(32))
     return b"".join(found)
+
+
+def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
+    """What comes of work on one file, and the warnings of its input; None where nothing does, and why."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", InputWarning)
+            done = work()
+    except InputError as error:
+        return None, str(error)
+    except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
+        found = " ".join(f"{type(error).__name__}: {error}".split())
+        return None, f"{path}: unexpected {found}; please report it with this file"
+    said = (str(each.message) for each in caught if issubclass(each.category, InputWarning))
+    return done, "; ".join(dict.fromkeys(said))
 
 
 @final
@@ -75,7 +98,7 @@ class Place:
         Raises:
             InputError: there is no such folder here; what is behind a URL is looked at when it is listed.
         """
-        url = url_of(folder)
+        url = restore_url(folder)
         if url is not None:
             return cls(url.rstrip("/"), url.rstrip("/"), True)
         if not os.path.isdir(folder):
@@ -113,17 +136,13 @@ class Place:
         """
         if self.remote:
             store, root = _store(self.root)
-            paths = (f"{root}/{part}" for name in names for part in _file_and_sidecar(name))
+            paths = (f"{root}/{part}" for name in names for part in _add_sidecar(name))
             return "\0".join((*names, *(_stamp(store, path) for path in paths))).encode(errors="surrogateescape")
         found = []
         for name in names:
-            files: list[str | Path] = [os.path.join(self.root, name)]
-            if kind_of(name) == "recording":
-                path = Path(files[0])
-                if path.is_dir():
-                    files = [*sorted(part for part in path.rglob("*") if part.is_file())]
-                files += settings_files(path)
-            found += [os.fsencode(name), b"\0", sha256_of(files)]
+            path = Path(self.root, name)
+            files = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
+            found += [os.fsencode(name), b"\0", hash_files([*files, *_sidecar_files(path)])]
         return b"".join(found)
 
     @contextmanager
@@ -143,9 +162,9 @@ class Place:
                     (folder / part).parent.mkdir(parents=True, exist_ok=True)
                     store.get_file(f"{root}/{part}", str(folder / part))
 
-            for part in dict.fromkeys(part for name in names for part in _file_and_sidecar(name)):
+            for part in dict.fromkeys(part for name in names for part in _add_sidecar(name)):
                 copy(part)
-            for path in (path for name in names for path in settings_files(folder / name)):
+            for path in (path for name in names for path in _sidecar_files(folder / name)):
                 part = os.path.relpath(path, folder)
                 if not part.startswith("..") and not path.exists():
                     copy(Path(part).as_posix())
@@ -157,7 +176,7 @@ class Place:
         return message.replace(f"{folder}{os.sep}", before)
 
 
-def fleet_names(place: Place, out: Path) -> list[str]:
+def list_fleet(place: Place, out: Path) -> list[str]:
     """The calibrations and recordings of a folder; a recording's sidecar belongs to it and is not listed.
 
     Args:
@@ -172,7 +191,7 @@ def fleet_names(place: Place, out: Path) -> list[str]:
         if not _holds_rows(out):
             raise InputError(f"{out}: is one of the files to be fitted and would be replaced; choose another name")
         names.remove(out.name)
-    recordings = {os.path.splitext(name)[0] for name in names if kind_of(name) == "recording"}
+    recordings = {os.path.splitext(name)[0] for name in names if guess_kind(name) == "recording"}
     names = [name for name in names if _suffix(name) != ".yaml" or os.path.splitext(name)[0] not in recordings]
     if not names:
         accepted = ", ".join(CALIBRATIONS + RECORDINGS)
@@ -180,20 +199,20 @@ def fleet_names(place: Place, out: Path) -> list[str]:
     return names
 
 
-def recording_names(place: Place) -> list[str]:
+def list_recordings(place: Place) -> list[str]:
     """The recordings of a folder: files, and folders that hold one.
 
     Raises:
         InputError: there are none, or as `Place.names`.
     """
-    from lite6jax.recordings import recording_file
-
     kinds = (*RECORDINGS, *LOGS)
-    names = [
-        name
-        for name in place.names()
-        if (_suffix(name) in kinds if place.is_file(name) else recording_file(Path(place.root, name)) is not None)
-    ]
+
+    def is_recording(name: str) -> bool:
+        if place.is_file(name):
+            return _suffix(name) in kinds
+        return recordings.recording_file(Path(place.root, name)) is not None
+
+    names = list(filter(is_recording, place.names()))
     # rows of a recording that is not complete yet, or was ended, stand in a file of the same stem
     names = [name for name in names if _suffix(name) != ".arrows" or f"{Path(name).stem}.parquet" not in names]
     if not names:
@@ -201,39 +220,33 @@ def recording_names(place: Place) -> list[str]:
     return names
 
 
-def batches_of(names: Sequence[str]) -> list[list[str]]:
+def divide(names: Sequence[str]) -> list[list[str]]:
     """The files in their order: calibrations that follow each other `BATCH` by `BATCH`, recordings one by one."""
     batches: list[list[str]] = []
-    for kind, group in groupby(names, kind_of):
+    for kind, group in groupby(names, guess_kind):
         files = list(group)
         size = BATCH if kind == "calibration" else 1
         batches += [files[first : first + size] for first in range(0, len(files), size)]
     return batches
 
 
-def settings_files(path: Path) -> list[Path]:
-    """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
-    if kind_of(path) == "calibration":
-        return []
-    from lite6jax.recordings import read_settings, sidecar_path
-
-    sidecar = sidecar_path(path)
-    if not storage.exists(sidecar):
-        return []
-    try:
-        settings = read_settings(sidecar)
-    except InputError:  # the row will say it, and it follows from the sidecar's content
-        return [sidecar]
-    arm = str(settings.arm_reference(path.parent)).partition("#")[0] if settings.arm_is_file else None
-    return [sidecar, *(Path(part) for part in (arm, settings.factory_path(path.parent)) if part is not None)]
-
-
 def _suffix(name: str | Path) -> str:
     return os.path.splitext(name)[1].lower()
 
 
-def _file_and_sidecar(name: str) -> list[str]:
-    return [name] if kind_of(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+def _add_sidecar(name: str) -> list[str]:
+    return [name] if guess_kind(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+
+
+def _sidecar_files(path: Path) -> list[Path]:
+    """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
+    if guess_kind(path) == "calibration":
+        return []
+    found = []
+    with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
+        for _, file in sidecar.list_sidecar_files(path):
+            found.append(file)
+    return found
 
 
 def _holds_rows(path: Path) -> bool:

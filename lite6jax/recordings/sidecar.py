@@ -1,7 +1,7 @@
 """The sidecar, the YAML file beside a recording: its settings, names of columns and checksums, read and written."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +45,26 @@ def read_settings(path: str | Path) -> RecordingSettings:
         InputError: as `read_sidecar`.
     """
     return read_sidecar(path).settings
+
+
+def list_sidecar_files(recording: str | Path) -> Iterator[tuple[str, Path]]:
+    """What a recording is read with besides its own file: its sidecar, and the arm and the calibration that it names.
+
+    Yields:
+        the role, `settings`, `arm` or `calibration`, and the path; nothing where there is no sidecar.
+
+    Raises:
+        InputError: as `read_sidecar`, after the sidecar itself was named.
+    """
+    sidecar = sidecar_path(recording)
+    if not exists(sidecar):
+        return
+    yield "settings", sidecar
+    settings = read_settings(sidecar)
+    if settings.arm_is_file:
+        yield "arm", Path(str(settings.arm_reference(sidecar.parent)).partition("#")[0])
+    if (calibration := settings.factory_path(sidecar.parent)) is not None:
+        yield "calibration", calibration
 
 
 def read_sidecar(path: str | Path) -> Sidecar:

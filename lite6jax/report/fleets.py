@@ -11,7 +11,7 @@ from rich.text import Text
 
 from lite6jax.fitting.quality import Result
 from lite6jax.folders.diagnoses import DIAGNOSED
-from lite6jax.folders.rows import Row
+from lite6jax.folders.fleet import Row
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import Quantity, counted, listing, number, quantity
 

@@ -43,8 +43,18 @@ PAIRS = (
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
 KINDS = np.log(3.0)
+Considered = frozenset[tuple[str, str, tuple[str, ...]]]
+"""Processes by site, component and phrases of their quantities."""
+_CONSIDERED = 40
+"""Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
+_REFINED_NUMBERS = 3
+"""Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
+_RATIOS = np.geomspace(0.5, 2.0, 17)
+"""Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
+_NUMBERS = 1 << 22
+"""Of columns that are formed at once: 32 MB."""
 _AT_ONCE = 100
 """Processes that are weighed in one call."""
 _EXACT = 60
@@ -91,10 +101,16 @@ class Ranked:
 
 @final
 class Scan:
-    """What is tried in one problem; the features of its quantities are computed once."""
+    """What is tried in one problem; the features of its quantities are computed once.
 
-    def __init__(self, problem: Problem, options: EngineOptions) -> None:
-        self.problem, self.options = problem, options
+    Attributes:
+        considered: the processes that were among the likeliest of a scan, by site, component and phrases.
+    """
+
+    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+        """Tries all processes, or those `among` which it is to choose."""
+        self.problem, self.options, self._among = problem, options, among
+        self.considered = set[tuple[str, str, tuple[str, ...]]]()
         self.quantities = list(problem.quantities)
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
@@ -204,20 +220,36 @@ class Scan:
     def ranked(self, test: ScoreTest, pairs: bool = True) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first."""
         weighed = _Weighed(self, test)
+        if self._among is not None:
+            few = [self.alike(test, *one) for one in self._processes]
+            found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
+            return sorted(found, key=lambda one: -one.net)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
         found += singles
         if pairs:
             found += weighed.pairs(singles)
         found.sort(key=lambda one: -one.net)
+        self.considered |= {one.key for one in [one for one in found if one.process][:_CONSIDERED]}
         if test.fit.noise.white:
             return found
         exact = [weighed.exact(one) for one in found[:_EXACT]]
         return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
 
+    @cached_property
+    def _processes(self) -> list[tuple[Component, tuple[int, ...]]]:
+        components = {(one.site, one.name): one for one in self.problem.components}
+        place = {one.driver.phrase: k for k, one in enumerate(self.quantities)}
+        return [
+            (components[site, name], tuple(place[phrase] for phrase in phrases))
+            for site, name, phrases in sorted(self._among or ())
+            if (site, name) in components and all(phrase in place for phrase in phrases)
+        ]
+
     def named(self, test: ScoreTest) -> list[Ranked]:
-        """The names alone."""
-        return _Weighed(self, test).named()
+        """Names and waves alone."""
+        weighed = _Weighed(self, test)
+        return [*weighed.named(), *weighed.waves()]
 
     def alike(self, test: ScoreTest, component: Component, which: tuple[int, ...]) -> Ranked | None:
         """The likeliest kernel of given quantities at a component; None where they say nothing there."""
@@ -241,15 +273,25 @@ class _Weighed:
         test = self._test
         there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
         terms = [term for term in self._scan.names if term not in there and not term.periodic]
+        found = self._of_terms(terms)
+        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[:_REFINED_NUMBERS]
+        for one in likely:
+            term, number = one.make(), one.make().chosen
+            near = [term.held(number * ratio) for ratio in _RATIOS] if number else []
+            found = [other for other in found if other.cause != one.cause] + self._of_terms([term, *near])
+        return found
+
+    def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
+        """Names, of those with one label the likeliest."""
         best: dict[str, Ranked] = {}
-        for term in terms:
-            columns = self._problem.columns([term], beside=(test.fit.terms, test.fit.values))
-            evidence, _ = self._marginal.of_columns(columns)
-            one = self._ranked(
-                evidence, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term
-            )
-            if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
-                best[term.label] = one
+        for some in _of_bounded_size(terms, self._problem.rows * self._problem.samples):
+            columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
+            each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
+            for term, evidence in zip(some, self._marginal.of_names(each), strict=True):
+                cost = self._scan.cost_of_name(term)
+                one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
+                if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
+                    best[term.label] = one
         return list(best.values())
 
     def waves(self) -> list[Ranked]:
@@ -259,7 +301,7 @@ class _Weighed:
         for line in lines(self._test):
             column = line.family.column
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
-            evidence, _ = self._marginal.of_columns(columns)
+            (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
             own = self._scan.cost_of_name(line.term) if named else KINDS + np.log(families) + line.searched
             order = f"{line.term.label} {line.order:.3g}"
@@ -284,9 +326,9 @@ class _Weighed:
                     limits.append(most[i] - costs[i])
                     pulls.append(pull[i])
                     informations.append(information[i])
-            for k in set(range(len(self._scan.quantities))) - set(many):
-                if self._scan.may_act(component.site, k):
-                    found.append(self._of_kernel(component, (k,), "line"))
+            few = [(k,) for k in range(len(self._scan.quantities)) if k not in many]
+            few = [which for which in few if self._scan.may_act(component.site, *which)]
+            found += self._of_kernels(component, few, "line") if few else []
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
             some, order = order[:_AT_ONCE], order[_AT_ONCE:]
@@ -311,8 +353,18 @@ class _Weighed:
         for component in self._problem.components:
             for k, one in enumerate(self._scan.quantities):
                 if one.driver.quantity == "position" and component.site == f"joint{one.driver.place}":
-                    found += [self._of_kernel(component, (k,), "spectrum", rolloff) for rolloff in _SPECTRA]
+                    found += self._spectra_of(component, k)
         return _best_of_each(found)
+
+    def _spectra_of(self, component: Component, k: int) -> list[Ranked]:
+        """Of every corner and slope: they differ in the size of their functions alone."""
+        (pull,), (information,), left, freedom = self._equations(component, self._scan.features((k,), "spectrum")[None])
+        found = []
+        for rolloff in _SPECTRA:
+            size = kernels.spectrum_deviations(self._scan.quantities[k].bounds, rolloff)
+            one = of_process(pull * size, information * np.outer(size, size), left, freedom, self._options.confounded)
+            found.append(self._process(one, component, (k,), "spectrum", rolloff))
+        return found
 
     def pairs(self, singles: Sequence[Ranked]) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel."""
@@ -337,7 +389,7 @@ class _Weighed:
         names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         found = [self._of_kernel(component, which, name) for name in names]
         if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
-            found += [self._of_kernel(component, which, "spectrum", rolloff) for rolloff in _SPECTRA]
+            found += self._spectra_of(component, which[0])
         return found
 
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
@@ -428,6 +480,18 @@ class _Weighed:
         process: tuple[Any, ...] = (),
     ) -> Ranked:
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+
+
+def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
+    """Terms in parts, so that the columns of each part do not take too much memory."""
+    parts, numbers = list[list[Term]](), _NUMBERS
+    for term in terms:
+        numbers += term.size * length
+        if numbers > _NUMBERS:
+            parts.append([])
+            numbers = term.size * length
+        parts[-1].append(term)
+    return parts
 
 
 def _best_of_each(found: Sequence[Ranked]) -> list[Ranked]:

@@ -11,6 +11,7 @@ from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import longest_time, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
+from lite6jax.search.scan import Considered
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, refitted
 
@@ -29,6 +30,7 @@ class Selection:
         state: the terms with their fit.
         confounded: candidates that are confounded with the nuisance.
         nearest: the likeliest term that was not selected, and the probability that chance alone makes it so likely.
+        considered: processes that were among the likeliest at any time.
     """
 
     problem: Problem
@@ -36,6 +38,7 @@ class Selection:
     state: State
     confounded: tuple[Term, ...] = ()
     nearest: tuple[Term, float] | None = None
+    considered: Considered = frozenset()
 
 
 def search(
@@ -44,6 +47,7 @@ def search(
     training: Mask | None = None,
     reference: Problem | None = None,
     thorough: bool = True,
+    among: Considered | None = None,
 ) -> Selection:
     """Selects terms by evidence, in a linearisation about what has been found.
 
@@ -55,6 +59,7 @@ def search(
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
         thorough: whether terms are exchanged, and what may stand in their place, is confounded or nearest is determined.
+        among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
@@ -63,13 +68,16 @@ def search(
     if every > 1:
         few, few_reference = problem.thinned(every), reference.thinned(every)
         part = _selected(
-            Selection(few, few_reference, _begun(few, few_reference, training[::every], options)), options, thorough
+            Selection(few, few_reference, _begun(few, few_reference, training[::every], options)),
+            options,
+            thorough,
+            among,
         )
         whole = replace(selection.state, refused=part.state.refused)
         state = refitted(problem, whole, part.state.tested, options)
-        selection = at_estimate(replace(selection, state=state), options)
+        selection = at_estimate(replace(selection, state=state, considered=part.considered), options)
     else:
-        selection = _selected(selection, options, thorough)
+        selection = _selected(selection, options, thorough, among)
     selection = _confirmed(selection, options)
     return _reviewed(selection, options) if thorough else selection
 
@@ -88,11 +96,14 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
     return State(baseline, fitted, tested)
 
 
-def _selected(selection: Selection, options: EngineOptions, thorough: bool) -> Selection:
+def _selected(
+    selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None
+) -> Selection:
     for _ in range(_ROUNDS):
-        before = selection.problem
-        state = Selector(before, options.rough).selected(selection.state, thorough)
-        selection = at_estimate(replace(selection, state=state), options)
+        before, selector = selection.problem, Selector(selection.problem, options.rough, among)
+        state = selector.selected(selection.state, thorough)
+        considered = selection.considered | selector.scan.considered
+        selection = at_estimate(replace(selection, state=state, considered=considered), options)
         if selection.problem is before:
             break
     return selection

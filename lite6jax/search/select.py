@@ -16,15 +16,15 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import Ranked, Scan
+from lite6jax.search.scan import Considered, Ranked, Scan
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
 
 
 class Selector:
     """A problem with all that is tried in it."""
 
-    def __init__(self, problem: Problem, options: EngineOptions) -> None:
-        self.problem, self.options, self.scan = problem, options, Scan(problem, options)
+    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+        self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
         self._known: dict[tuple[int, int], list[Ranked]] = {}
 
@@ -103,7 +103,7 @@ class Selector:
         term = one.term
         if not term.nonparametric:
             columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
-            evidence, _ = Marginal(test).of_columns(columns)
+            (evidence,) = Marginal(test).of_names([columns])
             return replace(one, gain=float(evidence.gain), volume=float(evidence.volume))
         component, which = self._process_of(term)
         best = self.scan.alike(test, component, which)
@@ -153,11 +153,13 @@ class Selector:
     # -------------------------------------------------------------- exchange
 
     def _exchanged(self, state: State) -> State | None:
-        """The state with another term in the place of one, where that is likelier; None where none is."""
+        """The state with another term, or names, in the place of one, where that is likelier; None where none is."""
         for k in np.argsort([one.gain for one in state.tested]).tolist():
             one = state.tested[k]
             if one.term in self._preset:
                 continue
+            if one.term.nonparametric and (named := self._named(state, k)) is not None:
+                return named
             best = next(iter(self._in_place(state, k)), None)
             if best is None or best.net < one.net + self.options.better or self._is(best, one.term):
                 continue
@@ -165,6 +167,23 @@ class Selector:
             trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, best))))
             if trial.evidence > state.evidence + self.options.better:
                 return trial
+        return None
+
+    def _named(self, state: State, k: int) -> State | None:
+        """The state with names, one or several, in the place of a process, where that is likelier; else None."""
+        trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+        fewest = len(trial.tested)
+        while len(trial.tested) < fewest + self.options.names_for_process:
+            test = score_test(self.problem, trial.fit, self.options, within=None)
+            best = max(self.scan.named(test), key=lambda one: one.net, default=None)
+            if best is None or best.net < self.options.margin or best.cause[0] in {t.label for t in trial.refused}:
+                break
+            more = self._within_bounds(self._with(trial, best))
+            if len(more.tested) <= len(trial.tested):
+                break
+            trial = self._estimated(more)
+            if trial.evidence > state.evidence:
+                return self._dropped(trial)
         return None
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:

@@ -10,7 +10,7 @@ from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
 from lite6jax.arms.files import read_arm, write_arm, write_urdf
-from lite6jax.cli.inputs import inputs
+from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_chain
 from lite6jax.domains.pose.predict import predict
@@ -197,7 +197,7 @@ def test_the_inertia_of_an_own_arm_is_that_of_its_file(tmp_path, capsys):
     settings = replace(recording.settings, arm="mine.yaml")
     run7 = write_recording(replace(recording, settings=settings), tmp_path / "run7.csv")
     found = document(made, MOVING)
-    found = {**found, "model": {**found["model"], "arm": "mine"}, "inputs": inputs(run7)}
+    found = {**found, "model": {**found["model"], "arm": "mine"}, "inputs": list_inputs(run7)}
     diagnosis = stored(tmp_path, found)
     assert run(capsys, "convert", diagnosis, tmp_path / "arm.xml")[0] == 0
     np.testing.assert_allclose(read_arm(str(tmp_path / "arm.xml")).mass, LITE6.mass, rtol=1e-12)

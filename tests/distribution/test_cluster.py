@@ -74,7 +74,7 @@ def test_an_input_at_which_workers_die_costs_its_row(workers, tmp_path):
 
 
 def test_the_recordings_of_a_fleet_are_diagnosed_and_pooled_to_the_same_bytes(workers, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("lite6jax.cli.diagnose_folder.diagnose_and_reduce", reduced)
+    monkeypatch.setattr("lite6jax.cli.diagnose.diagnose_names", reduced)
     folder = tmp_path / "recordings"
     folder.mkdir()
     for seed in range(5):

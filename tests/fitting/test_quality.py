@@ -13,7 +13,7 @@ from diagnosis.recorded import Made, static_motion
 from typed import flat, refused, run
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.cli.exit_codes import BAD_FIT
+from lite6jax.cli.command import BAD_FIT
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.fit import fit_calibration, fit_recording
 from lite6jax.fitting.quality import FARTHEST_SHARE, quality_of_calibration, quality_of_poses

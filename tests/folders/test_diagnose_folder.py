@@ -7,10 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 from typed import flat
 
-from lite6jax.cli import diagnose_folder as command
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.folders.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, row_of
+from lite6jax.folders.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, make_row
 from tests.batch_work import diagnosed
 
 
@@ -135,11 +134,11 @@ def test_rows_of_torques_and_of_both():
         "data_faults": [],
         "findings": [{"effect": "viscous_friction", "site": "joint1", "p_value": 0.0}],
     }
-    (row,) = row_of("a.csv", torques, "").to_pylist()
+    (row,) = make_row("a.csv", torques, "").to_pylist()
     assert (row["verdict"], row["torque_verdict"], row["before_torque_rms_Nm"]) == (None, "explained", 2.0)
     both = torques | {"domain": None, "quality": {"verdict": "bad"}, "before": {"heldout_position_rms_m": 3.0}}
     both |= {"after": {}, "torques": torques, "verdict": "unnamed"}
-    (row,) = row_of("a.csv", both, "").to_pylist()
+    (row,) = make_row("a.csv", both, "").to_pylist()
     assert (row["verdict"], row["torque_verdict"], row["before_position_rms_m"]) == ("unnamed", "explained", 3.0)
     assert [found["domain"] for found in row["findings"]] == ["poses", "torques"]
 
@@ -159,7 +158,7 @@ def test_the_command_writes_of_each_what_it_writes_of_one(corpus, tmp_path, caps
     assert main(["diagnose", str(folder / made.path.name), "--out", str(alone), *options]) == 0
     capsys.readouterr()
     monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
-    monkeypatch.setattr(command, "check_processes", lambda processes, scheduler: None)
+    monkeypatch.setattr("lite6jax.cli.command.check_processes", lambda processes, scheduler: None)
     results = tmp_path / "results"
     assert main(["diagnose", str(folder), "--out", str(results), *options, "--processes", "0"]) == 0
     said = capsys.readouterr().out

@@ -15,9 +15,8 @@ from lite6jax.fitting.fit import fit_calibration
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Result
 from lite6jax.folders import fit, place
-from lite6jax.folders.fleet import fit_folder
-from lite6jax.folders.place import Place, url_of
-from lite6jax.folders.rows import Row, Statistics, read_rows, table_of_rows
+from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, tabulate_rows
+from lite6jax.folders.place import Place, restore_url
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
@@ -47,7 +46,7 @@ def test_rows_are_the_same_from_their_table(tmp_path):
         Row("a.yaml", "calibration", Result.CONVERGED, "naïve", "good", "lite6", 6, 300, 4, (("d1_m", 0.3),), errors),
         Row("b.csv", "recording", Result.UNREADABLE, "no", parameters=(("beta2_rad", -0.1),)),
     ]
-    path = write_tables([table_of_rows(rows)], tmp_path / "rows.parquet")
+    path = write_tables([tabulate_rows(rows)], tmp_path / "rows.parquet")
     assert repr(list(read_rows(path))) == repr(rows)
     assert [row.parameters for row in read_rows(path, parameters=False)] == [(), ()]
     assert [row.failed for row in rows] == [False, True]
@@ -189,10 +188,10 @@ def test_the_command_takes_a_url(arms, tmp_path, capsys):
 
 
 def test_urls_survive_being_paths():
-    assert url_of("s3:/bucket/arms") == url_of("s3://bucket/arms") == "s3://bucket/arms"
-    assert url_of("file:/tmp/arms") == "file:///tmp/arms"
-    assert url_of("memory:/arms") == "memory://arms"
-    assert url_of("C:/arms") is url_of("arms") is url_of("/s3:/arms") is None
+    assert restore_url("s3:/bucket/arms") == restore_url("s3://bucket/arms") == "s3://bucket/arms"
+    assert restore_url("file:/tmp/arms") == "file:///tmp/arms"
+    assert restore_url("memory:/arms") == "memory://arms"
+    assert restore_url("C:/arms") is restore_url("arms") is restore_url("/s3:/arms") is None
 
 
 def test_urls_that_cannot_be_read_are_one_line(monkeypatch, tmp_path):

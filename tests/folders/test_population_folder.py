@@ -9,8 +9,8 @@ import pytest
 from populations.linear_arms import OPTIONS, arm
 from typed import flat
 
-from lite6jax.cli import diagnose_folder as folder_command
 from lite6jax.cli import main
+from lite6jax.cli.diagnose import Diagnose
 from lite6jax.errors import InputError
 from lite6jax.folders.diagnoses import check_pooled, pool_folder
 from lite6jax.populations.files import to_bytes
@@ -108,8 +108,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
         (folder / file.name).write_bytes(file.read_bytes())
     (folder / "broken.csv").write_text("q1_rad\n")
     monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
-    monkeypatch.setattr(folder_command, "check_processes", lambda processes, scheduler: None)
-    monkeypatch.setattr("lite6jax.cli.diagnose_folder.check_processes", lambda processes, scheduler: None)
+    monkeypatch.setattr("lite6jax.cli.command.check_processes", lambda processes, scheduler: None)
     options = ["--out", str(results), "--quick", "--processes", "0"]
 
     def stopped(*arguments):
@@ -120,7 +119,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
         assert main(["diagnose", "--fleet", str(folder), *options]) == 130
     capsys.readouterr()
     with monkeypatch.context() as patched:  # a run that was ended while it pooled diagnoses nothing again
-        patched.setattr("lite6jax.cli.diagnose_folder.run_on_folder", None)
+        patched.setattr(Diagnose, "_diagnose_each", None)
         assert main(["diagnose", "--fleet", str(folder), *options]) == 0
     said = flat(capsys.readouterr().out)
     document = json.loads((results / "fleet.json").read_text())

@@ -1,0 +1,157 @@
+"""Commands on arms and effects as such: write an arm in another form, list bundled arms, an arm's joints, effects."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, final
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli import command
+from lite6jax.deferred import import_lazily
+from lite6jax.errors import InputError
+
+with import_lazily():
+    from lite6jax.arms import arm as arms
+    from lite6jax.arms import bundled, files
+    from lite6jax.diagnosis import document, export
+    from lite6jax.effects import listing
+    from lite6jax.fitting import source as sources
+    from lite6jax.report import listings, screen
+
+
+@final
+@dataclass(frozen=True)
+class Convert:
+    """Write one arm's file in another form; what the new form cannot hold is reported, or refused.
+
+    For example:
+
+        lite6jax convert arm.yaml arm.urdf
+        lite6jax convert lite6 arm.xml
+        lite6jax convert robot.urdf arm.yaml --base torso_link --tip tool0
+        lite6jax convert model.json arm.yaml --to ur
+        lite6jax convert diagnosis.json arm.urdf
+        lite6jax convert diagnosis.json new.urdf --into robot.urdf
+    """
+
+    source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
+    """A calibration (.yaml, .json, .conf), a description, a URDF or MJCF, a bundled arm's name, or what
+    `diagnose` wrote (.json): of poses the arm's chain as identified, of torques its friction, rotors, springs and
+    links."""
+    target: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The file to write."""
+    to: Annotated[Literal["vendor", "ur", "table", "urdf", "mjcf", "description"] | None, arg(metavar="FORM")] = None
+    """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml). By the suffix where not given: a
+    calibration becomes vendor .yaml, everything else a description."""
+    into: Annotated[str | None, arg(metavar="ROBOT.urdf")] = None
+    """Write this URDF (robot.urdf#tip or #base:tip) with the numbers of FILE: names, meshes, limits, efforts and
+    velocities stay."""
+    base: str | None = None
+    """Of a URDF or MJCF, the link or body that is the arm's base; the root where not given."""
+    tip: str | None = None
+    """Likewise the one that is the flange; the end of the only chain where not given."""
+    arm: command.ArmName = None
+    """The nominal arm of a calibration: that of --into, or recognised, where not given. Of a diagnosis, where the
+    inertia is from that it does not say: by default the bundled arm of its name, or the file that the recording's
+    sidecar names."""
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Converts and reads back."""
+        into = self.into.partition("#")[0] if self.into else None
+        command.check_outputs([self.target], [self.source, self.arm, into, self.effects], self.force)
+        source = files.name_chain(self.source, self.base, self.tip)
+        nominal, arm, left_out = sources.load_nominal(self.arm), None, ()
+        if self.into is not None and self.to not in (None, "urdf"):
+            raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
+        if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
+            arm, left_out, nominal = self._read_diagnosis(source, nominal)
+        done = files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
+        if self.json:
+            return command.present(True, done, (), [done.path])
+        screen.written([done.path])
+        screen.show(listings.conversion_report(done))
+        return command.DONE
+
+    def _read_diagnosis(
+        self, source: str, nominal: "arms.Arm | None"
+    ) -> "tuple[arms.Arm | None, tuple[str, ...], arms.Arm | None]":
+        """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
+        if not export.is_diagnosis(source):
+            return None, (), nominal
+        effects, alone = command.load_own_effects(self.effects), self.into is None
+        nominal = nominal or sources.load_nominal(command.find_nominal(document.parsed_document(source), Path(source)))
+        arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
+        if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
+            raise InputError(
+                f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
+                f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
+            )
+        if nominal is None and arm.name in bundled.bundled_arms():
+            nominal = bundled.load_bundled(arm.name)
+        return arm, left_out, nominal
+
+
+@final
+@dataclass(frozen=True)
+class Effects:
+    """List the effects that a diagnosis searches for: site, driver, unit and formula of each.
+
+    For example:
+
+        lite6jax effects
+        lite6jax effects --domain dynamic --json
+    """
+
+    domain: Literal["kinematic", "dynamic"] | None = None
+    """Only those on poses (kinematic) or on torques (dynamic)."""
+    json: command.Json = False
+
+    def run(self) -> int:
+        """Prints."""
+        found = [effect for effect in listing.listed() if self.domain in (None, effect.domain)]
+        if self.json:
+            _print_json([effect.to_dict() for effect in found])
+        else:
+            screen.show(listings.effects_report(found, screen.console().width))
+        return command.DONE
+
+
+@final
+@dataclass(frozen=True)
+class Arms:
+    """List the bundled arms: name, maker, joints, reach, whether inertia is known, and the source of the numbers; or
+    show how one arm is read: from which link to which, and its joints.
+
+    For example:
+
+        lite6jax arms
+        lite6jax arms robot.urdf#tool0
+    """
+
+    arm: Annotated[Positional[str | None], arg(metavar="ARM")] = None
+    """A bundled arm, or the file of an arm: a description, URDF, MJCF, calibration or table."""
+    json: command.Json = False
+
+    def run(self) -> int:
+        """Prints."""
+        if self.arm is not None:
+            arm = files.read_arm(self.arm)
+            found = listings.arm_entry(arm).to_dict() | {"joint_list": listings.joint_entries(arm)}
+            report = listings.arm_report(arm)
+        else:
+            entries = [listings.arm_entry(bundled.load_bundled(name)) for name in bundled.bundled_arms()]
+            found = [entry.to_dict() for entry in entries]
+            report = listings.arms_report(entries, screen.console().width)
+        if self.json:
+            _print_json(found)
+        else:
+            screen.show(report)
+        return command.DONE
+
+
+def _print_json(content: object) -> None:
+    print(json.dumps(content, indent=1, ensure_ascii=False))
