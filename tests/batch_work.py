@@ -100,7 +100,7 @@ def reduced(names, place, command):
     from lite6jax.distribution.batches import concatenate
     from lite6jax.folders.diagnoses import make_row
     from lite6jax.populations.files import to_bytes
-    from lite6jax.populations.reduced import PooledTerm
+    from lite6jax.populations.terms import PooledTerm
     from tests.populations.linear_arms import arm
 
     rows = []
