@@ -21,7 +21,9 @@ class PoolingOptions:
     )
     most_effects: int = option(16, "most effects that a type is found to have", "twice those of one recording")
     lines: int = option(3, "sites whose best order is measured in every arm before one is added", "a line is narrow")
-    processes: int = option(6, "processes whose kernels are measured in every arm", "twice the sites, as drivers differ")
+    processes: int = option(
+        6, "processes whose kernels are measured in every arm", "twice the sites, as drivers differ"
+    )
     same_line: float = option(0.5, "orders within which two waves are one line", "a line's width over two turns")
     fewest_arms: int = option(5, "arms below which none is said to differ from the others", "four give a variance")
 

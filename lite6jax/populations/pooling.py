@@ -19,24 +19,23 @@ the information says, the sum of squares S is so much larger.
 """
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.distribution.batches import Workers
-from lite6jax.effects import kernels
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
-from lite6jax.populations.files import from_bytes
+from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.populations.hierarchy import ArmLikelihoods
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.reduced import SCREENED, Evidence, ReducedArm, Scan
-from lite6jax.populations.terms import Groups, Process, Tested
+from lite6jax.populations.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
+from lite6jax.populations.terms import PooledTerm, Process, Tested, Tried
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,26 +48,66 @@ Asked = tuple[Tested, tuple[Tested, ...]]
 _ROUNDING = 1e-9
 
 
-# ------------------------------------------------------------------ evidence
-
-
-class Weighed(NamedTuple):
-    """What all arms say of one effect.
+@final
+@dataclass(frozen=True)
+class Weighed:
+    """What all arms say of one term.
 
     Attributes:
+        term: which.
+        evidence: of each arm, beside the others; None of an arm that does not show it.
+        cost: −ln of its prior probability.
         gain: log evidence over its absence from all arms.
-        likelihood: gain of the likelihood, of which the evidence is less.
+        likelihood: gain of the likelihood.
         way: in which it is likeliest.
         variance: of the coefficients of a process; infinite of a name.
+        rivals: terms that may stand in its place, and by how much the evidence less the cost is lower.
+        nearest: of a process, the named term that explains most of it, and the share.
     """
 
-    gain: float
-    likelihood: float
-    way: Way
-    variance: float
+    term: Tested
+    evidence: tuple[Evidence | None, ...]
+    cost: float
+    gain: float = 0.0
+    likelihood: float = 0.0
+    way: Way = "mean"
+    variance: float = np.inf
+    rivals: tuple[tuple[Tested, float], ...] = ()
+    nearest: tuple[PooledTerm, float] | None = None
+
+    @property
+    def net(self) -> float:
+        """Log posterior odds of its presence."""
+        return self.gain - self.cost
+
+    @property
+    def p_value(self) -> float:
+        """A bound on the probability that chance alone makes anything so likely: that of an evidence is one over it."""
+        return float(min(np.exp(-self.net), 1.0))
+
+    def likelihoods(self, typical: Sequence[float], covariate: Array | None) -> ArmLikelihoods:
+        """What the arms say, for a hierarchical model; nothing where there is no evidence.
+
+        Args:
+            typical: sizes of its numbers.
+            covariate: `(arm,)`, or None.
+        """
+        size, arms = len(typical), len(self.evidence)
+        score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
+        for i, one in enumerate(self.evidence):
+            if one is not None:
+                score[i], information[i] = one.score, one.information
+        design = np.stack([np.ones(arms), *([] if covariate is None else [covariate])], 1)
+        return ArmLikelihoods(score, information, np.array(typical, float), design, self.variance)
 
 
-def weigh(term: Tested, evidence: Sequence[Evidence | None], covariate: Array | None, confounded: float) -> Weighed:
+def weigh(
+    term: Tested,
+    evidence: Sequence[Evidence | None],
+    covariate: Array | None,
+    confounded: float,
+    cost: float = 0.0,
+) -> Weighed:
     """The evidence of a term, over all ways.
 
     Args:
@@ -76,42 +115,42 @@ def weigh(term: Tested, evidence: Sequence[Evidence | None], covariate: Array | 
         evidence: of each arm; None of an arm that does not show it.
         covariate: `(arm,)`, what effects may drift with, or None.
         confounded: eigenvalue over the largest below which a direction is in the model's span.
+        cost: −ln of its prior probability.
     """
     at = [arm for arm, one in enumerate(evidence) if one is not None]
     shown = [one for one in evidence if one is not None]
     if len(shown) < (2 if covariate is None else 3):  # which a hierarchical model takes
-        return Weighed(0.0, 0.0, "mean", np.inf)
+        return Weighed(term, tuple(evidence), cost)
     b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
-    total, information, process = b.sum(0), G.sum(0), isinstance(term, Process)
-    T = whitening(information)
-    scatter = np.trace(T.T @ np.sum([one.covariance for one in shown], 0) @ T) / max(T.shape[1], 1)
-    scatter = max(float(scatter), 1.0)
-    left, freedom = (np.array([getattr(one, name) for one in shown]) for name in ("left", "freedom"))
+    spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
+    scatter = max(float(spread.sum() / chi_squared(b.sum(0), G.sum(0))[1]), 1.0)
+    left, freedom = scatter * np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
 
-    def of(pairs: Sequence[tuple[Array, Array]], left: float, freedom: float) -> tuple[float, float, float]:
-        """Evidence, likelihood and variance of several scores and their information."""
-        if not process:
-            statistic, size = np.sum([_form(*pair) for pair in pairs], 0)
-            gain = float(evidence_of_names(statistic, size, left * scatter, freedom))
-            return gain, float(_log(statistic, left * scatter, freedom)), np.inf
-        each = [np.linalg.eigh(own) for _, own in pairs]
-        squares = [(V.T @ score) ** 2 for (score, _), (_, V) in zip(pairs, each, strict=True)]
-        values = np.maximum(np.concatenate([values for values, _ in each]), 0.0)
-        kept = values > confounded * values.max()
-        found = best_amplitude(values, np.where(kept, np.concatenate(squares), 0.0), left * scatter, freedom)
+    def of(score: Array, information: Array, left: float, freedom: float) -> tuple[float, float, float]:
+        """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
+        if not isinstance(term, Process):
+            statistic, size = np.sum(chi_squared(score, information), 1)
+            gain = evidence_of_names(statistic, size, left, freedom)
+            return float(gain), float(_log(statistic, left, freedom)), np.inf
+        values, V = np.linalg.eigh(information)
+        squares = (np.einsum("aij,ai->aj", V, score) ** 2).ravel()
+        values = np.maximum(values.ravel(), 0.0)
+        squares = np.where(values > confounded * values.max(), squares, 0.0)
+        found = best_amplitude(values, squares, left, freedom)
         return float(found.gain), float(found.gain + found.volume), float(found.variance)
 
-    arms, S, v = list(zip(b, G, strict=True)), float(left.sum()), float(freedom.sum())
+    S, v = float(left.sum()), float(freedom.sum())
     ways: list[tuple[tuple[float, float, float], Way]] = [
-        (of([(total, information)], S, v), "mean"),
-        (of(arms, S, v), "any"),
+        (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
+        (of(b, G, S, v), "any"),
     ]
-    gain, *rest = max(of([arm], *own) for arm, *own in zip(arms, left, freedom, strict=True))
+    gain, *rest = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
     ways.append(((gain - float(np.log(len(evidence))), *rest), "one"))
     if covariate is not None:
-        ways.append((of([slope(b, G, covariate[at])], S, v), "drift"))
+        own = _slope(b, G, covariate[at])
+        ways.append((of(own[0][None], own[1][None], S, v), "drift"))
     (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
-    return Weighed(gain - float(np.log(len(ways))), likelihood, way, variance)
+    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, way, variance)
 
 
 def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:
@@ -134,14 +173,8 @@ def _log(explained: ArrayLike, left: float, freedom: float) -> Array:
     return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / left, 1 - 1e-12))
 
 
-def slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
-    """Score and information of a slope over a covariate, beside the mean.
-
-    Args:
-        b: `(arm, number)`.
-        G: `(arm, number, number)`.
-        x: `(arm,)`.
-    """
+def _slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
+    """Score and information of a slope over a covariate `(arm,)`, beside the mean."""
     whole, first, second = (np.tensordot(x**k, G, 1) for k in range(3))
     centre = first @ np.linalg.pinv(whole, hermitian=True)
     own = second - centre @ first
@@ -150,137 +183,48 @@ def slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
     return x @ b - centre @ b.sum(0), own
 
 
-def likelihoods(
-    evidence: Sequence[Evidence | None], typical: Sequence[float], x: Array | None, variance: float
-) -> ArmLikelihoods:
-    """What the arms say of one effect, for its hierarchical model; nothing where there is no evidence.
-
-    Args:
-        evidence: of all arms.
-        typical: sizes of its numbers.
-        x: `(arm,)`, the covariate, or None.
-        variance: of the mean's prior.
-    """
-    size = len(typical)
-    score, information = np.zeros((len(evidence), size)), np.zeros((len(evidence), size, size))
-    for i, one in enumerate(evidence):
-        if one is not None:
-            score[i], information[i] = one.score, one.information
-    ones = np.ones(len(evidence))
-    design = ones[:, None] if x is None else np.stack([ones, x], 1)
-    return ArmLikelihoods(score, information, np.array(typical, float), design, variance)
-
-
-def whitening(G: Array) -> Array:
-    """T with TᵀGT the identity of the rank of G."""
-    root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
-    eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
-    kept = eigenvalues > _ROUNDING
-    return V[:, kept] / np.sqrt(eigenvalues[kept]) / root[:, None]
-
-
-def _form(b: Array, G: Array) -> tuple[float, int]:
-    """bᵀ G⁺ b, and the rank of G."""
-    T = whitening(G)
-    return float(np.sum((T.T @ b) ** 2)), T.shape[1]
-
-
 # ------------------------------------------------------------------ a search's scan
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Pool:
-    """What all arms say of all that is tested.
+def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evidence | None]], dict[str, Array]]:
+    """What all recordings say of all that is tested.
 
-    Attributes:
-        named: of each candidate by its key, the evidence of each arm.
-        waves: by the key of each family, the evidence at each order of `order_grid`.
-        singles, pairs: the evidence `(group,)` of the likeliest kernel of those by which processes are screened.
-    """
-
-    named: dict[str, list[Evidence | None]]
-    waves: dict[str, Array]
-    singles: Array
-    pairs: Array
-
-
-def pool(scans: Iterator[Scan], confounded: float) -> Pool:
-    """Adds what all recordings say.
+    Of processes that are others in each arm it is approximate: F. Satterthwaite's equal directions (Biometrics Bulletin
+    2, 1946).
 
     Args:
         scans: of the arms.
         confounded: eigenvalue over the largest below which a direction is in the model's span.
+
+    Returns:
+        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each
+        group `(group,)`.
     """
-    named, waves, groups = dict[str, list[Evidence | None]](), dict[str, _Waves](), list[_Groups]()
+    named, total, alone = dict[str, list[Evidence | None]](), dict[str, list[Array]](), dict[str, Array]()
     arms, S, v = 0, 0.0, 0.0
     for scan in scans:
         for key in {**named, **scan.named}:
             named.setdefault(key, [None] * arms).append(scan.named.get(key))
-        for key, (score, information) in scan.waves.items():
-            waves.setdefault(key, _Waves(len(score))).add(score, information, scan)
-        groups = groups or [_Groups(scan.singles), _Groups(scan.pairs)]
-        for group, one in zip(groups, (scan.singles, scan.pairs), strict=True):
-            group.add(one)
+        for key, one in scan.groups.items():
+            own = _evidence_of_sums(one.sums, scan.left, scan.freedom)
+            total[key] = [a + b for a, b in zip(total[key], one, strict=True)] if key in total else list(one)
+            alone[key] = np.maximum(alone.get(key, 0.0), own)
         arms, S, v = arms + 1, S + scan.left, v + scan.freedom
-    singles, pairs = groups
-    return Pool(
-        named,
-        {key: each.evidence(S, v, arms) for key, each in waves.items()},
-        singles.evidence([kernels.root(name) for name in SCREENED], S, v, arms, confounded),
-        pairs.evidence([np.eye(pairs.score.shape[1])], S, v, arms, confounded),
-    )
+    found = dict[str, Array]()
+    for key, (score, information, sums) in total.items():
+        if key in SCREENED:
+            means = [of_process(score @ R, R.T @ information @ R, S, v, confounded).gain for R in SCREENED[key]]
+        else:
+            means = [evidence_of_names(*chi_squared(score, information), S, v)]
+        found[key] = np.max([*means, _evidence_of_sums(sums, S, v), alone[key] - np.log(arms)], 0)
+    return named, found
 
 
-class _Waves:
-    """Sums over arms of what the evidence of the waves of one family needs, at every order."""
-
-    def __init__(self, orders: int) -> None:
-        self.score, self.information = np.zeros((orders, 2)), np.zeros((orders, 3))
-        self.statistic, self.size, self.alone = np.zeros((3, orders))
-
-    def add(self, score: Array, information: Array, scan: Scan) -> None:
-        self.score += score
-        self.information += information
-        own, size = _forms(score, information), 2 * information.any(1)
-        self.statistic += own
-        self.size += size
-        self.alone = np.maximum(self.alone, evidence_of_names(own, size, scan.left, scan.freedom))
-
-    def evidence(self, left: float, freedom: float, arms: int) -> Array:
-        size = 2 * self.information.any(1)
-        mean = evidence_of_names(_forms(self.score, self.information), size, left, freedom)
-        any_arm = evidence_of_names(self.statistic, self.size, left, freedom)
-        return np.max([mean, any_arm, self.alone - np.log(arms)], 0)
-
-
-class _Groups:
-    """Sums over arms of what the evidence of processes needs."""
-
-    def __init__(self, like: Any) -> None:
-        self.score, self.information, self.explained, self.volume = (np.zeros_like(part) for part in like[:4])
-        self.alone = np.zeros(len(self.score))
-
-    def add(self, one: Any) -> None:
-        for mine, theirs in zip((self.score, self.information, self.explained, self.volume), one[:4], strict=True):
-            mine += theirs
-        self.alone = np.maximum(self.alone, one.alone)
-
-    def evidence(self, roots: Sequence[Array], left: float, freedom: float, arms: int, confounded: float) -> Array:
-        found = [self.alone - np.log(arms)]
-        if len(self.score):
-            found.append(np.max(_log(self.explained, left, freedom) - self.volume, (1, 2)))
-        for R in roots if len(self.score) else ():
-            found.append(of_process(self.score @ R, R.T @ self.information @ R, left, freedom, confounded).gain)
-        return np.max(found, 0)
-
-
-def _forms(score: Array, packed: Array) -> Array:
-    """bᵀ G⁻¹ b of many pairs of waves; zero where G is singular."""
-    (s, c), (ss, sc, cc) = score.T, packed.T
-    determinant = ss * cc - sc**2
-    regular = determinant > _ROUNDING * ss * cc
-    return np.where(regular, (cc * s**2 - 2 * sc * s * c + ss * c**2) / np.where(regular, determinant, 1.0), 0.0)
+def _evidence_of_sums(sums: Array, left: float, freedom: float) -> Array:
+    """By `Screened.sums`, `(group,)`: that of as many equal directions."""
+    square, trace, of_square = sums
+    scale = trace / np.maximum(of_square, 1e-300)
+    return np.max(evidence_of_names(square * scale, trace * scale, left, freedom), 1)
 
 
 # ------------------------------------------------------------------ workers
@@ -297,18 +241,15 @@ class Reduced:
         """Computes nothing.
 
         Args:
-            stored: paths of files of `files.to_bytes`.
+            stored: paths of files of `ReducedArm.to_bytes`.
             options: thresholds.
             workers: that compute, started.
         """
         self._stored, self.options, self._workers = tuple(stored), options, workers
 
-    def __len__(self) -> int:
-        return len(self._stored)
-
-    def scans(self, beside: Sequence[Tested], groups: Groups) -> Iterator[Scan]:
+    def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:
         """What each recording says of all that is tested, beside some terms, in order."""
-        return self._found(scanned, (tuple(beside), groups, self.options))
+        return self._found(scanned, (tuple(beside), (*tried.singles, *tried.pairs), self.options))
 
     def evidence(self, asked: Sequence[Asked]) -> list[list[Evidence | None]]:
         """For each recording, what it says of each term that is asked for."""
@@ -331,18 +272,18 @@ def _died(stored: bytes) -> "pa.Table":
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def scanned(
-    stored: Sequence[bytes], beside: tuple[Tested, ...], groups: Groups, options: PoolingOptions
+    stored: Sequence[bytes], beside: tuple[Tested, ...], processes: tuple[Process, ...], options: PoolingOptions
 ) -> "pa.Table":
     """The `Scan` of one recording beside some terms, as a table of one row."""
     (one,) = stored
-    return _row(from_bytes(one).beside(beside, options).scan(groups, options))
+    return _row(ReducedArm.from_bytes(one).beside(beside, options).scan(processes, options))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: PoolingOptions) -> "pa.Table":
     """What one recording says of each term that is asked for, as a table of one row."""
     (one,) = stored
-    arm, known, found = from_bytes(one), dict[tuple[Tested, ...], ReducedArm](), list[Evidence | None]()
+    arm, known, found = ReducedArm.from_bytes(one), dict[tuple[Tested, ...], ReducedArm](), list[Evidence | None]()
     for term, beside in asked:
         if beside not in known:
             known[beside] = arm.beside(beside, options)

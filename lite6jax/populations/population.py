@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from lite6jax.checksum import with_checksum
-from lite6jax.effects import kernels
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.populations.hierarchy import Hierarchy, fitted
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.pooling import Reduced, likelihoods
+from lite6jax.populations.pooling import Reduced, Weighed
 from lite6jax.populations.reduced import Found
-from lite6jax.populations.select import Selected, search
+from lite6jax.populations.select import Search
 from lite6jax.populations.terms import Candidate, Process, Tested, Tried
 
 Array = NDArray[np.floating]
@@ -61,7 +60,7 @@ class TypeEffect:
             where there is no covariate.
     """
 
-    selected: Selected
+    selected: Weighed
     candidate: Candidate
     hierarchy: Hierarchy
     outliers: Mapping[int, float]
@@ -170,7 +169,7 @@ class Population:
             unit = names[0].rpartition("_")[2]
             document[f"amplitude_rms_{unit}"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
         if selected.nearest is not None:
-            document["nearest"] = {**self._named(selected.nearest.term), "share": selected.nearest.share}
+            document["nearest"] = {**self._named(selected.nearest[0]), "share": selected.nearest[1]}
         if effect.drift_p_value is not None:
             slopes = {name: _interval("value", hierarchy, 1, i) for i, name in enumerate(names)}
             document["drift"] = {"p_value": effect.drift_p_value, "per_day": slopes}
@@ -205,7 +204,7 @@ def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
     low, high, *others = process.bounds
     at = np.linspace(low, high, POINTS)
     values = np.stack([at, *(np.full(POINTS, upper) for upper in others[1::2])])
-    B = np.asarray(kernels.features(process.kernel, values, process.bounds))  # type: ignore[arg-type]
+    B = process.functions(values)
     covariance = hierarchy.covariance[: len(B), : len(B)]
     std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0))
     mean = hierarchy.coefficients[0] @ B
@@ -234,18 +233,18 @@ def diagnose_population(
         progress: called with the number of effects at each round of the search.
     """
     covariate = None if dates is None else dates - dates.mean()
-    found = search(reduced, tried, covariate, progress)
+    found = Search(reduced, tried, covariate, progress).selected()
     effects = [_effect(one, tried.candidate(one.term), covariate, len(found), reduced.options) for one in found]
     return Population(arm, tuple(members), tuple(used), tuple(effects), tried, dates, reduced.options)
 
 
 def _effect(
-    selected: Selected, candidate: Candidate, covariate: Array | None, effects: int, options: PoolingOptions
+    selected: Weighed, candidate: Candidate, covariate: Array | None, effects: int, options: PoolingOptions
 ) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
     evidence = selected.evidence
     kept, outliers = list(range(len(evidence))), dict[int, float]()
-    hierarchy = fitted(likelihoods(evidence, candidate.typical, covariate, selected.variance))
+    hierarchy = fitted(selected.likelihoods(candidate.typical, covariate))
     assert hierarchy is not None, "an effect was selected that too few arms show"
     shown = sum(one is not None for one in evidence)
     while shown - len(outliers) >= options.fewest_arms:

@@ -1,37 +1,44 @@
 """One recording reduced to what pooling needs: white residuals and the columns of what is tested, without a robot.
 
 A recording is diagnosed once, where its problem and its noise model are at hand. What is kept of it is linear: then any
-set of effects that the type is found to have is fitted to it by linear algebra alone, without the files, the kinematics
-and compiled code.
+set of effects that the type is found to have is fitted to it by linear algebra alone, without the files and the
+kinematics.
 """
 
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, final
+from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.effects import kernels
-from lite6jax.estimation.noise import NoiseModel
-from lite6jax.estimation.problem import Component, Quantity
+from lite6jax.errors import InputError
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import block_covariance, sums_by_block
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.terms import Candidate, Groups, PooledTerm, Process, Tested
+from lite6jax.populations.terms import CUBICS, SPLINES, Candidate, Place, PooledTerm, Process, Tested, Varied
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
-SCREENED = ("cubic", "medium", "rough")
-"""Kernels of one driver by which processes are screened."""
-VARIANCES = np.geomspace(1e-14, 1e4, 55)
-"""Of coefficients in their unit, at which the evidence of processes that are others in each arm is screened."""
-_PAIR = "cubic*cubic"
+SCREENED = {
+    SPLINES: tuple(kernels.root(name) for name in ("cubic", "medium", "rough")),
+    CUBICS: (np.eye(kernels.size_of(CUBICS, ())),),
+}
+"""`(function, feature)`, by which functions become those of the kernels that processes are screened by."""
 _ORDERS_AT_ONCE = 1 << 21
 """Numbers of columns that are in memory at once: 16 MB."""
+_ROUNDING = 1e-9
+_ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
 def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
@@ -53,9 +60,7 @@ def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], num
     return found
 
 
-@final
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """What the diagnosis of the recording alone found.
 
     Attributes:
@@ -67,6 +72,28 @@ class Found:
     label: str
     p_value: float
     pooled: bool
+
+
+class Heading(NamedTuple):
+    """What is said of a recording before the numbers.
+
+    Attributes:
+        about: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
+        found: by the recording alone.
+        candidates: that can be tested here.
+        families: of waves, each of an angle that is one of the quantities.
+        places: where processes can act.
+        quantities: what they can depend on.
+        version: of the file.
+    """
+
+    about: dict[str, Any]
+    found: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    families: tuple[Candidate, ...]
+    places: tuple[Place, ...]
+    quantities: tuple[Varied, ...]
+    version: int = 4
 
 
 class Evidence(NamedTuple):
@@ -88,21 +115,18 @@ class Evidence(NamedTuple):
 
 
 class Screened(NamedTuple):
-    """What a recording says of many processes.
+    """What a recording says of groups of functions.
 
     Attributes:
-        score: `(group, function)`.
-        information: `(group, function, function)`.
-        explained: `(group, kernel, variance)`, of the sum of squares by coefficients of each of `VARIANCES`.
-        volume: likewise, by which the evidence is less than the likelihood's gain.
-        alone: `(group,)`, the evidence of this recording.
+        score: `(group, number)`.
+        information: `(group, number, number)`.
+        sums: `(3, group, kernel)`; of processes the square of the score, the trace of the information and that of its
+            square, with the features of each kernel that vary; of waves χ² and twice its degrees of freedom.
     """
 
     score: Array
     information: Array
-    explained: Array
-    volume: Array
-    alone: Array
+    sums: Array
 
 
 class Scan(NamedTuple):
@@ -110,16 +134,12 @@ class Scan(NamedTuple):
 
     Attributes:
         named: of each candidate by its key; None where it says nothing.
-        waves: by the key of each family, score `(order, 2)` and, as sine², sine·cosine and cosine², information
-            `(order, 3)` at the orders of `order_grid`.
-        singles, pairs: of the `Groups`; functions are splines, and products of two cubics.
+        groups: by the key of each family its waves at the orders of `order_grid`; by `SPLINES` and `CUBICS` processes.
         left, freedom: as in `Evidence`.
     """
 
     named: dict[str, Evidence | None]
-    waves: dict[str, tuple[Array, Array]]
-    singles: Screened
-    pairs: Screened
+    groups: dict[str, Screened]
     left: float
     freedom: float
 
@@ -130,14 +150,10 @@ class ReducedArm:
     """The linear model of one recording; readings are all rows of all samples, and then those of the nuisance's prior.
 
     Attributes:
-        about: of the recording: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
-        found: by the recording alone.
-        candidates: that can be tested here.
+        heading: what is said of it.
         columns: `(number, reading)`, white, of unit noise, of all candidates one after the other.
-        families: of waves, each of an angle that is one of the quantities.
-        components: where processes can act; columns of unit noise, not white.
-        units: of what acts at each.
-        quantities: what they can depend on, at every moment: at the samples, unless there is a `smoothing`.
+        places: `(place, row, sample)`, how residuals change with what acts there, of unit noise.
+        values: `(quantity, moment)`; the moments are the samples, unless there is a `smoothing`.
         run: `(2, moment)`, the first and the last moment of the run of each.
         noise: the filter that makes columns white.
         training: `(sample,)` bool.
@@ -148,14 +164,10 @@ class ReducedArm:
             pass none.
     """
 
-    about: Mapping[str, Any]
-    found: tuple[Found, ...]
-    candidates: tuple[Candidate, ...]
+    heading: Heading
     columns: Array
-    families: tuple[Candidate, ...]
-    components: tuple[Component, ...]
-    units: tuple[str, ...]
-    quantities: tuple[Quantity, ...]
+    places: Array
+    values: Array
     run: Integers
     noise: NoiseModel
     training: NDArray[np.bool_]
@@ -164,12 +176,103 @@ class ReducedArm:
     blocks: Integers
     smoothing: LowPass | None = None
 
+    def to_bytes(self) -> bytes:
+        """A file of NumPy (.npz); columns are in single precision, which is a ten-millionth of each."""
+        filtered = self.smoothing
+        smoothing = {} if filtered is None else {
+            "smoothing": np.array([filtered.rate, filtered.cutoff, filtered.every]),
+            "runs": filtered.runs,
+            "kept": filtered.kept,
+        }  # fmt: skip
+        sink = io.BytesIO()
+        np.savez(
+            sink,
+            heading=np.frombuffer(msgspec.msgpack.encode(self.heading), np.uint8),
+            columns=self.columns.astype(np.float32),
+            noise=np.array([(model.coefficient, model.share) for model in self.noise.models]),
+            groups=self.noise.groups,
+            starts=np.array(self.noise.starts),
+            **{name: getattr(self, name) for name in _ARRAYS},
+            **smoothing,
+        )
+        return sink.getvalue()
+
+    @classmethod
+    def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
+        """What `to_bytes` wrote.
+
+        Raises:
+            InputError: the bytes are no such file; the message begins with `place`.
+        """
+        with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
+            models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
+            smoothing = None
+            if "smoothing" in file:
+                rate, cutoff, every = map(float, file["smoothing"])
+                smoothing = LowPass(rate, cutoff, int(every), file["runs"], file["kept"])
+            return cls(
+                heading=_heading(file["heading"]),
+                columns=file["columns"].astype(float),
+                noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
+                smoothing=smoothing,
+                **{name: file[name] for name in _ARRAYS},
+            )
+
+    # -------------------------------------------------------------- columns
+
     @cached_property
     def parts(self) -> dict[str, slice]:
         """Where the columns of each candidate stand."""
-        ends = np.cumsum([0, *(len(candidate.names) for candidate in self.candidates)]).tolist()
-        keys = (candidate.key for candidate in self.candidates)
+        ends = np.cumsum([0, *(len(candidate.names) for candidate in self.heading.candidates)]).tolist()
+        keys = (candidate.key for candidate in self.heading.candidates)
         return dict(zip(keys, map(slice, ends[:-1], ends[1:]), strict=True))
+
+    @cached_property
+    def _values(self) -> dict[str, Array]:
+        return dict(zip((one.driver.phrase for one in self.heading.quantities), self.values, strict=True))
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], Array]:
+        return dict(zip((one[:2] for one in self.heading.places), self.places, strict=True))
+
+    def columns_of(self, term: Tested) -> Array:
+        """`(number, reading)`; none where the recording cannot show the term."""
+        if isinstance(term, Process):
+            if not self._has(term):
+                return self.columns[:0]
+            return self._moved(self._places[term.site, term.component], self._functions(term))
+        if term.order is None:
+            part = self.parts.get(term.key)
+            return self.columns[:0] if part is None else self.columns[part]
+        family = next((family for family in self.heading.families if family.key == term.key), None)
+        if family is None:
+            return self.columns[:0]
+        return self._moved(self._place_of(family), self._waves(family, np.array([term.order]))[0])
+
+    def _has(self, process: Process) -> bool:
+        return (process.site, process.component) in self._places and set(process.drivers) <= set(self._values)
+
+    def _place_of(self, family: Candidate) -> Array:
+        return next(column for (site, _), column in self._places.items() if site == family.site)
+
+    def _waves(self, family: Candidate, orders: Array) -> Array:
+        """Sine and cosine `(order, 2, sample)`, as the measurements show them."""
+        turned = np.multiply.outer(orders, self._values[family.driver])
+        return self._seen(np.stack([np.sin(turned), np.cos(turned)], 1))
+
+    def _functions(self, process: Process) -> Array:
+        """`(function, sample)`, as the measurements show them."""
+        return self._seen(process.functions(np.stack([self._values[one] for one in process.drivers]), self.run))
+
+    def _seen(self, values: Array) -> Array:
+        """Values `(…, moment)` as the measurements show them, `(…, sample)`."""
+        return values if self.smoothing is None else self.smoothing(values)
+
+    def _moved(self, place: Array, functions: Array) -> Array:
+        """Columns `(…, reading)` of what moves a place by functions `(…, sample)`."""
+        return readings(functions[..., None, :] * place, self.noise, self.training, self.residual.size)
+
+    # -------------------------------------------------------------- evidence
 
     @cached_property
     def left(self) -> Array:
@@ -181,52 +284,6 @@ class ReducedArm:
         """Of what is left."""
         rows = len(self.noise.groups)
         return float(max(self.residual.size - rows * np.sum(~self.training) - len(self.basis), 1))
-
-    @cached_property
-    def _drivers(self) -> dict[str, Array]:
-        return {quantity.driver.phrase: quantity.values for quantity in self.quantities}
-
-    @cached_property
-    def _places(self) -> dict[tuple[str, str], Array]:
-        return {(component.site, component.name): component.column for component in self.components}
-
-    def columns_of(self, term: Tested) -> Array:
-        """`(number, reading)`; none where the recording cannot show the term."""
-        if isinstance(term, Process):
-            place = self._places.get((term.site, term.component))
-            if place is None or not set(term.drivers) <= set(self._drivers):
-                return self.columns[:0]
-            return self._moved(place, self._functions(term.kernel, term.drivers, term.bounds))
-        if term.order is None:
-            part = self.parts.get(term.key)
-            return self.columns[:0] if part is None else self.columns[part]
-        family = next((family for family in self.families if family.key == term.key), None)
-        return self.columns[:0] if family is None else self.waves(family, np.array([term.order]))[0]
-
-    def waves(self, family: Candidate, orders: Array) -> Array:
-        """Columns of sine and cosine of some orders, `(order, 2, reading)`."""
-        return self._moved(self._place_of(family), self._waves(family, orders))
-
-    def _place_of(self, family: Candidate) -> Array:
-        return next(one.column for one in self.components if one.site == family.site)
-
-    def _waves(self, family: Candidate, orders: Array) -> Array:
-        """Sine and cosine `(order, 2, sample)`, as the measurements show them."""
-        turned = np.multiply.outer(orders, self._drivers[family.driver])
-        return self._seen(np.stack([np.sin(turned), np.cos(turned)], 1))
-
-    def _functions(self, kernel: str, drivers: Sequence[str], bounds: Sequence[float]) -> Array:
-        """Those of a kernel `(function, sample)`, as the measurements show them."""
-        values = np.stack([self._drivers[phrase] for phrase in drivers])
-        return self._seen(np.asarray(kernels.features(kernel, values, bounds, self.run)))  # type: ignore[arg-type]
-
-    def _seen(self, values: Array) -> Array:
-        """Values `(…, moment)` as the measurements show them, `(…, sample)`."""
-        return values if self.smoothing is None else self.smoothing(values)
-
-    def _moved(self, place: Array, functions: Array) -> Array:
-        """Columns `(…, reading)` of what moves a place by functions `(…, sample)`."""
-        return readings(functions[..., None, :] * place, self.noise, self.training, self.residual.size)
 
     def beside(self, terms: Sequence[Tested], options: PoolingOptions) -> "ReducedArm":
         """The same with further terms in the model: they join the basis, and leave the residual."""
@@ -249,79 +306,64 @@ class ReducedArm:
         if not eigenvalues.size:
             return None
         per_block = self._by_block(projected * self.left)
-        score = -V @ (V.T @ (per_block.sum(1) / length)) * length
+        along = V.T @ (per_block.sum(1) / length)
         information = (V * eigenvalues) @ V.T * np.outer(length, length)
-        values = (V / eigenvalues) @ (V.T @ (per_block.sum(1) / length)) / length
-        covariance = block_covariance(projected, per_block, values, self._by_block)
-        return Evidence(score, information, covariance, float(self.left @ self.left), self.freedom)
+        covariance = block_covariance(projected, per_block, V @ (along / eigenvalues) / length, self._by_block)
+        return Evidence(-V @ along * length, information, covariance, float(self.left @ self.left), self.freedom)
 
-    def scan(self, groups: Groups, options: PoolingOptions) -> Scan:
-        """What the recording says of all candidates, of waves and of processes."""
-        named = {one.key: self.evidence(PooledTerm(one.key), options) for one in self.candidates}
-        waves = {family.key: self._spectrum(family, options) for family in self.families}
-        roots = [kernels.root(name) for name in SCREENED]
-        singles = self._screened(groups, groups.singles, roots)
-        pairs = self._screened(groups, groups.pairs, [np.eye(kernels.size_of(_PAIR, ()))])
-        return Scan(named, waves, singles, pairs, float(self.left @ self.left), self.freedom)
+    def scan(self, processes: Sequence[Process], options: PoolingOptions) -> Scan:
+        """What the recording says of all candidates, of all waves, and of functions that processes are screened by."""
+        named = {one.key: self.evidence(PooledTerm(one.key), options) for one in self.heading.candidates}
+        groups = {family.key: self._spectrum(family, options) for family in self.heading.families}
+        for kernel in SCREENED:
+            groups[kernel] = self._screened(
+                [one for one in processes if one.kernel == kernel], SCREENED[kernel], options
+            )
+        return Scan(named, groups, float(self.left @ self.left), self.freedom)
 
-    def _screened(self, groups: Groups, which: Integers, roots: Sequence[Array]) -> Screened:
-        """Of each group of functions at its component; in autocorrelated noise of those that vary slowly beside it."""
-        size, measured = len(roots[0]), len(self.noise.groups) * self.training.size
-        score, information = np.zeros((len(which), size)), np.zeros((len(which), size, size))
-        known, functions = [phrase in self._drivers for phrase in groups.drivers], dict[tuple[int, ...], Array]()
-        for i, where in enumerate(groups.components):
-            own = [k for k in np.flatnonzero(which[:, 0] == i) if all(known[j] for j in which[k, 1:])]
-            if where not in self._places or not own:
-                continue
-            for key in map(tuple, which[own, 1:].tolist()):
-                if key not in functions:
-                    functions[key] = self._screening(groups, key)
-            f = np.stack([functions[key] for key in map(tuple, which[own, 1:].tolist())])
-            site = self.noise.whitened(self._places[where]) * self.training
-            over_rows = np.concatenate([self.left[None], self.basis])[:, :measured].reshape(-1, *site.shape)
-            pull, *basis = np.sum(site * over_rows, 1)
-            inside = f @ np.reshape(basis, (-1, self.training.size)).T
-            score[own] = -(f @ pull)
-            information[own] = (f * np.sum(site**2, 0)) @ f.swapaxes(1, 2) - inside @ inside.swapaxes(1, 2)
-        explained, volume = zip(*(_by_variance(score @ R, R.T @ information @ R) for R in roots), strict=True)
-        explained, volume = np.stack(explained, 1), np.stack(volume, 1)
-        share = np.minimum(explained / (self.left @ self.left), 1 - 1e-12)
-        alone = np.max(-0.5 * self.freedom * np.log1p(-share) - volume, (1, 2), initial=0.0)
-        return Screened(score, information, explained, volume, alone)
-
-    def _screening(self, groups: Groups, which: tuple[int, ...]) -> Array:
-        """Splines of one quantity, products of cubics of two: functions `(function, sample)`."""
-        drivers, bounds = [groups.drivers[k] for k in which], groups.bounds[list(which)].ravel()
-        if len(which) > 1:
-            return self._functions(_PAIR, drivers, bounds)
-        return self._seen(np.asarray(kernels.spline_basis(self._drivers[drivers[0]], *bounds)))  # type: ignore[arg-type]
-
-    def _spectrum(self, family: Candidate, options: PoolingOptions) -> tuple[Array, Array]:
-        """Score `(order, 2)` and information `(order, 3)` of waves, zero where they are confounded with the model."""
+    def _spectrum(self, family: Candidate, options: PoolingOptions) -> Screened:
+        """Of the waves of a family."""
         orders, place = order_grid(options), self._place_of(family)
-        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 3))
-        site = place * self.training
-        basis, left = self.basis[:, : site.size], self.left[: site.size]
-        weight = np.sum(site**2, 0) if self.noise.white else None
-        if weight is not None:  # then rows add up before waves are multiplied: their columns are not made
-            over_rows = np.sum(site * np.concatenate([left[None], basis]).reshape(-1, *site.shape), 1)
-            left, basis = over_rows[0], over_rows[1:]
-        step = max(1, _ORDERS_AT_ONCE // (2 * max(left.size, self.run.shape[1])))
+        acting = place.any(1)
+        noise, place = replace(self.noise, groups=self.noise.groups[acting]), place[acting]
+        left, *basis = self._measured[:, acting].reshape(len(self.basis) + 1, place.size)
+        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 2, 2))
+        step = max(1, _ORDERS_AT_ONCE // (2 * max(place.size, self.run.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
-            flat = self._waves(family, orders[part])
-            if weight is not None:
-                weighted = flat * weight
-            else:
-                flat = self.noise.whitened(flat[:, :, None] * place) * self.training
-                flat = weighted = flat.reshape(len(flat), 2, -1)
-            inside, own = flat @ basis.T, weighted @ flat.swapaxes(1, 2)
-            G = own - inside @ inside.swapaxes(1, 2)
-            lengths = np.diagonal(own, axis1=1, axis2=2)
-            seen = (np.diagonal(G, axis1=1, axis2=2) > options.engine.confounded * lengths).all(1)[:, None]
-            score[part] = np.where(seen, -(flat @ left), 0.0)
-            information[part] = np.where(seen, np.stack([G[:, 0, 0], G[:, 0, 1], G[:, 1, 1]], 1), 0.0)
-        return score, information
+            flat = noise.whitened(self._waves(family, orders[part])[:, :, None] * place) * self.training
+            flat = flat.reshape(len(flat), 2, -1)
+            score[part], information[part] = _equations(flat, 1.0, left, basis, options.engine.confounded)
+        statistic, size = chi_squared(score, information)
+        return Screened(score, information, np.stack([statistic, size, size])[..., None])
+
+    def _screened(self, processes: Sequence[Process], roots: Sequence[Array], options: PoolingOptions) -> Screened:
+        """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
+        groups, size = len(processes), len(roots[0])
+        score, information = np.zeros((groups, size)), np.zeros((groups, size, size))
+        functions, members = dict[tuple[str, ...], Array](), dict[tuple[str, str], list[int]]()
+        for k, one in enumerate(processes):
+            if self._has(one):
+                members.setdefault((one.site, one.component), []).append(k)
+                if one.drivers not in functions:
+                    functions[one.drivers] = self._functions(one)
+        for where, own in members.items():
+            site = self.noise.whitened(self._places[where]) * self.training
+            left, *basis = np.sum(site * self._measured, 1)
+            f, weight = np.stack([functions[processes[k].drivers] for k in own]), np.sum(site**2, 0)
+            score[own], information[own] = _equations(f, weight, left, basis, options.engine.confounded)
+        sums = np.zeros((3, groups, len(roots)))
+        for k, R in enumerate(roots):
+            varying = R[:, 1:]  # without the constant, which is larger than all else
+            G = varying.T @ information @ varying
+            sums[:, :, k] = np.sum((score @ varying) ** 2, 1), np.trace(G, axis1=1, axis2=2), np.sum(G**2, (1, 2))
+        return Screened(score, information, sums)
+
+    @cached_property
+    def _measured(self) -> Array:
+        """What is left, and the basis, of the measurements alone: `(1 + k, row, sample)`."""
+        shape = len(self.noise.groups), self.training.size
+        return np.concatenate([self.left[None], self.basis])[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def _by_block(self, products: Array) -> Array:
         return sums_by_block(products, len(self.noise.groups), self.training.size, self.blocks)
@@ -332,10 +374,48 @@ def order_grid(options: PoolingOptions) -> Array:
     return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
 
 
-def _by_variance(score: Array, information: Array) -> tuple[Array, Array]:
-    """What processes explain and their volumes `(group, variance)`, by the variance of their coefficients."""
-    eigenvalues, V = np.linalg.eigh(information)
-    grown = VARIANCES[:, None] * np.maximum(eigenvalues, 0.0)[:, None]
-    squares = np.einsum("gij,gi->gj", V, score) ** 2
-    explained = np.sum(VARIANCES[:, None] * squares[:, None] / (1 + grown), -1)
-    return explained, 0.5 * np.sum(np.log1p(grown), -1)
+def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:
+    """bᵀ G⁺ b and the rank of G, `(…,)` each, of scores `(…, number)` and information `(…, number, number)`."""
+    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    eigenvalues, V = np.linalg.eigh(information / (size[..., None] * size[..., None, :]))
+    kept = eigenvalues > _ROUNDING
+    along = np.einsum("...ij,...i->...j", V, score / size)
+    return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1)
+
+
+def _equations(
+    functions: Array, weight: Array | float, left: Array, basis: Sequence[Array], confounded: float
+) -> tuple[Array, Array]:
+    """Score `(group, number)` and information of functions `(group, number, sample)`, zero of what is confounded."""
+    inside = functions @ np.reshape(basis, (len(basis), functions.shape[-1])).T
+    own = (functions * weight) @ functions.swapaxes(1, 2)
+    information = own - inside @ inside.swapaxes(1, 2)
+    seen = np.diagonal(information, axis1=1, axis2=2) > confounded * np.diagonal(own, axis1=1, axis2=2)
+    return np.where(seen, -(functions @ left), 0.0), np.where(seen[:, :, None] & seen[:, None], information, 0.0)
+
+
+def read_heading(path: Path) -> Heading:
+    """The heading of a file, without its arrays.
+
+    Raises:
+        InputError: as `from_bytes`.
+    """
+    with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+        return _heading(file["heading"])
+
+
+def _heading(stored: NDArray[np.uint8]) -> Heading:
+    found = msgspec.msgpack.decode(stored.tobytes(), type=Heading)
+    if found.version != Heading._field_defaults["version"]:
+        raise ValueError("another version")
+    return found
+
+
+@contextmanager
+def _readable(place: str) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile, msgspec.MsgspecError) as error:
+        raise InputError(
+            f"{place}: is no reduced recording of this version; give the command again with --force"
+        ) from error

@@ -12,8 +12,8 @@ from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.populations.reduced import Found, ReducedArm, readings
-from lite6jax.populations.terms import Candidate
+from lite6jax.populations.reduced import Found, Heading, ReducedArm, readings
+from lite6jax.populations.terms import Candidate, Place, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
 
 
@@ -25,14 +25,16 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     out. Masses are those declared: their uncertainty matters beside effects of loads alone. Waves and processes of
     torques pass the filter that the torques have passed.
     """
-    problem, engine, fit = found.problem, found.options.engine, found.fit
+    problem, engine, fit, smoothing = found.problem, found.options.engine, found.fit, None
     if isinstance(found, TorqueDiagnosis):
-        what, data, joints, smoothing = "torques", found.problem.data, found.problem.rows, found.problem.data.filter
-        arm, settings, smoothing = data.arm, data.recording.settings, replace(smoothing, kept=_kept(found.problem))
+        what, data, joints = "torques", found.problem.data, found.problem.rows
+        arm, settings, smoothing = data.arm, data.recording.settings, data.filter
+        smoothing = replace(smoothing, kept=smoothing.kept[found.problem.chosen])
         named = [effect for effect in problem.candidates if effect.linear]
     else:
-        what, arm, settings, joints = "poses", found.problem.arm, found.problem.recording.settings, found.problem.motion.dof
-        fit, smoothing = replace(fit, training=fit.training & ~found.outliers), None
+        what, joints = "poses", found.problem.motion.dof
+        arm, settings = found.problem.arm, found.problem.recording.settings
+        fit = replace(fit, training=fit.training & ~found.outliers)
         named = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
     named = [effect for effect in named if not effect.periodic]
     pooled = [_is_pooled(one, named, problem) for one in fit.terms.terms]
@@ -40,32 +42,36 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     test = score_test(problem, replace(fit, terms=terms, values=values), engine, within=fit if any(pooled) else None)
     unit = 1 / test.scale[problem.groups][:, None]
     columns = unit * problem.columns(named, beside=(terms, values))
-    angles = {quantity.driver.phrase for quantity in problem.quantities}
+    quantities = problem.quantities
+    components = problem.components if quantities else ()
+    units = [problem.process(one, quantities[:1], "line", 1.0).coordinates[0].unit for one in components]
+    phrases = {one.driver.phrase for one in quantities}
     waves = [family.term(1.0) for family in problem.periodic if family.whole]  # of a slide, along its own stroke
-    components, quantities = problem.components, problem.quantities
-    units = [problem.process(one, quantities[:1], "line", 1.0).coordinates[0].unit for one in components if quantities]
     return ReducedArm(
-        about={
-            "what": what,
-            "arm": arm.name,
-            "joints": joints,
-            "rows": problem.samples,
-            "date": settings.date,
-            "verdict": found.verdict,
-        },
-        found=tuple(
-            Found(one.effect.label, one.p_value, _is_pooled(one.effect, named, problem)) for one in found.findings
+        heading=Heading(
+            about={
+                "what": what,
+                "arm": arm.name,
+                "joints": joints,
+                "rows": problem.samples,
+                "date": settings.date,
+                "verdict": found.verdict,
+            },
+            found=tuple(
+                Found(one.effect.label, one.p_value, _is_pooled(one.effect, named, problem)) for one in found.findings
+            ),
+            candidates=tuple(_candidate(effect, _key(effect), problem) for effect in named),
+            families=tuple(
+                _candidate(wave, f"waves:{wave.site}", problem)
+                for wave in waves
+                if isinstance(wave, Effect) and wave.drivers[0].phrase in phrases
+            ),
+            places=tuple(Place(one.site, one.name, unit) for one, unit in zip(components, units, strict=True)),
+            quantities=tuple(map(Varied.of, quantities)),
         ),
-        candidates=tuple(_candidate(effect, _key(effect), problem) for effect in named),
         columns=readings(columns, fit.noise, fit.training, test.residual.size),
-        families=tuple(
-            _candidate(wave, f"waves:{wave.site}", problem)
-            for wave in waves
-            if isinstance(wave, Effect) and wave.drivers[0].phrase in angles
-        ),
-        components=tuple(one._replace(column=one.column * unit) for one in components if quantities),
-        units=tuple(units),
-        quantities=quantities,
+        places=np.array([one.column * unit for one in components]).reshape(-1, problem.rows, problem.samples),
+        values=np.array([one.values for one in quantities]).reshape(len(quantities), -1),
         run=problem.every_run,
         noise=fit.noise,
         training=fit.training,
@@ -74,11 +80,6 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
         blocks=test.blocks,
         smoothing=smoothing,
     )
-
-
-def _kept(problem: TorqueProblem) -> np.ndarray:
-    """The moments that are samples."""
-    return problem.data.filter.kept[problem.chosen]
 
 
 def _is_pooled(term: Term, named: Sequence[Effect], problem: PoseProblem | TorqueProblem) -> bool:

@@ -1,14 +1,15 @@
-"""What the recordings of a type are tested for: names, waves of an angle and Gaussian processes, and what each costs."""
+"""What the recordings of a type are tested for: names, waves of an angle and processes, and what each costs."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
+from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Problem, Quantity
@@ -17,9 +18,10 @@ from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
 
 Array = NDArray[np.floating]
 
+SPLINES, CUBICS = "splines", "cubic*cubic"
+"""What processes of one quantity and of two are screened by."""
 _TYPICAL = 1e-4
 """Of a coefficient, in its unit; the same for all, so that it sets no more than the unit of their spread."""
-_QUARTERS = np.linspace(0, 1, 5)
 
 
 @final
@@ -49,12 +51,6 @@ class Candidate:
     upper: tuple[float, ...]
     usual: bool = False
 
-    @classmethod
-    def of(cls, stored: Mapping[str, Any]) -> "Candidate":
-        """From the JSON form of `asdict`."""
-        lists = {name: tuple(stored[name]) for name in ("names", "typical", "lower", "upper")}
-        return cls(**{**stored, **lists})
-
 
 class PooledTerm(NamedTuple):
     """A candidate by its key, or a wave of a family.
@@ -79,7 +75,7 @@ class Process:
         unit: of what it adds.
         drivers: phrases of what it depends on.
         bounds: lower and upper of each driver.
-        kernel: of `effects.kernels`.
+        kernel: of `effects.kernels`, or `SPLINES`.
     """
 
     site: str
@@ -102,108 +98,101 @@ class Process:
         sizes = ((_TYPICAL,) * count, (-np.inf,) * count, (np.inf,) * count)
         return Candidate(self.key, "unnamed", self.site, " and ".join(self.drivers), names, *sizes)
 
+    def functions(self, values: Array, run: NDArray[np.integer] | None = None) -> Array:
+        """Its functions `(function, moment)` at values `(driver, moment)`; `run` as of a `Motion`."""
+        if self.kernel == SPLINES:
+            return np.asarray(kernels.spline_basis(cast(Any, values[0]), *self.bounds))
+        return np.asarray(kernels.features(self.kernel, cast(Any, values), self.bounds, cast(Any, run)))
+
 
 Tested = PooledTerm | Process
 
 
-class Groups(NamedTuple):
-    """Processes as workers screen them; places are those in lists of all recordings.
+class Place(NamedTuple):
+    """A component at which processes can act, and the unit of what it adds."""
+
+    site: str
+    name: str
+    unit: str
+
+
+class Varied(NamedTuple):
+    """A quantity of a recording.
 
     Attributes:
-        components: site and name of each.
-        drivers: the phrase of each quantity.
-        bounds: `(quantity, 2)`, over all recordings.
-        singles: `(group, 2)`, component and quantity.
-        pairs: `(group, 3)`, component and quantities.
+        driver: which.
+        few: five of its values, from the least to the greatest.
+        own: the sites that it mostly acts at; all where "" is among them.
+        only: the one site where it can act; "" where that is any.
     """
 
-    components: tuple[tuple[str, str], ...]
-    drivers: tuple[str, ...]
-    bounds: Array
-    singles: NDArray[np.integer]
-    pairs: NDArray[np.integer]
+    driver: Driver
+    few: tuple[float, ...]
+    own: frozenset[str]
+    only: str = ""
 
-
-class Described(Protocol):
-    """What a recording says of what it can be tested for: a `ReducedArm` or the `Heading` of its file."""
-
-    @property
-    def candidates(self) -> tuple[Candidate, ...]: ...
-    @property
-    def families(self) -> tuple[Candidate, ...]: ...
-    @property
-    def components(self) -> tuple[Component, ...]: ...
-    @property
-    def units(self) -> tuple[str, ...]: ...
-    @property
-    def quantities(self) -> tuple[Quantity, ...]: ...
-
-
-def quarters(quantity: Quantity) -> Quantity:
-    """The same with five of its values, from the least to the greatest: they tell its range, and whether it has few."""
-    return quantity._replace(values=np.quantile(quantity.values, _QUARTERS, method="nearest"))
+    @classmethod
+    def of(cls, quantity: Quantity) -> "Varied":
+        """What a recording says of one of its quantities."""
+        few = np.quantile(quantity.values, np.linspace(0, 1, 5), method="nearest")
+        return cls(quantity.driver, tuple(few.tolist()), quantity.own, quantity.only)
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class Tried:
-    """All that some recordings of a type are tested for.
+    """All that the recordings of a type are tested for.
 
     Attributes:
         named: the candidates by key.
         families: of waves, by key.
-        places: the component of each site and name, without a column, and its unit.
-        measured: the quantities by phrase, with a few values of each recording.
-        options: thresholds.
+        components: where processes can act, without columns.
+        quantities: what they can depend on, with a few values of each recording.
     """
 
-    named: Mapping[str, Candidate] = field(default_factory=dict)
-    families: Mapping[str, Candidate] = field(default_factory=dict)
-    places: Mapping[tuple[str, str], tuple[Component, str]] = field(default_factory=dict)
-    measured: Mapping[str, Quantity] = field(default_factory=dict)
-    options: EngineOptions = field(default_factory=EngineOptions)
+    def __init__(self, recordings: Iterable[Any], options: EngineOptions) -> None:
+        """What one of the recordings can be tested for at least.
 
-    @classmethod
-    def of(cls, recordings: Iterable[Described], options: EngineOptions) -> "Tried":
-        """What one of them can be tested for at least."""
-        named, families = dict[str, Candidate](), dict[str, Candidate]()
-        places, measured = dict[tuple[str, str], tuple[Component, str]](), dict[str, list[Quantity]]()
+        Args:
+            recordings: their headings.
+            options: thresholds.
+        """
+        self.named, self.families, self._options = dict[str, Candidate](), dict[str, Candidate](), options
+        places, varied = dict[Place, None](), dict[str, Quantity]()
         for one in recordings:
-            named |= {each.key: each for each in one.candidates if each.key not in named}
-            families |= {each.key: each for each in one.families if each.key not in families}
-            for component, unit in zip(one.components, one.units, strict=True):
-                places.setdefault(component[:2], (component._replace(column=np.zeros((0, 0))), unit))
-            for quantity in one.quantities:
-                measured.setdefault(quantity.driver.phrase, []).append(quarters(quantity))
-        pooled = {
-            phrase: each[0]._replace(values=np.concatenate([one.values for one in each]))
-            for phrase, each in measured.items()
-        }
-        return cls(named, families, places, pooled, options)
-
-    @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Those with a name."""
-        return tuple(self.named.values())
-
-    @property
-    def components(self) -> tuple[Component, ...]:
-        """Where processes can act."""
-        return tuple(component for component, _ in self.places.values())
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """What they can depend on."""
-        return tuple(self.measured.values())
-
-    @property
-    def shaped(self) -> tuple[Term, ...]:
-        """None: what is tried at a few values in one recording has a candidate with one of them."""
-        return ()
+            self.named |= {each.key: each for each in one.candidates if each.key not in self.named}
+            self.families |= {each.key: each for each in one.families if each.key not in self.families}
+            places |= dict.fromkeys(one.places)
+            for driver, few, own, only in one.quantities:
+                known = varied.setdefault(driver.phrase, Quantity(driver, np.zeros(0), own, only))
+                varied[driver.phrase] = known._replace(values=np.concatenate([known.values, few]))
+        self._places, self._place_of = tuple(places), {phrase: k for k, phrase in enumerate(varied)}
+        self.components = tuple(Component(one.site, one.name, np.zeros((0, 0))) for one in places)
+        self.quantities, self.candidates, self.shaped = tuple(varied.values()), tuple(self.named.values()), ()
+        self._scan = Scan(cast(Problem, self), options)  # of a problem, costs need no more than is here
 
     @cached_property
-    def _scan(self) -> Scan:
-        return Scan(cast(Problem, self), self.options)  # of a problem, costs need no more than is here
+    def singles(self) -> tuple[Process, ...]:
+        """Splines of each quantity at each component where it can act."""
+        count = range(len(self.quantities))
+        return tuple(
+            self._process(place, SPLINES, k) for place in self._places for k in count if self._may_act(place, k)
+        )
+
+    @cached_property
+    def pairs(self) -> tuple[Process, ...]:
+        """Products of two cubics of each pair of a site's own quantities, one of few values last."""
+        found = []
+        for place in self._places:
+            own = sorted(self._scan.own[place.site], key=lambda k: self._scan.discrete[k])
+            pairs = ((j, k) for n, j in enumerate(own) for k in own[n + 1 :])
+            found += [self._process(place, CUBICS, *pair) for pair in pairs if self._may_act(place, *pair)]
+        return tuple(found)
+
+    def with_every_kernel(self, process: Process) -> list[Process]:
+        """The processes of the same quantities at the same component."""
+        which = tuple(self._place_of[phrase] for phrase in process.drivers)
+        names = SINGLE if len(which) == 1 else PAIRS
+        return [replace(process, kernel=name) for name in names if self._scan.suits(name, which)]
 
     def candidate(self, term: Tested) -> Candidate:
         """A term as a report names it."""
@@ -214,42 +203,19 @@ class Tried:
     def cost(self, term: Tested) -> float:
         """−ln of the prior probability of a term, as in the search of one recording."""
         if isinstance(term, Process):
-            which = tuple([*self.measured].index(phrase) for phrase in term.drivers)
-            return self._scan.cost_of_process(term.site, which)
+            return self._scan.cost_of_process(term.site, tuple(self._place_of[phrase] for phrase in term.drivers))
         if term.order is not None:
-            return self.cost_of_waves(np.array(term.order)).item()
+            return float(self.cost_of_waves(np.array(term.order)))
         return self._scan.cost_of_name(cast(Term, self.named[term.key]))
 
     def cost_of_waves(self, orders: Array) -> Array:
         """Of a wave of each order `(order,)` of one family."""
-        return KINDS + np.log(max(len(self.families), 1)) + log_orders(orders, self.options)
+        return KINDS + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
-    @cached_property
-    def groups(self) -> Groups:
-        """Each quantity that can act at a component, and each pair of a site's own."""
-        scan, count = self._scan, range(len(self.quantities))
-        singles, pairs = [], []
-        for i, component in enumerate(self.components):
-            singles += [(i, k) for k in count if scan.may_act(component.site, k)]
-            own = [k for k in scan.own[component.site] if scan.may_act(component.site, k)]
-            own.sort(key=lambda k: scan.discrete[k])
-            pairs += [(i, j, k) for n, j in enumerate(own) for k in own[n + 1 :]]
-        return Groups(
-            tuple(component[:2] for component in self.components),
-            tuple(self.measured),
-            np.array([quantity.bounds for quantity in self.quantities]).reshape(-1, 2),
-            np.array(singles, int).reshape(-1, 2),
-            np.array(pairs, int).reshape(-1, 3),
-        )
+    def _may_act(self, place: Place, *which: int) -> bool:
+        return self._scan.may_act(place.site, *which)
 
-    def cost_of_group(self, component: int, *which: int) -> float:
-        """As `cost`, of a process of some quantities at a component."""
-        return self._scan.cost_of_process(self.components[component].site, which)
-
-    def processes(self, component: int, *which: int) -> list[Process]:
-        """Every kernel of some quantities at a component."""
-        place, unit = [*self.places.values()][component]
+    def _process(self, place: Place, kernel: str, *which: int) -> Process:
         own = [self.quantities[k] for k in which]
-        phrases, bounds = tuple(one.driver.phrase for one in own), tuple(b for one in own for b in one.bounds)
-        names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
-        return [Process(place.site, place.name, unit, phrases, bounds, name) for name in names]
+        bounds = tuple(bound for one in own for bound in one.bounds)
+        return Process(*place, tuple(one.driver.phrase for one in own), bounds, kernel)

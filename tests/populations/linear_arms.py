@@ -5,13 +5,12 @@ import numpy as np
 from lite6jax.distribution.batches import Workers
 from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.noise import UNCORRELATED, NoiseModel
-from lite6jax.estimation.problem import Component, Quantity
-from lite6jax.populations.files import to_bytes
+from lite6jax.estimation.problem import Quantity
 from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.pooling import Reduced
 from lite6jax.populations.population import Member, diagnose_population
-from lite6jax.populations.reduced import ReducedArm
-from lite6jax.populations.terms import Candidate, PooledTerm, Tried
+from lite6jax.populations.reduced import Heading, ReducedArm
+from lite6jax.populations.terms import Candidate, Place, PooledTerm, Tried, Varied
 
 SAMPLES = 80
 OPTIONS = PoolingOptions()
@@ -45,18 +44,20 @@ def arm(rng, effects=(), noise=None, samples=SAMPLES, step=None):
     site, angle = rng.uniform(0.5, 1.5, (1, samples)), rng.uniform(-np.pi, np.pi, samples)
     if step is not None:
         angle = np.round(angle / step) * step
-    made = ReducedArm(
+    varied = (Quantity(LOAD, columns[0], frozenset({"joint1"})), Quantity(POSITION, angle, frozenset({"joint3"})))
+    heading = Heading(
         about={"what": "poses", "arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},
         found=(),
         candidates=NAMED,
-        columns=columns,
         families=(WAVES,),
-        components=(Component("joint1", "rz", np.ones((1, samples))), Component("joint3", "rz", site)),
-        units=("rad", "rad"),
-        quantities=(
-            Quantity(LOAD, columns[0].copy(), frozenset({"joint1"})),
-            Quantity(POSITION, angle, frozenset({"joint3"})),
-        ),
+        places=(Place("joint1", "rz", "rad"), Place("joint3", "rz", "rad")),
+        quantities=tuple(map(Varied.of, varied)),
+    )
+    made = ReducedArm(
+        heading=heading,
+        columns=columns,
+        places=np.stack([np.ones((1, samples)), site]),
+        values=np.stack([columns[0], angle]),
         run=np.array([np.zeros(samples, int), np.full(samples, samples - 1)]),
         noise=NoiseModel((UNCORRELATED,), np.zeros(1, int)),
         training=np.ones(samples, bool),
@@ -79,13 +80,18 @@ def stored(folder, arms):
     folder.mkdir(exist_ok=True)
     paths = [folder / f"{i:03d}.npz" for i in range(len(arms))]
     for path, one in zip(paths, arms, strict=True):
-        path.write_bytes(to_bytes(one))
+        path.write_bytes(one.to_bytes())
     return paths
+
+
+def tried(arms, options=OPTIONS):
+    """All that some arms are tested for."""
+    return Tried([one.heading for one in arms], options.engine)
 
 
 def population(folder, arms, dates=None, processes=0, options=OPTIONS):
     """The result for some arms."""
-    members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
+    members = [Member(f"arm{i}.csv", one.heading.about, one.heading.found) for i, one in enumerate(arms)]
     with Workers(processes=processes) as workers:
-        reduced, tried = Reduced(stored(folder, arms), options, workers), Tried.of(arms, options.engine)
-        return diagnose_population(arms[0].about["arm"], members, range(len(arms)), tried, reduced, dates)
+        recordings = Reduced(stored(folder, arms), options, workers)
+        return diagnose_population("none", members, range(len(arms)), tried(arms, options), recordings, dates)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import LOAD, OPTIONS, POSITION, arm, population, wave
+from populations.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
 from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm, Process, Tried
+from lite6jax.populations.terms import PooledTerm, Process
 from lite6jax.report.fleets import population_report, title
 
 SOFT = PooledTerm("soft")
@@ -35,7 +35,7 @@ def names(found):
 
 def bump(one):
     """At joint 3, no effect of the catalogue; waves of low orders come near."""
-    return one.components[1].column[0] * height(one.quantities[1].values)
+    return one.places[1, 0] * height(one.values[1])
 
 
 def height(position):
@@ -44,7 +44,7 @@ def height(position):
 
 def hardening(one):
     """At joint 1, where the effect "soft" is the straight part of it."""
-    return 0.12 * one.quantities[0].values ** 3
+    return 0.12 * one.values[0] ** 3
 
 
 def test_what_is_outside_the_catalogue_has_no_name_and_its_site(tmp_path):
@@ -94,17 +94,13 @@ def test_a_name_elsewhere_stays_beside_what_has_none(tmp_path):
 
 def test_coefficients_mean_the_same_in_recordings_of_other_ranges():
     rng, values = np.random.default_rng(5), np.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.3, 0.2])
-    tried = Tried.of([arm(rng) for _ in range(6)], OPTIONS.engine)
-    (cubic,) = (one for one in tried.processes(0, 0) if one.kernel == "cubic")
-    assert (cubic.site, cubic.drivers) == ("joint1", (LOAD.phrase,))
+    all_tried = tried([arm(rng) for _ in range(6)])
+    load = next(one for one in all_tried.singles if (one.site, one.drivers) == ("joint1", (LOAD.phrase,)))
+    (cubic,) = (one for one in all_tried.with_every_kernel(load) if one.kernel == "cubic")
     score, information = np.zeros(7), np.zeros((7, 7))
     for _ in range(6):
-        one = arm(rng, [(cubic, values)], noise=np.zeros(80))
-        found = one.evidence(cubic, OPTIONS)
+        found = arm(rng, [(cubic, values)], noise=np.zeros(80)).evidence(cubic, OPTIONS)
         score, information = score + found.score, information + found.information
     estimate = np.linalg.lstsq(information, score, rcond=1e-9)[0]
-    load = np.linspace(*cubic.bounds, 50)
-    from lite6jax.effects.kernels import features
-
-    functions = features("cubic", load[None], cubic.bounds)
+    functions = cubic.functions(np.linspace(*cubic.bounds, 50)[None])
     np.testing.assert_allclose(estimate @ functions, values @ functions, atol=0.02)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import OPTIONS, SAMPLES, arm, wave
+from populations.linear_arms import OPTIONS, SAMPLES, arm, tried, wave
 from scipy.signal import lfilter
 from scipy.stats import kstest
 
-from lite6jax.populations.pooling import pool, weigh
-from lite6jax.populations.reduced import SCREENED, order_grid
-from lite6jax.populations.terms import PooledTerm, Process, Tried
+from lite6jax.populations.pooling import screen, weigh
+from lite6jax.populations.reduced import order_grid
+from lite6jax.populations.terms import CUBICS, SPLINES, PooledTerm, Process
 
 BENT = PooledTerm("bent")
 LOADED = ("gravity torque of joint 1",), (-3.0, 3.0)
@@ -83,32 +83,44 @@ def test_the_evidence_is_that_of_regressions_over_all_arms(term, sizes, way):
     assert (found.way, found.gain) == (way, pytest.approx(whole[way] - np.log(4), rel=0.01))
 
 
-def test_what_a_search_scans_is_what_is_measured():
+def screened(arms):
+    """What names and all that is screened say, and all that is tried."""
+    all_tried = tried(arms)
+    processes = *all_tried.singles, *all_tried.pairs
+    return *screen([one.scan(processes, OPTIONS) for one in arms], CONFOUNDED), all_tried
+
+
+def test_what_a_search_screens_is_what_is_measured():
     arms = arms_of(2, 4)
-    tried = Tried.of(arms, OPTIONS.engine)
-    found = pool((one.scan(tried.groups, OPTIONS) for one in arms), CONFOUNDED)
-    at = int(np.flatnonzero(order_grid(OPTIONS) == 30.0)[0])
-    expected = weigh(PooledTerm("waves:joint3", 30.0), measured(arms, PooledTerm("waves:joint3", 30.0)), None, CONFOUNDED)
-    assert found.waves["waves:joint3"][at] - np.log(3) == pytest.approx(expected.gain)
-    assert set(found.named) == set(tried.named)
-    expected = [one.evidence(BENT, OPTIONS) for one in arms]
-    np.testing.assert_allclose(found.named["bent"][2].score, expected[2].score)
-    groups = tried.groups
-    assert (len(groups.singles), len(groups.pairs)) == (4, 0)  # each site has one quantity of its own
-    for (component, quantity), gain in zip(groups.singles.tolist(), found.singles, strict=True):
-        kernels = [one for one in tried.processes(component, quantity) if one.kernel in SCREENED]
-        gains = [weigh(one, measured(arms, one), None, CONFOUNDED).gain for one in kernels]
-        assert gain - np.log(3) == pytest.approx(max(gains), abs=0.2)  # of variances on a grid
+    named, groups, all_tried = screened(arms)
+    assert set(named) == set(all_tried.named)
+    np.testing.assert_allclose(named["bent"][2].score, arms[2].evidence(BENT, OPTIONS).score)
+    at, term = int(np.flatnonzero(order_grid(OPTIONS) == 30.0)[0]), PooledTerm("waves:joint3", 30.0)
+    expected = weigh(term, measured(arms, term), None, CONFOUNDED).gain
+    assert groups["waves:joint3"][at] - np.log(3) == pytest.approx(expected)
+    assert (len(groups[SPLINES]), len(groups[CUBICS])) == (4, 0)  # each site has one quantity of its own
+
+
+@pytest.mark.parametrize(("size", "way"), [(0.7, "mean"), (1.0, "any"), (1.2, "one")])
+def test_the_likeliest_process_is_screened_first(size, way):
+    rng, numbers = np.random.default_rng(6), np.cos(np.arange(11)) - (np.arange(11) == 0)
+    factor = {"mean": lambda i: 1.0, "any": lambda i: rng.choice([-1, 1]), "one": lambda i: i == 2}[way]
+    truth = process("smooth", site="joint3")
+    arms = arms_of(2, 6, lambda i: [(truth, size * factor(i) * numbers)], samples=300)
+    _, groups, all_tried = screened(arms)
+    (at,) = (k for k, one in enumerate(all_tried.singles) if one.key == truth.key)
+    kernels = all_tried.with_every_kernel(all_tried.singles[at])
+    best = max((weigh(one, measured(arms, one), None, CONFOUNDED) for one in kernels), key=lambda one: one.gain)
+    assert best.way == way
+    assert 0.7 < groups[SPLINES][at] / best.gain < 2
+    assert groups[SPLINES][at] == max(groups[SPLINES])
 
 
 def test_noise_larger_than_its_model_is_no_evidence():
     rng = np.random.default_rng(3)
-    arms = [arm(rng, noise=3 * rng.normal(size=SAMPLES)) for _ in range(20)]
-    tried = Tried.of(arms, OPTIONS.engine)
-    found = pool((one.scan(tried.groups, OPTIONS) for one in arms), CONFOUNDED)
-    orders = order_grid(OPTIONS)
-    assert np.max(found.waves["waves:joint3"] - tried.cost_of_waves(orders)) < 3
-    assert max(weigh(PooledTerm(key), each, None, CONFOUNDED).gain for key, each in found.named.items()) < 5
+    named, groups, all_tried = screened([arm(rng, noise=3 * rng.normal(size=SAMPLES)) for _ in range(20)])
+    assert np.max(groups["waves:joint3"] - all_tried.cost_of_waves(order_grid(OPTIONS))) < 3
+    assert max(weigh(PooledTerm(key), each, None, CONFOUNDED).gain for key, each in named.items()) < 5
 
 
 @pytest.mark.parametrize("covariate", [None, np.linspace(-1, 1, 6)])

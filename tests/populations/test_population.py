@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from populations.linear_arms import OPTIONS, arm, population, stored, wave
+from populations.linear_arms import OPTIONS, arm, population, stored, tried, wave
 
 from lite6jax.checksum import verify
 from lite6jax.distribution.batches import Workers
 from lite6jax.populations.pooling import Reduced
 from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm, Tried
+from lite6jax.populations.terms import PooledTerm
 
 ROOT = Path(__file__).resolve().parents[2]
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")
@@ -127,14 +127,15 @@ def test_a_name_that_cannot_be_is_not_given(tmp_path):
 
 def test_numbers_do_not_depend_on_the_processes(tmp_path):
     arms = fleet(8, lambda i, rng: [(SOFT, [0.6])], 3)
-    paths, groups = stored(tmp_path, arms), Tried.of(arms, OPTIONS.engine).groups
+    paths = stored(tmp_path, arms)
     asked = [(SOFT, (OTHER,)), (PooledTerm("waves:joint3", 9.5), ()), (PooledTerm("unknown"), ())]
 
     def numbers(processes):
         with Workers(processes=processes) as workers:
             reduced = Reduced(paths, OPTIONS, workers)
-            scans = [(scan.named["bent"], *scan.waves["waves:joint3"], scan.singles) for scan in reduced.scans([OTHER], groups)]
-            return scans, reduced.evidence(asked)
+            return [
+                (scan.named["bent"], scan.groups) for scan in reduced.scans([OTHER], tried(arms))
+            ], reduced.evidence(asked)
 
     here, there = map(numbers, (0, 2))
     assert here[1][0][2] is None

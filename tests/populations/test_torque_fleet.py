@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import population
+from populations.linear_arms import population, tried
 from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.populations.files import from_bytes, to_bytes
 from lite6jax.populations.options import PoolingOptions
+from lite6jax.populations.reduced import ReducedArm
 from lite6jax.populations.reduction import reduced
 from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm, Tried
+from lite6jax.populations.terms import PooledTerm
 from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
@@ -76,7 +76,7 @@ def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
 
 
 def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
-    arms, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
+    _, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
     (effect,) = found.to_dict()["effects"]
     assert (effect["effect"], effect["site"]) == ("unnamed", "joint4")
     assert effect["driver"] == "position of joint 4 and direction of motion of joint 4"
@@ -89,12 +89,13 @@ def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
 
 def test_processes_are_those_of_the_search_of_the_recording(motion):
     found = diagnosed(recording(motion, 0))
-    arm, problem = from_bytes(to_bytes(reduced(found))), found.problem
-    tried, quantities = Tried.of([arm], OPTIONS.engine), {one.driver.phrase: one for one in problem.quantities}
-    for place in (*tried.groups.singles[::23].tolist(), *tried.groups.pairs[::23].tolist()):
-        for process in tried.processes(*place):
-            component = problem.components[place[0]]
-            effect = problem.process(component, [quantities[one] for one in process.drivers], process.kernel, 1.0)
+    arm, problem = ReducedArm.from_bytes(reduced(found).to_bytes()), found.problem
+    all_tried, quantities = tried([arm]), {one.driver.phrase: one for one in problem.quantities}
+    components = {one.site: one for one in problem.components}
+    for screened in (*all_tried.singles[::23], *all_tried.pairs[::23]):
+        for process in all_tried.with_every_kernel(screened):
+            own = [quantities[one] for one in process.drivers]
+            effect = problem.process(components[process.site], own, process.kernel, 1.0)
             expected = problem.columns([effect]).reshape(effect.size, -1)
             columns = arm.columns_of(process)[:, : expected.shape[1]]
             scale = np.vdot(columns, expected) / np.vdot(expected, expected)
@@ -105,12 +106,14 @@ def test_processes_are_those_of_the_search_of_the_recording(motion):
 def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):
     found = diagnosed(recording(motion, 0, 0.5), (ViscousFriction(2),))
     arm = reduced(found)
-    assert [one.pooled for one in arm.found] == [True]  # it is in the residual again
+    assert [one.pooled for one in arm.heading.found] == [True]  # it is in the residual again
     value = np.linalg.solve(*arm.evidence(VISCOUS, OPTIONS)[1::-1])
     assert value == pytest.approx(found.fit.values, rel=0.02)
     family = found.problem.periodic[2]
     expected = family.columns(np.array([ORDER]))[0].reshape(2, -1)
-    columns = from_bytes(to_bytes(arm)).columns_of(PooledTerm("waves:joint3", ORDER))[:, : expected.shape[1]]
+    columns = ReducedArm.from_bytes(arm.to_bytes()).columns_of(PooledTerm("waves:joint3", ORDER))[
+        :, : expected.shape[1]
+    ]
     scale = np.vdot(columns, expected) / np.vdot(expected, expected)
     np.testing.assert_allclose(columns, scale * expected, rtol=1e-9, atol=1e-9)
     assert scale == pytest.approx(1.0, rel=0.1)

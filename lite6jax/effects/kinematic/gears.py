@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp, lax
-from lite6jax.effects.kernels import plays
 from lite6jax.effects.deflection import library_of
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
+from lite6jax.effects.kernels import plays
 from lite6jax.effects.kinematic import bounds
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
