@@ -338,7 +338,8 @@ def component(where: Entry) -> str:
 
 def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
-    return _SHAPES.get(where.get("kernel", "smooth"), "a surface")
+    two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
+    return _SHAPES.get(where.get("kernel", "smooth"), two)
 
 
 def drivers_of(entry: Entry) -> Sequence[str]:
