@@ -25,7 +25,7 @@ from lite6jax.effects.dynamic.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect, direction
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic
@@ -380,8 +380,7 @@ def _is_friction(effect: object, joint: int) -> bool:
     if isinstance(effect, CoupledFriction):
         return joint in (effect.joint, effect.source_joint)
     if isinstance(effect, UnnamedTorque):
-        own = [(effect.own_driver(quantity),) for quantity in ("velocity", "speed")]
-        return effect.joint == joint and effect.of in own
+        return effect.joint == joint and effect.is_friction
     return isinstance(effect, _FRICTION) and effect.joint == joint
 
 
@@ -408,6 +407,7 @@ def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
     overall = dynamics.motion.temperature_rise
     motion = motion_of(np.zeros(shape).T, sliding=dynamics.motion.sliding.joints)._replace(
         joint_velocity=moving,  # type: ignore[arg-type]
+        direction=direction(moving, dynamics.motion.sliding.mask(shape[0])),  # type: ignore[arg-type]
         joint_temperature_rise=warm,  # type: ignore[arg-type]
         temperature_rise=None if overall is None else np.full(shape[1], np.median(np.asarray(overall))),  # type: ignore[arg-type]
     )

@@ -28,7 +28,7 @@ from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
 from lite6jax.effects.dynamic.drives import FIELDS
 from lite6jax.effects.dynamic.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import JointSpring, RotorInertia
-from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffect, direction
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
@@ -195,10 +195,10 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         unit = "m/s" if effect.of_slide else "rad/s"
         said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
         return {type(effect): float(values[0])}, said
-    if isinstance(effect, UnnamedTorque) and effect.of in [
-        (effect.own_driver(kind),) for kind in ("velocity", "speed")
-    ]:
-        fastest = max(abs(effect.lower), abs(effect.upper))
+    if isinstance(effect, UnnamedTorque) and effect.is_friction:
+        ranges = zip(effect.drivers, effect.bounds[::2], effect.bounds[1::2], strict=True)
+        speeds = [max(abs(low), abs(high)) for driver, low, high in ranges if not driver.discrete]
+        fastest = max(speeds, default=1.0)
     elif isinstance(effect, StribeckFriction) and model.uncertainty is not None:
         recorded = model.uncertainty.recorded.velocities
         assert recorded is not None
@@ -207,7 +207,10 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         return {}, ""
     speed = np.linspace(-fastest, fastest, _SPEEDS)
     velocity = np.where(np.arange(model.dof)[:, None] == effect.joint - 1, speed, 0.0)
-    motion = motion_of(np.zeros((_SPEEDS, model.dof)), sliding=model.sliding)._replace(joint_velocity=velocity)  # type: ignore[arg-type]
+    motion = motion_of(np.zeros((_SPEEDS, model.dof)), sliding=model.sliding)._replace(
+        joint_velocity=velocity,  # type: ignore[arg-type]
+        direction=direction(velocity, model.arm.slides),  # type: ignore[arg-type]
+    )
     nothing = np.zeros((model.dof, _SPEEDS))
     torque = effect.at_joint(
         values, Dynamics(motion, nothing, model.links, model.payload_center, _none, _none, model.gravity)

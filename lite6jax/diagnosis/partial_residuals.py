@@ -31,7 +31,6 @@ Mask = NDArray[np.bool_]
 
 _POINTS = 1000
 """Points of a curve over the position of a joint; a nonparametric effect has half as many at least."""
-_TORQUE_POINTS = 400
 _POINTS_PER_WAVE = 16
 _MANY_PERIODS = 8.0
 """Periods of a harmonic over a joint's range, beyond which one period is shown."""
@@ -96,7 +95,7 @@ def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     poses that no single driver describes is shown along the displacement of the measured pose.
     """
     if isinstance(found, TorqueDiagnosis):
-        return [_torque_curve(found, k)]
+        return _torque_curves(found, k)
     assert isinstance(found, Diagnosis)
     finding, used = found.findings[k], found.fit.training & ~found.outliers
     effect, curves = finding.effect, []
@@ -179,26 +178,55 @@ def _of_process(found: Diagnosis, k: int, effect: Unnamed, used: Mask) -> list[F
     It and its partial residuals are about its mean over the samples, as a constant may be the calibration's instead.
     """
     finding, of = found.findings[k], found.problem.deflections
-    key, unit = site_of(effect.where, effect.component), cast(Literal["m", "rad", "1"], effect.unit)
-    left, good = _left_at(found, found.problem.sites[key], used)
+    site, unit = site_of(effect.where, effect.component), cast(Literal["m", "rad", "1"], effect.unit)
+    left, good = _left_at(found, found.problem.sites[site], used)
     drivers, own = np.asarray(effect.values_at(of.host_motion, of.host_loads), float), of.basis(effect)
-    mean = own[:, good].mean(1)
+    shown = _Process(k, finding, drivers, own, left, good, own[:, good].mean(1), site, unit)
+    return _over_drivers(effect, shown)
+
+
+class _Process(NamedTuple):
+    """A nonparametric finding on the samples: attributes as of `FindingCurve`, and
+
+    Attributes:
+        of: the finding.
+        drivers: `(driver, sample)`.
+        functions: `(function, sample)`.
+        left: `(sample,)`, what the whole model leaves where it acts.
+        good: `(sample,)` bool, the samples that are shown.
+        mean: `(function,)`, about which it is shown.
+    """
+
+    finding: int
+    of: Finding
+    drivers: Array
+    functions: Array
+    left: Array
+    good: Mask
+    mean: Array
+    site: Site
+    unit: Literal["m", "rad", "1", "Nm", "N"]
+
+
+def _over_drivers(effect: Unnamed | UnnamedTorque, of: _Process) -> list[FindingCurve]:
+    """A process over its driver, or over one of two at some values of the other."""
+    k, drivers, good, key, unit = of.finding, of.drivers, of.good, of.site, of.unit
 
     def shown(functions: Array) -> tuple[Array, Array]:
-        about = functions - mean[:, None]
-        return finding.values @ about, _deviation(about, finding.covariance)
+        about = functions - of.mean[:, None]
+        return of.of.values @ about, _deviation(about, of.of.covariance)
 
     def over(main: int, placed: Callable[[Array], Array], rows: Mask, **more: Any) -> FindingCurve:
         x, waves = drivers[main], more.get("periods", 1.0)
         at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * waves)))
         functions = (np.asarray(effect.functions_at(placed(along))) for along in (at, x[rows]))  # type: ignore[arg-type]
         (curve, std), (moved, _) = map(shown, functions)
-        driver, partial = effect.drivers[main], moved + left[rows]
+        driver, partial = effect.drivers[main], moved + of.left[rows]
         return FindingCurve(k, "driver", driver, key, unit, x[rows], partial, at, curve, std, **more)
 
     if effect.hysteretic:
-        x, (moved, std) = drivers[0], shown(own)
-        order, partial = np.argsort(x, kind="stable"), moved + left
+        x, (moved, std) = drivers[0], shown(of.functions)
+        order, partial = np.argsort(x, kind="stable"), moved + of.left
         points = x[order], moved[order], std[order]
         return [
             FindingCurve(k, "driver", effect.drivers[0], key, unit, x[good], partial[good], *points, hysteresis=True)
@@ -208,7 +236,7 @@ def _of_process(found: Diagnosis, k: int, effect: Unnamed, used: Mask) -> list[F
         return [over(0, lambda x: x[None], good, periods=max(highest * np.ptp(drivers[0]) / (2 * np.pi), 1.0))]
     main = 1 if effect.drivers[0].discrete else 0
     second, values = effect.drivers[1 - main], drivers[1 - main]
-    few = np.unique(values[good])
+    few = np.unique(np.sign(values[good])) if second.discrete else values
     levels = few[few != 0] if second.discrete else np.percentile(values[good], _LEVELS)
     nearest = np.argmin(np.abs(values - levels[:, None]), 0)
     return [
@@ -272,11 +300,10 @@ def _correlation(a: Array, b: Array) -> float:
     return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
 
 
-def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
+def _torque_curves(found: TorqueDiagnosis, k: int) -> list[FindingCurve]:
     """A finding of one joint over its driver; another over the torque that it adds where it adds most.
 
-    A finding of several drivers, or of one times the load, has no curve over one of them: it has a point for each
-    sample.
+    A named one of several drivers has no curve over one of them: it has a point for each sample.
     """
     problem, fit, finding = found.problem, found.fit, found.findings[k]
     effect, used = finding.effect, problem.valid
@@ -291,23 +318,19 @@ def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
         at, std = moved[j, used], _deviation(columns[:, used], finding.covariance)
         order = np.argsort(at, kind="stable")
         x = at[order]
-        return FindingCurve(k, "displacement", None, ("joint", j, 0), unit, at, partial, x, x, std[order])
-    dynamics = problem.dynamics
-    choices = effect.of if isinstance(effect, UnnamedTorque) else effect.drivers or (Driver("time"),)
+        return [FindingCurve(k, "displacement", None, ("joint", j, 0), unit, at, partial, x, x, std[order])]
+    dynamics, key = problem.dynamics, ("joint", j, 0)
+    if isinstance(effect, UnnamedTorque):
+        kept, own = problem.data.filter.kept[problem.chosen], problem.columns([effect])[:, j] * problem.sigma[j]
+        drivers = effect.values_in(dynamics)[:, kept]
+        return _over_drivers(effect, _Process(k, finding, drivers, own, left[j], used, np.zeros(len(own)), key, unit))
+    choices = effect.drivers or (Driver("time"),)
     driver, loads = choices[0], dynamics.loads
     values = np.asarray(driver.values(dynamics.motion, loads))
     x = values[problem.data.filter.kept][problem.chosen][used]
-    several = len(choices) > 1 or (isinstance(effect, UnnamedTorque) and effect.full_load > 0)
-    key = ("joint", j, 0)
-    if isinstance(effect, UnnamedTorque) and not several:
-        sign = dynamics.direction(j + 1)[problem.data.filter.kept][problem.chosen][used] if effect.signed else 1.0
-        at = np.linspace(x.min(), x.max(), _TORQUE_POINTS)
-        slope = effect.functions_of(at[None])
-        std = _deviation(slope, finding.covariance)
-        return FindingCurve(k, "driver", driver, key, unit, x, sign * partial, at, finding.values @ slope, std)
-    if several:
+    if len(choices) > 1:
         own = moved[j, used]
-        return FindingCurve(k, "driver", driver, key, unit, x, partial, x, own, np.zeros_like(own), hysteresis=True)
+        return [FindingCurve(k, "driver", driver, key, unit, x, partial, x, own, np.zeros_like(own), hysteresis=True)]
     # not filtered, so that it is a function of its driver
     order = np.argsort(values, kind="stable")
     curve, slope = (
@@ -315,7 +338,7 @@ def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
         _slopes(lambda values: effect.at_joint(values, dynamics), effect, finding.values, 1e-4),
     )
     std = _deviation(slope, finding.covariance)
-    return FindingCurve(k, "driver", driver, key, unit, x, partial, values[order], curve[order], std[order])
+    return [FindingCurve(k, "driver", driver, key, unit, x, partial, values[order], curve[order], std[order])]
 
 
 def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:

@@ -31,6 +31,7 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
 from lite6jax.search.state import State, fitted_again
 
@@ -95,8 +96,7 @@ def diagnose_torques(
         count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
         folds = contiguous_blocks(problem.samples, count)
         whole = replace(whole, valid=problem.valid)
-        # whether terms are selected forward or from the saturated model is decided once, in all samples
-        errors = errors_of_folds(errors_of_search, (whole, options, selection.saturated), folds)
+        errors = errors_of_folds(errors_of_search, (whole, options, selection.considered), folds)
         state = selection.state
 
         def refitted(spread: Sequence[Mask]) -> HeldOutTorques:
@@ -153,18 +153,18 @@ class HeldOutTorques(NamedTuple):
         return float(np.exp(np.mean(ratios)))
 
 
-def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> HeldOutTorques:
+def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among: Considered) -> HeldOutTorques:
     """The errors on the samples of a fold, with the model that a search of the others selects.
 
     Args:
         held: `(sample,)`, the fold.
         problem: not linearised.
         options: thresholds.
-        saturated: whether terms are selected from the saturated model.
+        among: the processes to choose from.
     """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
-        return search(there, options.engine, training, thorough=False, saturated=saturated)
+        return search(there, options.engine, training, thorough=False, among=among)
 
     return _errors_without(held, problem, options, searched)
 
@@ -222,7 +222,7 @@ class EffectDifference:
         differs = None if self.p_value is None else self.p_value < DISAGREE
         place = {"effect": self.effect.name, "site": self.effect.site}
         if isinstance(self.effect, UnnamedTorque):
-            place["driver"] = " times ".join(driver.phrase for driver in self.effect.drivers)
+            place["driver"] = self.effect.driver
         return {**place, **sides, "p_value": self.p_value, "differs": differs}
 
 
@@ -340,8 +340,8 @@ def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
     """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
     data, dynamics = result.problem.data, result.problem.dynamics
-    values = [row for driver in effect.of if (row := driver_values(driver, dynamics)) is not None]
-    if len(values) < len(effect.of):
+    values = [row for driver in effect.drivers if (row := driver_values(driver, dynamics)) is not None]
+    if len(values) < len(effect.drivers):
         return None
     return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
 

@@ -157,7 +157,7 @@ class Effect(ABC):
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
     usual: ClassVar[bool] = False
-    """Whether nearly every arm has it: its choice costs nothing."""
+    """Whether nearly every arm has it: its choice costs ln 2."""
     nonparametric: ClassVar[bool] = False
     """Whether it is a Gaussian process rather than a named effect."""
     choice: ClassVar[Choice | None] = None

@@ -62,81 +62,37 @@ def require_process(
         raise InputError(f"{label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 
 
-@final
-@dataclass(frozen=True)
-class Unnamed(Bending):
-    """δ = Σ coefficient · φ(drivers): a Gaussian process of one driver or of two, at one component of a site.
+class Process:
+    """What nonparametric effects have in common: a Gaussian process f = Σ coefficient · φ(drivers).
 
     Attributes:
-        where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (a component of a twist).
         driver: the phrase of a `Driver`, such as "position of joint 3"; two are joined by " and ".
         lower: of the first driver's range, in its unit; beyond it the process goes back to its prior.
         upper: of the first driver's range.
         kernel: of `kernels`; for two drivers one of each, such as "smooth*line".
-        component: of the twist, x y z rx ry rz; at a joint it is rz. That of the sensor may be `scale`, by which its
-            readings grow.
         further: lower and upper of the second driver.
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
             spread² / (1 + (k / c)ˢ).
-
-    Raises:
-        InputError: no such site, component, driver or kernel, or an empty range.
     """
 
-    where: str
     driver: str
     lower: float
     upper: float
-    kernel: str = "smooth"
-    component: str = "rz"
-    further: tuple[float, ...] = ()
-    spread: float | None = None
-    rolloff: tuple[float, ...] = ()
+    kernel: str
+    further: tuple[float, ...]
+    spread: float | None
+    rolloff: tuple[float, ...]
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
     counted = staticmethod(lambda effect: effect.functions)
 
-    def __post_init__(self) -> None:
-        if not _SITE.fullmatch(self.where):
-            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
-        joint, grows = self.where.startswith("joint"), self.where == "sensor" and self.component == SCALE
-        if (self.component not in COMPONENTS and not grows) or (joint and self.component != "rz"):
-            wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
-            wanted += f", or {SCALE}" if self.where == "sensor" else ""
-            raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
-        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
-
     @property
     def bounds(self) -> tuple[float, ...]:
         """Lower and upper of the first driver's range, and of the second's."""
         return self.lower, self.upper, *self.further
-
-    @property
-    def site(self) -> str:
-        """Where it acts."""
-        return self.where
-
-    @property
-    def unit(self) -> str:
-        """Of what it adds."""
-        return _MEASURES.get(self.component, ("rad", ""))[0]
-
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coefficients."""
-        return self._coordinates
-
-    @cached_property
-    def _coordinates(self) -> tuple[Coordinate, ...]:
-        unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
-        deviations = np.full(self.functions, np.inf if self.spread is None else self.spread)
-        return tuple(
-            Coordinate(f"coefficient{k + 1}{end}", unit, 1e-4, float(deviation), -_MOST, _MOST)
-            for k, deviation in enumerate(deviations)
-        )
 
     @cached_property
     def functions(self) -> int:
@@ -168,11 +124,71 @@ class Unnamed(Bending):
         return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
 
     def unknown_at(self, values: Array) -> Array:
-        """The variance `(sample,)`, m² or rad², of what the coefficients do not say of the process: beyond its range.
+        """The variance `(sample,)` of what the coefficients do not say of the process: beyond its range.
 
         None of a process without a prior, of which nothing is known there.
         """
         return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
+
+
+@final
+@dataclass(frozen=True)
+class Unnamed(Process, Bending):
+    """δ = Σ coefficient · φ(drivers): a Gaussian process of one driver or of two, at one component of a site.
+
+    Attributes:
+        where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (a component of a twist).
+        component: of the twist, x y z rx ry rz; at a joint it is rz. That of the sensor may be `scale`, by which its
+            readings grow.
+        driver, lower, upper, kernel, further, spread, rolloff: as of `Process`.
+
+    Raises:
+        InputError: no such site, component, driver or kernel, or an empty range.
+    """
+
+    where: str
+    driver: str
+    lower: float
+    upper: float
+    kernel: str = "smooth"
+    component: str = "rz"
+    further: tuple[float, ...] = ()
+    spread: float | None = None
+    rolloff: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _SITE.fullmatch(self.where):
+            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
+        joint, grows = self.where.startswith("joint"), self.where == "sensor" and self.component == SCALE
+        if (self.component not in COMPONENTS and not grows) or (joint and self.component != "rz"):
+            wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
+            wanted += f", or {SCALE}" if self.where == "sensor" else ""
+            raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
+        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
+
+    @property
+    def site(self) -> str:
+        """Where it acts."""
+        return self.where
+
+    @property
+    def unit(self) -> str:
+        """Of what it adds."""
+        return _MEASURES.get(self.component, ("rad", ""))[0]
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coefficients."""
+        return self._coordinates
+
+    @cached_property
+    def _coordinates(self) -> tuple[Coordinate, ...]:
+        unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
+        deviations = np.full(self.functions, np.inf if self.spread is None else self.spread)
+        return tuple(
+            Coordinate(f"coefficient{k + 1}{end}", unit, 1e-4, float(deviation), -_MOST, _MOST)
+            for k, deviation in enumerate(deviations)
+        )
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""

@@ -11,7 +11,7 @@ their χ² statistic. The scale of the noise is not known: integrated over, it m
 −½ ν ln(1 − q / S), of ν degrees of freedom and the sum of squares S that is left without the term.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -52,6 +52,8 @@ class Sums(NamedTuple):
         inside: `(k, sample)`, with each direction of the model.
         left: the sum of squares that is left in the groups of rows on which it acts.
         freedom: their degrees of freedom.
+        row: of a site that acts on one row, in autocorrelated noise: what whitens functions `(…, sample)` there, and
+            what the model leaves, white, `(sample,)`. Else functions are to vary slowly beside such noise.
     """
 
     weight: Array
@@ -59,6 +61,7 @@ class Sums(NamedTuple):
     inside: Array
     left: float
     freedom: float
+    row: tuple[Callable[[Array], Array], Array] | None = None
 
 
 @final
@@ -77,7 +80,7 @@ class Marginal:
         """The sum of squares that is left in each group of rows, and its degrees of freedom, with the declared noise."""
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
-        products = self.test.left * self.test.residual
+        products = self.test.left**2  # in sum that times the residual, which of a group alone may be negative
         by_row = np.sum(products[:measured].reshape(problem.rows, problem.samples), 1)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
@@ -86,27 +89,39 @@ class Marginal:
         known = _DECLARED * problem.declared
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
-    def _of_groups(self, rows: Array) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool."""
+    def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool; of all that nuisance couples."""
         squares, freedom = self._by_group
-        groups = np.unique(self.test.problem.groups[rows])
+        coupled = len(self.test.problem.precision) > 0
+        groups = np.arange(len(squares)) if coupled else np.unique(self.test.problem.groups[rows])
         return float(squares[groups].sum()), float(freedom[groups].sum())
 
     def sums(self, column: Array) -> Sums:
-        """Of a site's column `(row, sample)`; in autocorrelated noise, of functions that vary slowly beside it."""
-        test = self.test
+        """Of a site's column `(row, sample)`."""
+        test, rows = self.test, np.flatnonzero(np.any(column, 1))
         (weight,), (inside,), (pull,) = test.over_rows(column[None])
         unit = 1 / test.scale[0]
         pull = pull - (test.basis @ test.residual) @ inside
         left, freedom = self._of_groups(np.any(column, 1))
-        return Sums(weight[0] * unit**2, pull * unit, inside * unit, left, freedom)
+        found = Sums(weight[0] * unit**2, pull * unit, inside * unit, left, freedom)
+        if test.fit.noise.white or len(rows) != 1:
+            return found
+        here = test.left[: test.problem.rows * test.problem.samples].reshape(test.problem.rows, -1)[rows[0]]
+        # the transpose of a filter that does not change with time filters backwards
+        pull = test.whitened(here[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
+        row = lambda functions: unit * test.whitened((functions * column[rows[0]])[..., None, :], rows)[..., 0, :]  # noqa: E731
+        return found._replace(pull=pull, inside=test.of_rows(rows)[0], row=(row, here))
 
     def equations(self, sums: Sums, functions: Array) -> tuple[Array, Array]:
         """Pull `(…, number)` and information `(…, number, number)` of functions `(…, number, sample)` at a site."""
+        weight, pull = sums.weight, sums.pull
+        if sums.row is not None:
+            (whitened, pull), weight = sums.row, np.ones_like(weight)
+            functions = whitened(functions)
         flat = functions.reshape(-1, functions.shape[-1])
         inside = (flat @ sums.inside.T).reshape(*functions.shape[:-1], -1)
-        own = (functions * sums.weight) @ functions.swapaxes(-1, -2)
-        return functions @ sums.pull, own - inside @ inside.swapaxes(-1, -2)
+        own = (functions * weight) @ functions.swapaxes(-1, -2)
+        return functions @ pull, own - inside @ inside.swapaxes(-1, -2)
 
     def dense(self, columns: Array) -> tuple[Array, Array, float, float]:
         """Pull, information, sum of squares and freedom of columns `(number, row, sample)`, in any noise."""

@@ -7,12 +7,12 @@ white (G. Box and G. Jenkins, Time Series Analysis, A4.4).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
+from scipy.signal import lfilter
 
 from lite6jax.estimation.options import EngineOptions
 
@@ -50,13 +50,12 @@ class Autocorrelation:
         theta, sigma = self._innovation
         change = rows.copy()
         change[..., 1:] -= self.coefficient * rows[..., :-1]
-        band = np.stack([np.ones(rows.shape[-1]), np.full(rows.shape[-1], theta)])
         first = np.asarray(starts)
-        band[1, first - 1] = 0.0
         # so that the second sample of a run is predicted from the first by their correlation
         change[..., first] = rows[..., first] * ((self.share - 1) * self.coefficient / theta if theta else 1.0)
-        flat = change.reshape(-1, rows.shape[-1]).T
-        out = (solve_banded((1, 0), band, flat, check_finite=False) / sigma).T.reshape(rows.shape)
+        out = np.empty_like(change)
+        for begin, end in pairwise([*starts, rows.shape[-1]]):
+            out[..., begin:end] = lfilter([1 / sigma], [1.0, theta], change[..., begin:end])
         out[..., first] = rows[..., first]
         return out
 
@@ -109,7 +108,10 @@ class NoiseModel:
         out = np.empty_like(rows)
         for group, model in enumerate(self.models):
             there = self.groups == group
-            out[..., there, :] = model.whitened(rows[..., there, :], self.starts)
+            own = rows[..., there, :]
+            acting = own.any((-2, -1))  # most terms act on few groups
+            own[acting] = model.whitened(own[acting], self.starts)
+            out[..., there, :] = own
         return out
 
     def log_volume(self, training: NDArray[np.bool_]) -> float:

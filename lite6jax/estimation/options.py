@@ -136,6 +136,7 @@ class EngineOptions:
     )
     exchanges: int = option(2, "most exchanges of terms", "two suffice mostly")
     names_for_process: int = option(3, "most names that take the place of a process", "as many orders as gears have")
+    estimates: int = option(4, "most estimates of tried numbers beside the others", "each comes closer")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
     most_terms: int = option(8, "most terms of one group of rows", "no arm had more")
     first_samples: int = option(2000, "samples that find the terms; all samples then fit them", "bounds the time")

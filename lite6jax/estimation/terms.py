@@ -42,7 +42,7 @@ class Term(Protocol):
         coordinates: these numbers.
         specificity: rank of its name among terms that the data do not distinguish; the least is reported.
         periodic: whether it is found by the spectrum of a periodic family.
-        usual: whether nearly every problem has it, so that its choice costs nothing.
+        usual: whether nearly every problem has it, so that its choice costs ln 2.
         nonparametric: whether it is a Gaussian process rather than a named term.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.

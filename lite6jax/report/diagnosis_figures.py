@@ -18,7 +18,6 @@ from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import (
@@ -408,8 +407,6 @@ def finding_figure(
         curve = curves[0]
         effect = found.findings[curve.finding].effect
         binned |= _draw(panel, curves, isinstance(effect, Unnamed))
-        if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
-            panel.set_ylabel(f"{_EXERTED[curve.unit]} × direction of motion ({curve.unit})")
         number = order.index(curve.finding) + 1
         name = "unnamed effect" if effect.nonparametric else effect_name(effect.name)
         panel.set_title(f"{number}. {name}, {effect.site}", fontsize=13)

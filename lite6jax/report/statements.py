@@ -445,12 +445,8 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
 
 def _unnamed_torque(finding: Entry, adds: str) -> str:
     """A curve of torques: its drivers, its contribution, and which named effects come nearest to it."""
-    where, driver, times, near, said = finding["where"], finding["driver"], "", "", "explains"
+    where, near, said = finding["where"], "", "explains"
     what = "force" if where.get("of_slide") else "torque"
-    for field, factor in (("signed", "direction of motion"), ("full_load", "gravity torque")):
-        if where.get(field):
-            times = f", multiplied by the {factor}"
-            driver = driver.removesuffix(f" and {factor} of joint {where['joint']}")
     if "described_by" in finding:
         said, shown = "alone explains", []
         for effect in finding["described_by"]["effects"]:
@@ -464,7 +460,7 @@ def _unnamed_torque(finding: Entry, adds: str) -> str:
         near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
     return (
         f"No effect of the catalogue {said} a {what} at {finding['site']} that is a function of the "
-        f"{with_articles(driver)}{times}: it contributes {adds}.{near}"
+        f"{with_articles(finding['driver'])}: it contributes {adds}.{near}"
     )
 
 

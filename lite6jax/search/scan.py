@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Problem, Quantity
+from lite6jax.estimation.problem import Component, Mask, Problem, Quantity
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
@@ -34,21 +34,23 @@ Array = NDArray[np.floating]
 
 _OWN = 0.6
 """Prior probability that a driver is one of a site's own."""
-_SINGLE = (*kernels.SCALED, "wave", "play")
-_PAIRS = (
+SINGLE = (*kernels.SCALED, "wave", "play")
+PAIRS = (
     *("line*line", "cubic*cubic", "smooth*smooth", "rough*rough", "wave*wave"),
     *(f"{a}*{b}" for pair in (("line", "smooth"), ("line", "medium"), ("line", "fine"), ("line", "rough"),
                               ("line", "wave"), ("cubic", "wave")) for a, b in (pair, pair[::-1])),
 )  # fmt: skip
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
-_KINDS = np.log(3.0)
+KINDS = np.log(3.0)
 Considered = frozenset[tuple[str, str, tuple[str, ...]]]
 """Processes by site, component and phrases of their quantities."""
 _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
+_NEARLY = 2.0
+"""Log odds within which the priority of names decides."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
@@ -117,30 +119,43 @@ class Scan:
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
-        self._own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
+        self.own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
 
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of one of the catalogue's names at one site; even odds where nearly every arm has it."""
-        return float(np.log(2.0) if term.usual else _KINDS + np.log(max(len(self.names), 1)))
+        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every arm has it."""
+        number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
+        return float(np.log(2.0) if term.usual else KINDS + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
         if (site, which) in self._costs:
             return self._costs[site, which]
-        cost = _KINDS + np.log(max(len(self.problem.components), 1))
+        cost = KINDS + np.log(max(len(self.problem.components), 1))
         cost += sum(self._cost_of_quantity(site, k) for k in which)
-        cost += np.log(len(_SINGLE)) if len(which) == 1 else np.log(len(_PAIRS) / 2)
+        cost += np.log(len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)
         return self._costs.setdefault((site, which), float(cost))
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
-        own = self._own[site]
+        own = self.own[site]
         return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / len(self.quantities))
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
         return all(self.quantities[k].only in ("", site) for k in which)
+
+    def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
+        """Whether a kernel is one of these quantities."""
+        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
+            driver = self.quantities[k].driver
+            if self.discrete[k] and name != "line":
+                return False
+            if (name == "wave" and driver.quantity not in _ANGLES) or (
+                name == "play" and driver.generalised not in _HYSTERETIC
+            ):
+                return False
+        return True
 
     # -------------------------------------------------------------- features
 
@@ -205,13 +220,13 @@ class Scan:
 
     # -------------------------------------------------------------- what is likeliest
 
-    def ranked(self, test: ScoreTest, pairs: bool = True) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first."""
-        weighed = _Weighed(self, test)
+    def ranked(self, test: ScoreTest, pairs: bool = True, rows: Mask | None = None) -> list[Ranked]:
+        """All that is worth its cost, and the best that is not, the likeliest first; of the sites that act on `rows`."""
+        weighed = _Weighed(self, test, rows)
         if self._among is not None:
-            few = [self.alike(test, *one) for one in self._processes]
+            few = [self.alike(test, *one) for one in self._processes if one[0] in weighed.components]
             found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
-            return sorted(found, key=lambda one: -one.net)
+            return _in_order(found)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
         found += singles
@@ -220,9 +235,9 @@ class Scan:
         found.sort(key=lambda one: -one.net)
         self.considered |= {one.key for one in [one for one in found if one.process][:_CONSIDERED]}
         if test.fit.noise.white:
-            return found
+            return _in_order(found)
         exact = [weighed.exact(one) for one in found[:_EXACT]]
-        return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
+        return _in_order([one for one in exact if one.gain > 0])
 
     @cached_property
     def _processes(self) -> list[tuple[Component, tuple[int, ...]]]:
@@ -234,10 +249,22 @@ class Scan:
             if (site, name) in components and all(phrase in place for phrase in phrases)
         ]
 
+    def usual(self, test: ScoreTest) -> list[Ranked]:
+        """The names that nearly every arm has, the likeliest first."""
+        return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
+
     def named(self, test: ScoreTest) -> list[Ranked]:
         """Names and waves alone."""
         weighed = _Weighed(self, test)
         return [*weighed.named(), *weighed.waves()]
+
+    def has_numbers(self, term: Term) -> bool:
+        """Whether a name is one of several that differ in a number that is tried."""
+        return sum(one.label == term.label for one in self.names) > 1
+
+    def like(self, test: ScoreTest, term: Term) -> Ranked | None:
+        """A name with the likeliest of the numbers that are tried for it; None where it says nothing there."""
+        return _Weighed(self, test).like(term)
 
     def alike(self, test: ScoreTest, component: Component, which: tuple[int, ...]) -> Ranked | None:
         """The likeliest kernel of given quantities at a component; None where they say nothing there."""
@@ -249,25 +276,41 @@ class Scan:
 
 
 class _Weighed:
-    """A scan beside one model."""
+    """A scan beside one model, of the components that act on some rows."""
 
-    def __init__(self, scan: Scan, test: ScoreTest) -> None:
+    def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
         self._scan, self._test, self._marginal = scan, test, Marginal(test)
+        every = scan.problem.components
+        self.components = [one for one in every if rows is None or np.any(one.column[rows])]
         self._problem, self._options = scan.problem, scan.options
         self._known: dict[int, Sums] = {}
 
-    def named(self) -> list[Ranked]:
-        """Names that are not there yet; of those with a number that is tried the likeliest."""
+    def named(self, usual: bool = False) -> list[Ranked]:
+        """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
         test = self._test
         there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
         terms = [term for term in self._scan.names if term not in there and not term.periodic]
+        terms = [term for term in terms if term.usual] if usual else terms
         found = self._of_terms(terms)
-        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[:_REFINED_NUMBERS]
+        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[
+            :_REFINED_NUMBERS
+        ]
         for one in likely:
-            term, number = one.make(), one.make().chosen
-            near = [term.held(number * ratio) for ratio in _RATIOS] if number else []
-            found = [other for other in found if other.cause != one.cause] + self._of_terms([term, *near])
+            found = [other for other in found if other.cause != one.cause] + self._refined(one)
         return found
+
+    def like(self, term: Term) -> Ranked | None:
+        """A name with the likeliest of the numbers that are tried for it; None where it says nothing."""
+        same = [one for one in self._scan.names if one.label == term.label and not term.periodic]
+        found = self._of_terms([term, *same])
+        if found and found[0].make().chosen and same:
+            found = self._refined(found[0])
+        return found[0] if found else None
+
+    def _refined(self, one: Ranked) -> list[Ranked]:
+        """A name with a number that is tried, at the likeliest near this."""
+        term, number = one.make(), one.make().chosen
+        return self._of_terms([term, *(term.held(number * ratio) for ratio in _RATIOS if number)])
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
@@ -291,7 +334,7 @@ class _Weighed:
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
-            own = self._scan.cost_of_name(line.term) if named else _KINDS + np.log(families) + line.searched
+            own = self._scan.cost_of_name(line.term) if named else KINDS + np.log(families) + line.searched
             order = f"{line.term.label} {line.order:.3g}"
             found.append(self._ranked(evidence, float(own), line.term.site, (order,), "", lambda line=line: line.term))
         return [one for one in found if one.gain > 0]
@@ -304,7 +347,7 @@ class _Weighed:
         many, splines = self._scan.splines
         found: list[Ranked] = []
         at, pulls, informations, limits = [], [], [], []
-        for component in self._problem.components:
+        for component in self.components:
             pull, information, left, freedom = self._equations(component, splines)
             most = bound(pull, information, left, freedom, self._options.confounded)
             costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in many])
@@ -330,7 +373,7 @@ class _Weighed:
             for i in some:
                 component, k = at[i][:2]
                 for name in ("wave", "play"):
-                    if self._suits(name, (k,)):
+                    if self._scan.suits(name, (k,)):
                         found.append(self._of_kernel(component, (k,), name))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
@@ -338,7 +381,7 @@ class _Weighed:
     def spectra(self) -> list[Ranked]:
         """Spectra of the positions of joints at these joints."""
         found = []
-        for component in self._problem.components:
+        for component in self.components:
             for k, one in enumerate(self._scan.quantities):
                 if one.driver.quantity == "position" and component.site == f"joint{one.driver.place}":
                     found += self._spectra_of(component, k)
@@ -358,7 +401,7 @@ class _Weighed:
         """Processes of two quantities: of a short list, the likeliest as every kernel."""
         plain = ["line" if discrete else "cubic" for discrete in self._scan.discrete]
         alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
-        components = {id(one): one for one in self._problem.components}
+        components = {id(one): one for one in self.components}
         for component, *which in self._shortlist(singles):
             alike.setdefault((id(component), "*".join(plain[k] for k in which)), []).append(tuple(which))
         first = [
@@ -374,31 +417,19 @@ class _Weighed:
     def kernels_of(self, component: Component, which: tuple[int, ...]) -> list[Ranked]:
         """Every kernel of given quantities at a component."""
         own = [self._scan.quantities[k] for k in which]
-        names = [name for name in (_SINGLE if len(which) == 1 else _PAIRS) if self._suits(name, which)]
+        names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         found = [self._of_kernel(component, which, name) for name in names]
         if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
             found += self._spectra_of(component, which[0])
         return found
-
-    def _suits(self, kernel: str, which: tuple[int, ...]) -> bool:
-        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
-            quantity = self._scan.quantities[k]
-            if self._scan.discrete[k] and name != "line":
-                return False
-            if (name == "wave" and not _is_angle(quantity)) or (name == "play" and not self._is_hysteretic(quantity)):
-                return False
-        return True
-
-    def _is_hysteretic(self, quantity: Quantity) -> bool:
-        return quantity.driver.generalised in _HYSTERETIC
 
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
         """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
         functions, start, weights = self._scan._few
         i, j = np.triu_indices(len(self._scan.quantities), 1)
         squared, scored = functions**2, []
-        components = {(one.site, one.name): one for one in self._problem.components}
-        for component in self._problem.components:
+        components = {(one.site, one.name): one for one in self.components}
+        for component in self.components:
             sums = self._sums(component)
             score = (functions * sums.pull) @ functions.T
             size = (squared * sums.weight) @ squared.T
@@ -426,6 +457,8 @@ class _Weighed:
         if not ranked.process:
             return ranked
         component, which, kernel, rolloff = ranked.process
+        if self._sums(component).row is not None:
+            return ranked
         columns = self._scan.features(which, kernel, rolloff)[:, None] * component.column
         found = of_process(*self._marginal.dense(columns), self._options.confounded)
         return self._process(found, component, which, kernel, rolloff)
@@ -480,6 +513,16 @@ class _Weighed:
         process: tuple[Any, ...] = (),
     ) -> Ranked:
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+
+
+def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
+    """The likeliest first; of names that are nearly as likely as a first name, the one of the highest priority."""
+    ordered = sorted(found, key=lambda one: -one.net)
+    if not ordered or ordered[0].process:
+        return ordered
+    near = [one for one in ordered if not one.process and one.net > ordered[0].net - _NEARLY]
+    first = min(near, key=lambda one: (one.make().specificity, -one.net))
+    return [first, *(one for one in ordered if one is not first)]
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:

@@ -17,7 +17,7 @@ import numpy as np
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Mask, Problem, acts_on
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Considered, Ranked, Scan
@@ -35,15 +35,29 @@ class Selector:
     # -------------------------------------------------------------- the search
 
     def selected(self, state: State, thorough: bool) -> State:
-        """The likeliest set of terms, in the likeliest noise."""
-        white = self._grown(state, thorough)
-        own = self.in_own_noise(white.fit)
-        if own.noise.white:
-            return white
-        # noise that is autocorrelated explains residuals as terms do: either may be there first
-        after = self._grown(self._dropped(replace(white, fit=own)), thorough)
-        before = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
-        return max(before, after, key=lambda one: one.evidence)
+        """The likeliest set of terms, in the likeliest noise.
+
+        Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
+        many processes are significant that each describe a part of it. Then terms are tried in its place.
+        """
+        state = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
+        for _ in range(self.options.exchanges):
+            instead = None if state.fit.noise.white else self._instead_of_noise(state)
+            if instead is None or instead.evidence < state.evidence + self.options.better:
+                break
+            state = self._grown(instead, thorough)
+        return state
+
+    def _instead_of_noise(self, state: State) -> State | None:
+        """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
+        f = state.fit
+        white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
+        test, other = score_test(self.problem, white, self.options), replace(state, fit=white)
+        worth = self._worth(self.scan.ranked(test), test, other, set())
+        if not worth:
+            return None
+        more = self._within_bounds(self._estimated(self._with(other, *worth)))
+        return self._dropped(replace(more, fit=self.in_own_noise(more.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
         exchanged = 0
@@ -58,44 +72,61 @@ class Selector:
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
-        while len(state.tested) < self.options.most_terms:
+        while True:
             test = score_test(self.problem, state.fit, self.options)
-            taken = {one.term.site for one in state.tested if one.term.nonparametric}
-            worth = [
-                one
-                for one in self._ranked(test, state)
-                if one.net >= self.options.margin and one.key not in tried and one.site not in taken
-            ]
-            if not worth or worth[0].gain < self._unexplained(test, state):
-                break
-            tried.add(worth[0].key)
-            more = self._estimated(self._with(state, worth[0]))
-            if worth[0].process and (named := self._named(more, len(more.tested) - 1)) is not None:
-                more = named
+            # what nearly every arm has is there before anything rare is asked for
+            for found in (self.scan.usual, self.scan.ranked):
+                worth = self._worth(found(test), test, state, tried)
+                if worth:
+                    break
+            else:
+                return state
+            tried |= {one.key for one in worth}
+            more = self._estimated(self._with(state, *worth))
+            for new in (one for one in worth if one.process):
+                places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
+                more = next((named for k in places if (named := self._named(more, k)) is not None), more)
             more = self._dropped(self._within_bounds(more))
             if not more.fit.noise.white:
                 more = replace(more, fit=self.in_own_noise(more.fit))
             state = more
-        return state
 
-    def _unexplained(self, test: ScoreTest, state: State) -> float:
-        """What noise of its own at the component of a process would explain: whatever that process does not describe.
+    def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
+        """The terms that are worth their cost, of each row the likeliest alone.
 
-        A further term that explains less may be a part of that.
+        A further term at the rows of a process that explains less than noise of its own would at the component of that
+        process may be a part of what it does not describe.
         """
-        marginal = Marginal(test)
-        there = [self._process_of(term)[0] for term in state.fit.terms.terms if term.nonparametric]
-        return max((float(marginal.of_noise(component.column).gain) for component in there), default=-np.inf)
+        model, marginal = state.fit.terms.terms, Marginal(test)
+        counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
+        there = {term.site: self._process_of(term)[0].column for term in model if term.nonparametric}
+        noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in there.values()]
+        taken, found = counts >= self.options.most_terms, list[Ranked]()
+        for one in self._possible(ranked, test, state):
+            if one.net < self.options.margin or taken.all():
+                break
+            if one.key in tried or one.site in there:
+                continue
+            rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
+            if not (rows & taken).any():
+                taken |= rows
+                if all(one.gain >= gain for own, gain in noises if (own & rows).any()):
+                    found.append(one)
+        return found
 
-    def _ranked(self, test: ScoreTest, state: State) -> list[Ranked]:
+    @staticmethod
+    def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
         refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
-        return [one for one in self.scan.ranked(test) if one.process or one.cause[0] not in refused]
+        return [one for one in ranked if one.process or one.cause[0] not in refused]
 
-    def _with(self, state: State, ranked: Ranked) -> State:
-        term = ranked.make()
-        kept = [one for one in state.tested if one.term not in term.includes]
-        new = SelectedTerm(term, ranked.gain, ranked.cost, ranked.volume)
-        return refitted(self.problem, state, [*kept, new], self.options)
+    def _rows(self, term: Term, state: State) -> Mask:
+        return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
+
+    def _with(self, state: State, *ranked: Ranked) -> State:
+        new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
+        included = {term for one in new for term in one.term.includes}
+        kept = [one for one in state.tested if one.term not in included]
+        return refitted(self.problem, state, [*kept, *new], self.options)
 
     # -------------------------------------------------------------- each term beside the others
 
@@ -104,27 +135,31 @@ class Selector:
         return score_test(self.problem, without(state.fit, k), self.options, within=state.fit)
 
     def _estimated(self, state: State) -> State:
-        """Each term weighed beside the others, the amplitude and the kernel of each process anew."""
-        tested, changed = list(state.tested), False
-        for k, one in enumerate(tested):
-            if one.term in self._preset:
-                continue
-            found = self._weighed(self.beside(state, k), one)
-            if found.term != one.term:
-                changed = True
-            tested[k] = found
-        if not changed:
-            return replace(state, tested=tuple(tested))
-        return refitted(self.problem, state, tested, self.options)
+        """Amplitude and kernel of each process, and the tried number of each name, anew beside the others.
+
+        Residuals are winsorised where a number is far off, so that the next one may be so as well.
+        """
+        open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
+        for _ in range(self.options.estimates):
+            tested = list(state.tested)
+            for k in open_:
+                tested[k] = self._weighed(self.beside(state, k), tested[k])
+            moved = [k for k in open_ if tested[k].term != state.tested[k].term]
+            if not moved:
+                return replace(state, tested=tuple(tested))
+            state = refitted(self.problem, state, tested, self.options)
+            open_ = [k for k in moved if not tested[k].term.nonparametric]
+        return state
+
+    def _is_open(self, term: Term) -> bool:
+        """Whether something of a term is chosen, so that it may be chosen anew."""
+        if term in self._preset or term.periodic:
+            return False
+        return term.nonparametric or term.chosen is not None or self.scan.has_numbers(term)
 
     def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
-        if not term.nonparametric:
-            columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
-            (evidence,) = Marginal(test).of_names([columns])
-            return replace(one, gain=float(evidence.gain), volume=float(evidence.volume))
-        component, which = self._process_of(term)
-        best = self.scan.alike(test, component, which)
+        best = self.scan.alike(test, *self._process_of(term)) if term.nonparametric else self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
         return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
@@ -138,17 +173,26 @@ class Selector:
         return component, tuple(place[phrase] for phrase in phrases)
 
     def _dropped(self, state: State) -> State:
-        """Without the terms that are not worth their cost, the least of them first."""
+        """Without the terms that are not worth their cost, the least of those that act on any row first."""
         while True:
             tested = [
                 one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
                 for k, one in enumerate(state.tested)
             ]
-            nets = [np.inf if one.term in self._preset else one.net for one in tested]
-            if not nets or min(nets) >= self.options.margin:
-                return replace(state, tested=tuple(tested))
-            k = int(np.argmin(nets))
-            state = refitted(self.problem, state, [*tested[:k], *tested[k + 1 :]], self.options)
+            state = replace(state, tested=tuple(tested))
+            order = np.argsort([np.inf if one.term in self._preset else one.net for one in tested])
+            least, taken = set[int](), np.zeros(self.problem.rows, bool)
+            for k in order.tolist():
+                if tested[k].term in self._preset or tested[k].net >= self.options.margin or taken.all():
+                    break
+                rows = self._rows(tested[k].term, state)
+                if not (rows & taken).any():
+                    least.add(k)
+                taken |= rows
+            if not least:
+                return state
+            rest = [one for k, one in enumerate(tested) if k not in least]
+            state = refitted(self.problem, state, rest, self.options)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         found = self._weighed(test, one)
@@ -189,14 +233,16 @@ class Selector:
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None."""
+        rows = self._rows(state.tested[k].term, state)
         trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
             test = score_test(self.problem, trial.fit, self.options, within=None)
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
-            names = (one for one in self.scan.named(test) if one.cause[0] not in known)
-            best = max(names, key=lambda one: one.net, default=None)
-            if best is None or best.net < self.options.margin:
+            names = [one for one in self.scan.named(test) if one.cause[0] not in known]
+            names = sorted((one for one in names if one.net >= self.options.margin), key=lambda one: -one.net)
+            best = next((one for one in names if (self._rows(one.make(), trial) & rows).any()), None)
+            if best is None:
                 break
             more = self._within_bounds(self._with(trial, best))
             if len(more.tested) <= len(trial.tested):
@@ -210,7 +256,9 @@ class Selector:
         """What may stand in the place of the k-th term, that itself among it, the likeliest first."""
         key = id(state.fit), k
         if key not in self._known:
-            self._known[key] = self._ranked(self.beside(state, k), state)
+            rows = self._rows(state.tested[k].term, state)
+            test = self.beside(state, k)
+            self._known[key] = self._possible(self.scan.ranked(test, rows=rows), test, state)
         return self._known[key]
 
     def with_alternatives(self, state: State) -> State:
@@ -239,8 +287,8 @@ class Selector:
         if ranked.site != term.site:
             return False
         if term.nonparametric:
-            return bool(ranked.place) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
-        return not ranked.place and ranked.make() == term
+            return bool(ranked.process) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
+        return not ranked.process and ranked.make() == term
 
     # -------------------------------------------------------------- noise
 

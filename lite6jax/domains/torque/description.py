@@ -40,7 +40,7 @@ def described(problem: TorqueProblem, joint: int, moved: Array) -> Description |
         joint: from 1.
         moved: `(joint, sample)` Nm, or N at a prismatic joint, by the curve.
     """
-    there = [effect for effect in problem.ladder if effect.site == f"joint{joint}" and effect.size == 1]
+    there = [effect for effect in problem.simple if effect.site == f"joint{joint}"]
     target = moved[joint - 1, problem.valid]
     units = (problem.columns(there) * problem.sigma)[:, joint - 1, problem.valid]
     best = Description(0.0, (), np.zeros(0))

@@ -28,6 +28,7 @@ from lite6jax.domains.uncertainty import (
 )
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -268,7 +269,10 @@ def _bars(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> tuple[Arra
 def _estimated(
     model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
 ) -> Array:
-    """`(joint, sample)` Nm², by the covariance of the numbers; of one effect after the other, in its directions."""
+    """`(joint, sample)` Nm², by the covariance of the numbers; of one effect after the other, in its directions.
+
+    And of processes beyond the range of their drivers.
+    """
     scale = scales_of(model.terms, model.values, model.dof)
     directions = independent_directions(known.covariance)
     moved = np.zeros((len(directions), *dynamics.torque.shape))
@@ -289,7 +293,11 @@ def _estimated(
             moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]
         else:
             moved += np.tensordot(own, _derivatives(effect, values[part], dynamics), 1) * scale
-    return np.sum(moved**2, 0)
+    variance = np.sum(moved**2, 0)
+    for effect in (one for one in model.terms.terms if isinstance(one, UnnamedTorque)):
+        j = effect.joint - 1
+        variance[j] += scale[j] ** 2 * np.asarray(effect.unknown_at(effect.values_in(dynamics)))  # type: ignore[arg-type]
+    return variance
 
 
 def _derivatives(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:

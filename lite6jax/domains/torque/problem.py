@@ -1,8 +1,9 @@
 """Measured torques as an estimation problem: one arm, its inertial numbers, and the columns of effects on torques."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -16,13 +17,13 @@ from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody, PayloadTorque
-from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
+from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_shaped
 from lite6jax.effects.dynamic.drives import declared
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import require_kind
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -46,12 +47,12 @@ class Known:
     """What has been computed of some samples: folds of a cross-validation differ in the training mask alone.
 
     Attributes:
-        units: `families.unit_torques` of linear effects, at some inertial numbers.
+        units: `families.unit_torques` of linear effects, and of processes, at some inertial numbers.
         waves: filtered waves of each joint.
         thinned: of one in so many of the samples.
     """
 
-    units: dict[TorqueEffect, Array] = field(default_factory=dict)
+    units: dict[Hashable, Array] = field(default_factory=dict)
     waves: families.Waves = field(default_factory=dict)
     thinned: dict[int, "Known"] = field(default_factory=dict)
 
@@ -88,7 +89,6 @@ class TorqueProblem:
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
         valid: `(sample,)`, those that may be used at all.
-        refused: labels of shaped effects that are no candidates.
         known: what has been computed of these samples, shared between the problems that have them.
     """
 
@@ -103,7 +103,6 @@ class TorqueProblem:
     candidates: tuple[TorqueEffect, ...]
     untestable: tuple[Untestable, ...]
     valid: Mask
-    refused: frozenset[str] = frozenset()
     known: Known = field(default_factory=Known)
 
     def __getstate__(self) -> dict[str, object]:
@@ -172,29 +171,48 @@ class TorqueProblem:
         return families.periodic(self.data, self.chosen, self.sigma, self.known.waves)
 
     @lazy
-    def curves(self) -> tuple[CurveFamily, ...]:
-        """Curves of each joint."""
-        return families.curves(self.dynamics, self.data, self.chosen, self.sigma)
-
-    @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
         """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds."""
-        return tuple(effect for effect in torque_shaped(self.data.motion) if effect.label not in self.refused)
-
-    @lazy
-    def ladder(self) -> tuple[TorqueEffect, ...]:
-        """What the joints of most real arms have."""
-        return tuple(effect for effect in torque_ladder(self.rows, self.data.arm.sliding) if effect in self.candidates)
-
-    @lazy
-    def flexible(self) -> tuple[UnnamedTorque, ...]:
-        """Functions without a name, of every joint and driver."""
-        return families.flexible(self.dynamics, families.sizes(self.data))
+        return torque_shaped(self.data.motion)
 
     @property
-    def functions_tried(self) -> int:
-        """As many as `flexible` has: these functions have one component and few numbers, and no parts."""
-        return len(self.flexible)
+    def simple(self) -> tuple[TorqueEffect, ...]:
+        """The candidates that are one number of one joint and add to its torque: friction, offset, rotor."""
+        own = [one for one in self.candidates if isinstance(one, JointTorque) and not isinstance(one, Scaling)]
+        return tuple(effect for effect in own if effect.size == 1 and effect.linear)
+
+    @lazy
+    def components(self) -> tuple[Component, ...]:
+        """The torque of each joint."""
+        return families.components(self.sigma)
+
+    @lazy
+    def quantities(self) -> tuple[Quantity, ...]:
+        """As far as they are known and vary."""
+        return families.quantities(self.dynamics)
+
+    @property
+    def every_run(self) -> NDArray[np.integer]:
+        """`(2, every sample)`, the first and the last sample of each one's run."""
+        return np.asarray(self.data.motion.run)
+
+    def process(
+        self,
+        component: Component,
+        quantities: Sequence[Quantity],
+        kernel: str,
+        spread: float,
+        rolloff: tuple[float, ...] = (),
+    ) -> UnnamedTorque:
+        """A nonparametric effect over the ranges of the recording."""
+        joint, driver = int(component.site.removeprefix("joint")), " and ".join(one.driver.phrase for one in quantities)
+        (lower, upper), *further = (one.bounds for one in quantities)
+        others, of_slide = tuple(chain.from_iterable(further)), bool(self.data.arm.slides[joint - 1])
+        return UnnamedTorque(joint, driver, lower, upper, kernel, others, spread, rolloff, of_slide=of_slide)
+
+    def seen(self, functions: Array) -> Array:
+        """Functions `(…, every sample)` filtered, of the samples of this problem."""
+        return self._kept(functions)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(joint, sample)` over `sigma`, predicted minus measured."""
@@ -295,12 +313,6 @@ class TorqueProblem:
         less, *others = [(number.lower, number.upper) for number in term.coordinates]
         return [(less[0] - declared(self.data.arm, term), less[1]), *others]
 
-    def without_candidates(self, terms: Sequence[Term]) -> "TorqueProblem":
-        """The same problem in which these effects are no candidates."""
-        refused = self.refused | {term.label for term in terms if term.chosen is not None}
-        candidates = tuple(effect for effect in self.candidates if effect not in terms)
-        return replace(self, candidates=candidates, refused=refused)
-
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
         return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=Known())
@@ -318,15 +330,6 @@ class TorqueProblem:
     def inputs(self, terms: Terms) -> tuple[Term, ...]:
         """None: what is declared of masses is told apart by the torques themselves."""
         return ()
-
-    def undetermined(self, term: Term) -> Mask:
-        """None: samples at rest, where friction may be anything, are no valid ones."""
-        return np.zeros(self.samples, bool)
-
-    def shrinkable(self, term: Term) -> bool:
-        """Whether an effect has drivers, none of which is a joint position."""
-        assert isinstance(term, TorqueEffect)
-        return bool(term.drivers) and not any(driver.generalised == "position" for driver in term.drivers)
 
     @cached_property
     def _inertial(self) -> Array:
@@ -348,10 +351,10 @@ class TorqueProblem:
 
     def _units(self, effect: TorqueEffect) -> Array:
         """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
-        units = self.known.units
-        if effect not in units:
-            units[effect] = families.unit_torques(effect, self.dynamics, self._kept)
-        return units[effect]
+        units, key = self.known.units, effect.process if isinstance(effect, UnnamedTorque) else effect
+        if key not in units:
+            units[key] = families.unit_torques(effect, self.dynamics, self._kept)
+        return units[key]
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
         """Derivatives of an effect's torque by its numbers, `(number, joint, sample)`, by central differences."""

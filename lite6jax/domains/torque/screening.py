@@ -280,7 +280,8 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     """
     none = np.zeros(problem.samples, bool)
     baseline = fit(problem, Terms(), options)
-    explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
+    simple = problem.simple
+    explained = zip(simple, score_test(problem, baseline, options).explained(simple), strict=True)
     terms = Terms(tuple(term for term, one in explained if not one.confounded))
     found = fit(problem, terms, options)
     scaled = found.residuals.rows / np.maximum(_robust(found.residuals.rows), 1e-300)[:, None]

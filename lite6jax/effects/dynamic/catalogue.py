@@ -72,23 +72,6 @@ def _coupled(joint: int, source: int, sliding: tuple[int, ...]) -> CoupledFricti
     return CoupledFriction(joint, source, of_slide=joint - 1 in sliding)
 
 
-def torque_ladder(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEffect, ...]:
-    """What the joints of most real arms have: friction, offsets, rotors, and wrist motors that turn two joints.
-
-    No two are the same function: a spring includes the offset.
-
-    Args:
-        dof: number of joints.
-        sliding: the prismatic joints, counted from 0.
-    """
-    joints = range(1, dof + 1)
-    simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature, TorqueOffset, RotorInertia)
-    return (
-        *(kind(joint, of_slide=joint - 1 in sliding) for kind in simple for joint in joints),
-        *(_coupled(joint, joint - 1, sliding) for joint in joints if joint - 1 in _alike(joint, sliding)),
-    )
-
-
 def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
     """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them."""
     assert motion.joint_velocity is not None
