@@ -38,14 +38,15 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Then terms are tried in its place.
+        many processes are significant that each describe a part of it. Terms are then tried in its place.
         """
-        state = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
-        for _ in range(self.options.exchanges):
+        state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
+        for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
-            if instead is None or instead.evidence < state.evidence + self.options.better:
+            better = instead is not None and instead.evidence > state.evidence + self.options.better
+            if grown and not better:
                 break
-            state = self._grown(instead, thorough)
+            state, grown = self._grown(instead if instead is not None and better else state, thorough), True
         return state
 
     def _instead_of_noise(self, state: State) -> State | None:
