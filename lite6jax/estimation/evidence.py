@@ -77,7 +77,7 @@ class Marginal:
 
     @cached_property
     def _by_group(self) -> tuple[Array, Array]:
-        """The sum of squares that is left in each group of rows, and its degrees of freedom, with the declared noise."""
+        """The sum of squares left in each group of rows, and its degrees of freedom, with the declared noise."""
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
         products = self.test.left**2  # in sum that times the residual, which of a group alone may be negative

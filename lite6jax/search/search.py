@@ -58,7 +58,7 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        thorough: whether terms are exchanged, and what may stand in their place, is confounded or nearest is determined.
+        thorough: whether terms are exchanged, and what may replace them, is confounded or nearest is determined.
         among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
