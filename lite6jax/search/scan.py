@@ -199,7 +199,7 @@ class Scan:
 
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
-        """The quantities of many values, and the splines `(quantity, spline, sample)` that express all their kernels."""
+        """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
         many = [k for k, discrete in enumerate(self.discrete) if not discrete]
         none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
         return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
@@ -222,7 +222,7 @@ class Scan:
     # -------------------------------------------------------------- what is likeliest
 
     def ranked(self, test: ScoreTest, pairs: bool = True, rows: Mask | None = None) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first; of the sites that act on `rows`."""
+        """All that is worth its cost, and the best that is not, the likeliest first, at sites that act on `rows`."""
         weighed = _Weighed(self, test, rows)
         if self._among is not None:
             few = [weighed.exact(weighed.of_kernel(*one)) for one in self._processes if one[0] in weighed.components]
@@ -371,7 +371,7 @@ class _Weighed:
                 R = kernels.root(name)
                 each = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
                 for i, *one in zip(some, *each, strict=True):
-                    found.append(self._process(Evidence(*one), *at[i][:1], (at[i][1],), name))
+                    found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
             for i in some:
                 component, k = at[i][:2]
                 for name in ("wave", "play"):
