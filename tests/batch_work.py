@@ -99,15 +99,14 @@ def reduced(names, place, command):
 
     from lite6jax.distribution.batches import concatenate
     from lite6jax.folders.diagnoses import make_row
-    from lite6jax.populations.files import to_bytes
-    from lite6jax.populations.reduced import PooledTerm
+    from lite6jax.populations.terms import PooledTerm
     from tests.populations.linear_arms import arm
 
     rows = []
     for name in names:
         with place.local_folder([name]) as here:
             rng = np.random.default_rng(int((here / name).read_text()))
-        made = to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))
+        made = arm(rng, [(PooledTerm("soft"), [0.6])]).to_bytes()
         rows.append(make_row(name, document_of("consistent"), f"document of {name}", made))
     return concatenate(rows)
 

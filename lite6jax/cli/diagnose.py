@@ -36,7 +36,6 @@ with import_lazily():
     from lite6jax.effects import user_effects
     from lite6jax.fitting import source
     from lite6jax.folders import diagnoses
-    from lite6jax.populations import files as population_files
     from lite6jax.populations import options, reduction
     from lite6jax.report import (
         canvas,
@@ -304,8 +303,7 @@ class Diagnose:
         text = diagnosis_file.document_text(self._document(found, domain))
         if not self.fleet:
             return text, None
-        reduce = reduction.reduced_torques if domain == "torques" else reduction.reduced
-        return text, population_files.to_bytes(reduce(found))
+        return text, reduction.reduced(found).to_bytes()
 
 
 def _name_figures(domain: Domain) -> list[str]:

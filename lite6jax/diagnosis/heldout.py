@@ -26,14 +26,12 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.progress import part
-from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection, at_estimate
 from lite6jax.search.state import State, fitted_again
@@ -41,10 +39,6 @@ from lite6jax.search.state import State, fitted_again
 Array = NDArray[np.floating]
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
-
-_MANY_ROWS = 60
-"""Rows from which positions alone determine the frames and the geometry of any arm of up to about 14 joints."""
-
 
 # ------------------------------------------------------------------ blocks of rows
 

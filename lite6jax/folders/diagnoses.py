@@ -14,7 +14,7 @@ from lite6jax.errors import InputError
 from lite6jax.folders.place import DIED, Place, hash_files, list_recordings
 
 with import_lazily():  # where recordings are pooled
-    from lite6jax.populations import candidate, evidence, files, functions, options, population
+    from lite6jax.populations import options, pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
@@ -216,7 +216,7 @@ def pool_folder(
 
     rows = pq.read_table(out / TABLE).to_pylist()
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
-    headings = {file: files.read_heading(path) for file, path in places.items()}
+    headings = {file: reduced.read_heading(path) for file, path in places.items()}
     if not headings:
         reason = next((row["message"] for row in rows if row["message"]), "no reason is known")
         raise InputError(f"{folder}: none of its recordings could be diagnosed: {reason}")
@@ -245,15 +245,11 @@ def pool_folder(
                 f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
                 f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
             )
-    pooled = [members[i].file for i in used]
-    candidates: dict[str, candidate.Candidate] = {}
-    for heading in (headings[file] for file in pooled):
-        for each in (*heading.candidates, *heading.families):
-            candidates.setdefault(each.key, each)
-    shared = functions.in_common(function for file in pooled for function in headings[file].functions)
+    files = [members[i].file for i in used]
+    tried = terms.Tried([headings[file] for file in files], thresholds.engine)
     with Workers(scheduler, processes, len(used)) as workers:
-        reduced = evidence.Reduced([places[file] for file in pooled], thresholds, workers, shared)
-        return population.diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
+        recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
+        return population.diagnose_population(arm[0], members, used, tried, recordings, dates, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
@@ -269,12 +265,12 @@ def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
         storage.check_writable(out / POOLED, overwrite)
 
 
-def _kind(heading: "files.Heading") -> tuple[str, int, str]:
+def _kind(heading: "reduced.Heading") -> tuple[str, int, str]:
     """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
-def _reason_unused(heading: "files.Heading", arm: tuple[str, int, str], over: str | None) -> str:
+def _reason_unused(heading: "reduced.Heading", arm: tuple[str, int, str], over: str | None) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
     own = heading.about
     if _kind(heading)[:2] != arm[:2]:

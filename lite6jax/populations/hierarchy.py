@@ -8,7 +8,7 @@ Bayes (C. Morris, ibid. 78, 1983), and intervals of μ and s are those of J. Har
 20, 2001), never narrower than without their scale (C. Röver et al., BMC Medical Research Methodology 15, 2015).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -40,17 +40,19 @@ class ArmLikelihoods:
         information: `(arm, number, number)`; zero of an arm that does not show the effect.
         typical: `(number,)`, common sizes: D.
         design: `(arm, covariate)`; the first column is 1, and a second is what arms may drift with.
+        variance: of the mean's prior, as of the coefficients of a process; infinite of what is not known beforehand.
     """
 
     score: Array
     information: Array
     typical: Array
     design: Array
+    variance: float = np.inf
 
     def without(self, arm: int) -> "ArmLikelihoods":
         """Those of all arms but one."""
         kept = np.arange(len(self.score)) != arm
-        return ArmLikelihoods(self.score[kept], self.information[kept], self.typical, self.design[kept])
+        return replace(self, score=self.score[kept], information=self.information[kept], design=self.design[kept])
 
     @cached_property
     def eigen(self) -> tuple[Array, Array, Array]:
@@ -74,6 +76,7 @@ class ArmLikelihoods:
         w = np.einsum("aij,aj->ai", U, shrunk * along)
         X, size = self.design, self.design.shape[1] * len(self.typical)
         M = np.einsum("ac,ad,aij->cidj", X, X, W).reshape(size, size)
+        M[np.diag_indices(len(self.typical))] += self.typical**2 / self.variance
         v = np.einsum("ac,ai->ci", X, w).ravel()
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
@@ -125,7 +128,7 @@ class Hierarchy:
     @property
     def determined(self) -> int:
         """How many of the coefficients the recordings determine."""
-        M = self.arms.solved(0.0)[1]
+        M = replace(self.arms, variance=np.inf).solved(0.0)[1]
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         return int(np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True))
 

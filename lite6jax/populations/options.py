@@ -20,8 +20,10 @@ class PoolingOptions:
         0.125, "step of the orders that are pooled", "a quarter of a line's width over two turns: 5 % of its power"
     )
     most_effects: int = option(16, "most effects that a type is found to have", "twice those of one recording")
-    candidates: int = option(8, "candidates that are measured in every arm before one is added", "twice `refitted`")
     lines: int = option(3, "sites whose best order is measured in every arm before one is added", "a line is narrow")
+    processes: int = option(
+        6, "processes whose kernels are measured in every arm", "twice the sites, as drivers differ"
+    )
     same_line: float = option(0.5, "orders within which two waves are one line", "a line's width over two turns")
     fewest_arms: int = option(5, "arms below which none is said to differ from the others", "four give a variance")
 

@@ -1,275 +1,305 @@
-"""Tests of one effect over all arms: whether it has a mean, whether any arm has it, whether it drifts.
+"""The evidence of many recordings for one effect, and what workers compute for it.
 
-No effect in any arm is the hypothesis of all three. The first adds scores and information (fixed effect). The second
-adds the statistics of the arms, so that the numbers of an effect, as the phase of a gear, may be others in each arm.
-The third is the score of a slope over a covariate beside the mean. Each is computed twice, and the larger p-value
-counts: in the noise model of each recording, divided by the overdispersion over all that was searched (B. Devlin and
-K. Roeder, Biometrics 55, 1999), and from the scatter of scores between blocks of samples (Hotelling's T²; R. Fisher's
-combination of the p-values of arms).
+No effect in any arm is the hypothesis of all. What an arm says of the numbers β of an effect beside others is a
+likelihood of score b and information G. There are four ways for arms to have an effect:
+
+| way | score and information | cost |
+|---|---|---|
+| mean: all share its numbers | Σ b, Σ G | |
+| any: those of each arm are drawn from one prior | of each arm, with one variance | |
+| one: an arm alone has it | of that arm | ln of the arms |
+| drift: its numbers change with a covariate x | of the slope beside the mean | |
+
+The evidence is that of `estimation.evidence`: of processes with one variance of all coefficients, of names with all
+directions equally determined. Numbers of names have no prior: with T the χ² statistic and K directions, the likeliest
+ratio of prior to information gives −½ ν ln(1 − q T / S) + ½ K ln(1 − q).
+
+Noise that the model does not know is seen by the scatter of scores between blocks of samples: where that is larger than
+the information says, the likelihood is that of so many fewer samples. Whether a term is there is decided so; not which
+of two terms, as the scatter of each is known to a tenth.
 """
 
-from collections.abc import Iterable, Sequence
+import pickle
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, fdtrc
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
-from lite6jax.populations.evidence import Scan
+from lite6jax.distribution.batches import Workers
+from lite6jax.errors import InputError
+from lite6jax.estimation.evidence import best_amplitude, of_process
+from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.populations.hierarchy import ArmLikelihoods
-from lite6jax.populations.reduced import Evidence, PooledTerm
+from lite6jax.populations.options import PoolingOptions
+from lite6jax.populations.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
+from lite6jax.populations.terms import PooledTerm, Process, Tested, Tried
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Array = NDArray[np.floating]
-Way = Literal["mean", "any", "drift"]
-WAYS: tuple[Way, ...] = ("mean", "any", "drift")
+Way = Literal["mean", "any", "one", "drift"]
+Asked = tuple[Tested, tuple[Tested, ...]]
+"""A term, and those beside which it is measured."""
 
 _ROUNDING = 1e-9
 
 
-class Statistic(NamedTuple):
-    """A quadratic form of scores with its degrees of freedom; χ² where there is no effect."""
-
-    value: float
-    freedom: int
-
-    def p_value(self, overdispersion: float) -> float:
-        """Of as large a value, once it is divided by the overdispersion."""
-        return float(chdtrc(self.freedom, self.value / overdispersion)) if self.freedom else 1.0
-
-
 @final
 @dataclass(frozen=True)
-class Overdispersion:
-    """By how much statistics are larger than those of the noise models, at least 1: by the median over a search.
+class Weighed:
+    """What all arms say of one term.
 
     Attributes:
-        named: of candidates, by the way of testing.
-        waves: of waves.
+        term: which.
+        evidence: of each arm, beside the others; None of an arm that does not show it.
+        cost: −ln of its prior probability.
+        gain: log evidence over its absence from all arms.
+        likelihood: gain of the likelihood.
+        scatter: of scores between blocks of samples over the information, at least 1.
+        way: in which it is likeliest.
+        variance: of the coefficients of a process; infinite of a name.
+        rivals: terms that may stand in its place, and by how much the evidence less the cost is lower.
+        nearest: of a process, the named term that explains most of it, and the share.
     """
 
-    named: dict[Way, float]
-    waves: dict[Way, float]
+    term: Tested
+    evidence: tuple[Evidence | None, ...]
+    cost: float
+    gain: float = 0.0
+    likelihood: float = 0.0
+    scatter: float = 1.0
+    way: Way = "mean"
+    variance: float = np.inf
+    rivals: tuple[tuple[Tested, float], ...] = ()
+    nearest: tuple[PooledTerm, float] | None = None
 
-    def of(self, term: PooledTerm, way: Way) -> float:
-        """That of a term."""
-        return (self.named if term.order is None else self.waves)[way]
+    @property
+    def net(self) -> float:
+        """Log posterior odds of its presence."""
+        return self.gain - self.cost
 
+    @property
+    def sure(self) -> float:
+        """The same in noise of the scatter between blocks."""
+        return self.net - self.likelihood * (1 - 1 / self.scatter)
 
-@final
-@dataclass(frozen=True, eq=False)
-class Pooled:
-    """The statistics of all candidates over all arms.
+    @property
+    def p_value(self) -> float:
+        """A bound on the probability that chance alone makes anything so likely: that of an evidence is one over it."""
+        return float(min(np.exp(-self.sure), 1.0))
 
-    Attributes:
-        named: of each candidate, by way.
-        waves: of each family, values `(order,)` and degrees of freedom `(order,)` by way.
-        overdispersion: over this search.
-    """
+    def likelihoods(self, typical: Sequence[float], covariate: Array | None) -> ArmLikelihoods:
+        """What the arms say, for a hierarchical model; nothing where there is no evidence.
 
-    named: dict[str, dict[Way, Statistic]]
-    waves: dict[str, dict[Way, tuple[Array, Array]]]
-    overdispersion: Overdispersion
-
-
-def pooled(scans: Iterable[tuple[int, Scan]], covariate: Array | None) -> Pooled:
-    """Adds what all recordings say.
-
-    Args:
-        scans: in the order of the arms.
-        covariate: `(arm,)`, what effects may drift with, or None.
-    """
-    named: dict[str, _Sums] = {}
-    sums: dict[str, _WaveSums] = {}
-    for number, scan in scans:
-        x = 0.0 if covariate is None else float(covariate[number])
-        for key, (score, information) in scan.named.items():
-            named.setdefault(key, _Sums(len(score))).add(score, information, x)
-        for key, (score, information) in scan.waves.items():
-            sums.setdefault(key, _WaveSums(len(score))).add(score, information, x)
-    ways = WAYS if covariate is not None else WAYS[:2]
-    of_named = {key: each.statistics(ways) for key, each in named.items()}
-    of_waves = {key: each.statistics(ways) for key, each in sums.items()}
-    return Pooled(of_named, of_waves, _overdispersion(of_named, of_waves, ways))
+        Args:
+            typical: sizes of its numbers.
+            covariate: `(arm,)`, or None.
+        """
+        size, arms = len(typical), len(self.evidence)
+        score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
+        for i, one in enumerate(self.evidence):
+            if one is not None:
+                score[i], information[i] = one.score, one.information
+        design = np.stack([np.ones(arms), *([] if covariate is None else [covariate])], 1)
+        return ArmLikelihoods(score, information, np.array(typical, float), design, self.variance)
 
 
-def statistics(score: Array, information: Array, covariate: Array, ways: Sequence[Way]) -> dict[Way, Statistic]:
-    """The statistics of one effect.
-
-    Args:
-        score: `(arm, number)`.
-        information: `(arm, number, number)`.
-        covariate: `(arm,)`.
-        ways: which of them.
-    """
-    sums = _Sums(score.shape[1])
-    for b, G, x in zip(score, information, covariate, strict=True):
-        sums.add(b, G, float(x))
-    return sums.statistics(ways)
-
-
-def p_value(term: PooledTerm, evidence: Sequence[Evidence], x: Array, way: Way, over: Overdispersion) -> float:
-    """Of one effect in one way, before the search is counted.
+def weigh(
+    term: Tested,
+    evidence: Sequence[Evidence | None],
+    covariate: Array | None,
+    confounded: float,
+    cost: float = 0.0,
+) -> Weighed:
+    """The evidence of a term, over all ways.
 
     Args:
         term: which.
-        evidence: of the arms that show it.
-        x: `(arm,)`, of these arms, what effects may drift with.
-        way: of testing.
-        over: of the search.
+        evidence: of each arm; None of an arm that does not show it.
+        covariate: `(arm,)`, what effects may drift with, or None.
+        confounded: eigenvalue over the largest below which a direction is in the model's span.
+        cost: −ln of its prior probability.
     """
-    score, information = np.array([e.score for e in evidence]), np.array([e.information for e in evidence])
-    white = statistics(score, information, x, WAYS)[way].p_value(over.of(term, way))
-    if way == "any":
-        # the logarithm of a p-value of zero is that of the smallest number
-        logs = np.log(np.maximum([e.p_value for e in evidence], np.finfo(float).tiny))
-        return max(white, float(chdtrc(2 * len(logs), -2 * float(logs.sum()))))
-    covariance = np.array([e.covariance for e in evidence])
-    b, G, C = score.sum(0), information.sum(0), covariance.sum(0)
-    if way == "drift":
-        moments = np.power(x, np.arange(3)[:, None])[..., None, None] * information
-        b, G, centre = _slope(np.array([b, x @ score]), moments.sum(1))
-        weights = x[:, None, None] * np.eye(len(b)) - centre
-        C = np.einsum("aij,ajk,alk->il", weights, covariance, weights)
-    T = _whitening(G)
-    k, freedom = T.shape[1], sum(e.blocks - 1 for e in evidence)
-    if not k or freedom < k + 1:
-        return 1.0
-    t = T.T @ b
-    t2 = float(t @ np.linalg.lstsq(T.T @ C @ T, t, rcond=None)[0])
-    return max(white, float(fdtrc(k, freedom - k + 1, t2 * (freedom - k + 1) / (freedom * k))))
+    at = [arm for arm, one in enumerate(evidence) if one is not None]
+    shown = [one for one in evidence if one is not None]
+    if len(shown) < (2 if covariate is None else 3):  # which a hierarchical model takes
+        return Weighed(term, tuple(evidence), cost)
+    b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
+    spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
+    scatter = max(float(spread.sum() / chi_squared(b.sum(0), G.sum(0))[1]), 1.0)
+    left, freedom = np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
+
+    def of(score: Array, information: Array, left: float, freedom: float) -> tuple[float, float, float]:
+        """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
+        if not isinstance(term, Process):
+            statistic, size = np.sum(chi_squared(score, information), 1)
+            gain = evidence_of_names(statistic, size, left, freedom)
+            return float(gain), float(_log(statistic, left, freedom)), np.inf
+        values, V = np.linalg.eigh(information)
+        squares = (np.einsum("aij,ai->aj", V, score) ** 2).ravel()
+        values = np.maximum(values.ravel(), 0.0)
+        squares = np.where(values > confounded * values.max(), squares, 0.0)
+        found = best_amplitude(values, squares, left, freedom)
+        return float(found.gain), float(found.gain + found.volume), float(found.variance)
+
+    S, v = float(left.sum()), float(freedom.sum())
+    ways: list[tuple[tuple[float, float, float], Way]] = [
+        (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
+        (of(b, G, S, v), "any"),
+    ]
+    gain, *rest = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
+    ways.append(((gain - float(np.log(len(evidence))), *rest), "one"))
+    if covariate is not None:
+        own = _slope(b, G, covariate[at])
+        ways.append((of(own[0][None], own[1][None], S, v), "drift"))
+    (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
+    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, way, variance)
 
 
-def likelihoods(evidence: Sequence[Evidence | None], typical: Sequence[float], x: Array | None) -> ArmLikelihoods:
-    """What the arms say of one effect, for its hierarchical model; nothing where there is no evidence.
+def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:
+    """The evidence of numbers without a prior at the likeliest ratio of prior to information.
 
     Args:
-        evidence: of all arms.
-        typical: sizes of its numbers.
-        x: `(arm,)`, the covariate, or None.
+        statistic: χ², of any shape.
+        size: directions, likewise.
+        left: S.
+        freedom: ν.
     """
-    size = len(typical)
-    score, information = np.zeros((len(evidence), size)), np.zeros((len(evidence), size, size))
-    for i, one in enumerate(evidence):
-        if one is not None:
-            score[i], information[i] = one.score, one.information
-    ones = np.ones(len(evidence))
-    design = ones[:, None] if x is None else np.stack([ones, x], 1)
-    return ArmLikelihoods(score, information, np.array(typical, float), design)
+    t, K = np.asarray(statistic) / left, np.asarray(size)
+    q = (freedom * t - K) / np.maximum(t * np.maximum(freedom - K, 1.0), 1e-300)
+    q = np.clip(q, 0.0, 1 - 1e-9)
+    return _log(q * t * left, left, freedom) + 0.5 * K * np.log1p(-q)
 
 
-class _Sums:
-    """Sums over arms of what the statistics of one effect need: arms come one by one, and few numbers stay."""
-
-    def __init__(self, size: int) -> None:
-        self.score = np.zeros((2, size))  # times the covariate to the power 0 and 1
-        self.information = np.zeros((3, size, size))
-        self.any = Statistic(0.0, 0)
-
-    def add(self, score: Array, information: Array, x: float) -> None:
-        self.score += np.stack([score, x * score])
-        self.information += np.stack([information, x * information, x**2 * information])
-        own = _form(score, information)
-        self.any = Statistic(self.any.value + own.value, self.any.freedom + own.freedom)
-
-    def statistics(self, ways: Sequence[Way]) -> dict[Way, Statistic]:
-        found: dict[Way, Statistic] = {"mean": _form(self.score[0], self.information[0]), "any": self.any}
-        if "drift" in ways:
-            b, G, _ = _slope(self.score, self.information)
-            found["drift"] = _form(b, G)
-        return found
+def _log(explained: ArrayLike, left: float, freedom: float) -> Array:
+    """The gain in log-likelihood where so much of a sum of squares is explained."""
+    return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / left, 1 - 1e-12))
 
 
-class _WaveSums:
-    """Sums over arms of what statistics of the waves of one family need, at every order."""
-
-    def __init__(self, orders: int) -> None:
-        self.score = np.zeros((2, orders, 2))  # times the covariate to the power 0 and 1
-        self.information = np.zeros((3, orders, 3))
-        self.any = np.zeros(orders)
-        self.freedom = np.zeros(orders, int)
-
-    def add(self, score: Array, information: Array, x: float) -> None:
-        self.score += np.stack([score, x * score])
-        self.information += np.stack([information, x * information, x**2 * information])
-        shown = information.any(1)
-        self.any += _forms(score, information)
-        self.freedom += 2 * shown
-
-    def statistics(self, ways: Sequence[Way]) -> dict[Way, tuple[Array, Array]]:
-        two = np.where(self.freedom > 0, 2, 0)
-        found: dict[Way, tuple[Array, Array]] = {
-            "mean": (_forms(self.score[0], self.information[0]), two),
-            "any": (self.any, self.freedom),
-        }
-        if "drift" in ways:
-            whole, first, second = (_matrices(each) for each in self.information)
-            centre = first @ np.linalg.pinv(whole, hermitian=True)
-            b = self.score[1] - np.einsum("oij,oj->oi", centre, self.score[0])
-            G = second - centre @ first
-            known = np.stack([G[:, 0, 0], G[:, 0, 1], G[:, 1, 1]], 1)
-            seen = np.diagonal(G, axis1=1, axis2=2).min(1) > _ROUNDING * self.information[2].max(1)
-            found["drift"] = (np.where(seen, _forms(b, known), 0.0), np.where(seen, two, 0))
-        return found
-
-
-def _slope(score: Array, information: Array) -> tuple[Array, Array, Array]:
-    """The score `(number,)` and information of a slope beside the mean, and what is taken off the covariate there.
-
-    Args:
-        score: `(2, number)`, sums over arms of scores, and of scores times the covariate.
-        information: `(3, number, number)`, likewise of information, up to the covariate's square.
-    """
-    whole, first, second = information
+def _slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
+    """Score and information of a slope over a covariate `(arm,)`, beside the mean."""
+    whole, first, second = (np.tensordot(x**k, G, 1) for k in range(3))
     centre = first @ np.linalg.pinv(whole, hermitian=True)
-    G = second - centre @ first
+    own = second - centre @ first
     # what one arm alone shows has no slope
-    G[np.abs(G) < _ROUNDING * np.abs(second).max(initial=0.0)] = 0.0
-    return score[1] - centre @ score[0], G, centre
+    own[np.abs(own) < _ROUNDING * np.abs(second).max(initial=0.0)] = 0.0
+    return x @ b - centre @ b.sum(0), own
 
 
-def _matrices(packed: Array) -> Array:
-    return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+# ------------------------------------------------------------------ a search's scan
 
 
-def _forms(score: Array, packed: Array) -> Array:
-    """bᵀ G⁻¹ b of many pairs of waves; zero where G is singular."""
-    (s, c), (ss, sc, cc) = score.T, packed.T
-    determinant = ss * cc - sc**2
-    regular = determinant > _ROUNDING * ss * cc
-    return np.where(regular, (cc * s**2 - 2 * sc * s * c + ss * c**2) / np.where(regular, determinant, 1.0), 0.0)
+def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evidence | None]], dict[str, Array]]:
+    """What all recordings say of all that is tested.
+
+    Of processes that are others in each arm it is approximate: F. Satterthwaite's equal directions (Biometrics Bulletin
+    2, 1946).
+
+    Args:
+        scans: of the arms.
+        confounded: eigenvalue over the largest below which a direction is in the model's span.
+
+    Returns:
+        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each
+        group `(group,)`.
+    """
+    named, total, alone = dict[str, list[Evidence | None]](), dict[str, list[Array]](), dict[str, Array]()
+    arms, S, v = 0, 0.0, 0.0
+    for scan in scans:
+        for key in {**named, **scan.named}:
+            named.setdefault(key, [None] * arms).append(scan.named.get(key))
+        for key, one in scan.groups.items():
+            own = _evidence_of_sums(one.sums, scan.left, scan.freedom)
+            total[key] = [a + b for a, b in zip(total[key], one, strict=True)] if key in total else list(one)
+            alone[key] = np.maximum(alone.get(key, 0.0), own)
+        arms, S, v = arms + 1, S + scan.left, v + scan.freedom
+    found = dict[str, Array]()
+    for key, (score, information, sums) in total.items():
+        if key in SCREENED:
+            means = [of_process(score @ R, R.T @ information @ R, S, v, confounded).gain for R in SCREENED[key]]
+        else:
+            means = [evidence_of_names(*chi_squared(score, information), S, v)]
+        found[key] = np.max([*means, _evidence_of_sums(sums, S, v), alone[key] - np.log(arms)], 0)
+    return named, found
 
 
-def _whitening(G: Array) -> Array:
-    """T with TᵀGT the identity of the rank of G."""
-    root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
-    eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
-    kept = eigenvalues > _ROUNDING
-    return V[:, kept] / np.sqrt(eigenvalues[kept]) / root[:, None]
+def _evidence_of_sums(sums: Array, left: float, freedom: float) -> Array:
+    """By `Screened.sums`, `(group,)`: that of as many equal directions."""
+    square, trace, of_square = sums
+    scale = trace / np.maximum(of_square, 1e-300)
+    return np.max(evidence_of_names(square * scale, trace * scale, left, freedom), 1)
 
 
-def _form(b: Array, G: Array) -> Statistic:
-    T = _whitening(G)
-    along = T.T @ b
-    return Statistic(float(along @ along), T.shape[1])
+# ------------------------------------------------------------------ workers
 
 
-def _overdispersion(
-    named: dict[str, dict[Way, Statistic]],
-    waves: dict[str, dict[Way, tuple[Array, Array]]],
-    ways: Sequence[Way],
-) -> Overdispersion:
-    of_named, of_waves = dict.fromkeys(WAYS, 1.0), dict.fromkeys(WAYS, 1.0)
-    for way in ways:
-        of_named[way] = _median_ratio([(one[way].value, one[way].freedom) for one in named.values()])
-        pairs = [one[way] for one in waves.values()]
-        if pairs:
-            of_waves[way] = _median_ratio(np.concatenate([np.stack(pair, 1) for pair in pairs]))
-    return Overdispersion(of_named, of_waves)
+@final
+class Reduced:
+    """The reduced recordings of a run, and the workers that compute with them.
+
+    Each recording is a task of its own, computed by one thread: numbers do not depend on workers and their number.
+    """
+
+    def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
+        """Computes nothing.
+
+        Args:
+            stored: paths of files of `ReducedArm.to_bytes`.
+            options: thresholds.
+            workers: that compute, started.
+        """
+        self._stored, self.options, self._workers = tuple(stored), options, workers
+
+    def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:
+        """What each recording says of all that is tested, beside some terms, in order."""
+        return self._found(scanned, (tuple(beside), (*tried.singles, *tried.pairs), self.options))
+
+    def evidence(self, asked: Sequence[Asked]) -> list[list[Evidence | None]]:
+        """For each recording, what it says of each term that is asked for."""
+        return list(self._found(measured, (tuple(asked), self.options)))
+
+    def _found(self, function: Any, given: tuple[Any, ...]) -> Iterator[Any]:
+        batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
+        waiting: dict[int, pa.Table] = {}
+        following = 0
+        for number, rows in self._workers.outcomes(function, batches, given, died=_died):
+            waiting[number] = rows
+            while following in waiting:
+                yield pickle.loads(waiting.pop(following)["found"][0].as_py())
+                following += 1
 
 
-def _median_ratio(found: Sequence[tuple[float, int]] | Array) -> float:
-    """The median of statistics over the median of χ² of their degrees of freedom, at least 1."""
-    pairs = np.asarray(found, float).reshape(-1, 2)
-    pairs = pairs[pairs[:, 1] > 0]
-    return max(1.0, float(np.median(pairs[:, 0] / chdtri(pairs[:, 1], 0.5)))) if len(pairs) else 1.0
+def _died(stored: bytes) -> "pa.Table":
+    raise InputError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def scanned(
+    stored: Sequence[bytes], beside: tuple[Tested, ...], processes: tuple[Process, ...], options: PoolingOptions
+) -> "pa.Table":
+    """The `Scan` of one recording beside some terms, as a table of one row."""
+    (one,) = stored
+    return _row(ReducedArm.from_bytes(one).beside(beside, options).scan(processes, options))
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: PoolingOptions) -> "pa.Table":
+    """What one recording says of each term that is asked for, as a table of one row."""
+    (one,) = stored
+    arm, known, found = ReducedArm.from_bytes(one), dict[tuple[Tested, ...], ReducedArm](), list[Evidence | None]()
+    for term, beside in asked:
+        if beside not in known:
+            known[beside] = arm.beside(beside, options)
+        found.append(known[beside].evidence(term, options))
+    return _row(found)
+
+
+def _row(found: Any) -> "pa.Table":
+    import pyarrow as pa
+
+    return pa.table({"found": pa.array([pickle.dumps(found)], pa.binary())})

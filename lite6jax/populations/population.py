@@ -1,7 +1,7 @@
 """The result: effects of a type with mean and spread, each arm's numbers, outliers, drifts; codes and numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from typing import Any, final
 
@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from lite6jax.checksum import with_checksum
-from lite6jax.populations.candidate import Candidate
-from lite6jax.populations.evidence import Reduced
-from lite6jax.populations.forward import Selected
-from lite6jax.populations.functions import Function
+from lite6jax.effects.drivers import driver_of
+from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.populations.hierarchy import Hierarchy, fitted
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.pooling import Overdispersion, likelihoods
-from lite6jax.populations.reduced import Evidence, Found, PooledTerm
-from lite6jax.populations.search import search
+from lite6jax.populations.pooling import Reduced, Weighed
+from lite6jax.populations.reduced import Found
+from lite6jax.populations.select import Search
+from lite6jax.populations.terms import Candidate, Process, Tested, Tried
 
 Array = NDArray[np.floating]
 
@@ -52,8 +51,8 @@ class TypeEffect:
 
     Attributes:
         selected: which, and how it was found.
+        candidate: as a report names it.
         hierarchy: of all arms but the outliers.
-        evidence: of each arm beside all other effects; None of an arm that does not show it.
         outliers: p-values of the arms that differ from the others, family-wise over arms and effects, by arm.
         between_p_value: of estimates that vary as much if all arms but the outliers are alike (W. Cochran, Biometrics
             10, 1954).
@@ -61,9 +60,9 @@ class TypeEffect:
             where there is no covariate.
     """
 
-    selected: Selected
+    selected: Weighed
+    candidate: Candidate
     hierarchy: Hierarchy
-    evidence: tuple[Evidence | None, ...]
     outliers: Mapping[int, float]
     between_p_value: float
     drift_p_value: float | None
@@ -73,16 +72,15 @@ class TypeEffect:
 
         Those of an outlier are of its recording alone; the others are estimates of empirical Bayes.
         """
-        values, covariances = self.hierarchy.shrunken()
-        usual = iter(zip(values, covariances, strict=True))
+        usual = iter(zip(*self.hierarchy.shrunken(), strict=True))
         found: list[tuple[Array, Array] | None] = []
-        for arm, one in enumerate(self.evidence):
+        for arm, one in enumerate(self.selected.evidence):
             if arm in self.outliers:
                 assert one is not None
-                covariance = np.linalg.pinv(one.information, rcond=1e-12, hermitian=True)
-                found.append((covariance @ one.score, np.sqrt(np.diagonal(covariance))))
-                continue
-            value, covariance = next(usual)
+                covariance = scaled_inverse(one.information + np.eye(len(one.score)) / self.selected.variance)
+                value = covariance @ one.score
+            else:
+                value, covariance = next(usual)
             std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
             found.append(None if one is None else (value, std))
         return found
@@ -98,10 +96,7 @@ class Population:
         members: all recordings.
         used: the places of those that were pooled, in `members`.
         effects: in the order in which they were found.
-        candidates: by key, of all recordings, with functions without a name.
-        functions: these, over the ranges of all recordings.
-        overdispersion: of the statistics of what was searched.
-        searched: the effective number of independent candidates.
+        tried: all that the recordings were tested for.
         dates: `(used,)`, days as ordinals, where recordings are of one arm over time; else None. Means are those at
             their mean.
         options: thresholds.
@@ -111,25 +106,22 @@ class Population:
     members: tuple[Member, ...]
     used: tuple[int, ...]
     effects: tuple[TypeEffect, ...]
-    candidates: Mapping[str, Candidate]
-    functions: Mapping[str, Function]
-    overdispersion: Overdispersion
-    searched: float
+    tried: Tried
     dates: Array | None
     options: PoolingOptions
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/fleet_diagnosis/1`: codes, numbers in SI units, a checksum."""
+        over, mean = None, None
+        if self.dates is not None:
+            over, mean = "date", date.fromordinal(round(float(self.dates.mean()))).isoformat()
         return with_checksum(
             {
                 "schema": SCHEMA,
                 "arm": self.arm,
-                "over": None if self.dates is None else "date",
-                "mean_date": None
-                if self.dates is None
-                else date.fromordinal(round(float(self.dates.mean()))).isoformat(),
+                "over": over,
+                "mean_date": mean,
                 "level": self.options.engine.level,
-                "searched": self.searched,
                 "recordings": [self._member(i) for i in range(len(self.members))],
                 "effects": [self._effect(effect) for effect in self.effects],
             }
@@ -138,7 +130,6 @@ class Population:
     def _member(self, place: int) -> dict[str, Any]:
         member = self.members[place]
         arm = self.used.index(place) if place in self.used else None
-        outlying = [] if arm is None else [effect for effect in self.effects if arm in effect.outliers]
         return {
             "file": member.file,
             "used": arm is not None,
@@ -146,67 +137,42 @@ class Population:
             "date": member.about.get("date"),
             "verdict": member.about.get("verdict"),
             "found_alone": [{"label": one.label, "p_value": one.p_value} for one in member.found],
-            "outlier_in": [self._named(effect.selected.term, effect.selected.candidate) for effect in outlying],
+            "outlier_in": [self._named(effect.selected.term) for effect in self.effects if arm in effect.outliers],
         }
 
-    def _named(self, term: PooledTerm, candidate: Candidate) -> dict[str, Any]:
-        order = {} if term.order is None else {"order": term.order}
-        source = term.key.partition("source_joint=")[2].partition(",")[0]
-        if source:
-            order = {"source_joint": int(source)}
-        return {"effect": candidate.effect, "site": candidate.site, "driver": candidate.driver, **order}
+    def _named(self, term: Tested) -> dict[str, Any]:
+        candidate, further = self.tried.candidate(term), dict[str, Any]()
+        if isinstance(term, Process):
+            further = {"component": term.component, "kernel": term.kernel}
+        elif term.order is not None:
+            further = {"order": term.order}
+        elif source := term.key.partition("source_joint=")[2].partition(",")[0]:
+            further = {"source_joint": int(source)}
+        return {"effect": candidate.effect, "site": candidate.site, "driver": candidate.driver, **further}
 
     def _effect(self, effect: TypeEffect) -> dict[str, Any]:
-        selected, hierarchy = effect.selected, effect.hierarchy
-        names, size = selected.candidate.names, len(selected.candidate.names)
-        mean, std, half = hierarchy.coefficients[0], hierarchy.std[0], hierarchy.half_width[0]
-        parameters = {
-            name: {
-                "mean": float(mean[i]),
-                "std": float(std[i]),
-                "interval_95": [float(mean[i] - half[i]), float(mean[i] + half[i])],
-                "between_std": float(hierarchy.between[i]),
-            }
-            for i, name in enumerate(names)
-        }
+        selected, hierarchy, names = effect.selected, effect.hierarchy, effect.candidate.names
+        mean = hierarchy.coefficients[0]
         document = {
-            **self._named(selected.term, selected.candidate),
-            "found_by": selected.shown,
+            **self._named(selected.term),
+            "found_by": selected.way,
             "p_value": selected.p_value,
-            "parameters": parameters,
+            "parameters": {
+                name: _interval("mean", hierarchy, 0, i) | {"between_std": float(hierarchy.between[i])}
+                for i, name in enumerate(names)
+            },
             "between_p_value": effect.between_p_value,
         }
-        if selected.term.order is not None:
+        if isinstance(selected.term, Process):
+            document |= _curve(selected.term, hierarchy)
+        elif selected.term.order is not None:
             unit = names[0].rpartition("_")[2]
             document[f"amplitude_rms_{unit}"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
-        function = self.functions.get(selected.term.key)
-        if function is not None and function.is_curve:
-            values, (low, high) = hierarchy.coefficients[0], function.ranges[0]
-            at = np.linspace(low, high, POINTS)
-            B = function.basis(at[None])
-            covariance = hierarchy.covariance[: len(B), : len(B)]
-            document["curve"] = {
-                "name": f"curve_{function.units[0]}",
-                "driver": at.tolist(),
-                "mean": (values @ B).tolist(),
-                "std": np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0)).tolist(),
-            }
         if selected.nearest is not None:
-            term, share = selected.nearest
-            document["nearest"] = {**self._named(term, self.candidates[term.key]), "share": share}
+            document["nearest"] = {**self._named(selected.nearest[0]), "share": selected.nearest[1]}
         if effect.drift_p_value is not None:
-            slope, std, half = (each[1] for each in (hierarchy.coefficients, hierarchy.std, hierarchy.half_width))
-            document["drift"] = {
-                "p_value": effect.drift_p_value,
-                "per_day": {
-                    names[i]: {
-                        "value": float(slope[i]),
-                        "std": float(std[i]),
-                        "interval_95": [float(slope[i] - half[i]), float(slope[i] + half[i])],
-                    }
-                    for i in range(size)
-                },
-            }
+            slopes = {name: _interval("value", hierarchy, 1, i) for i, name in enumerate(names)}
+            document["drift"] = {"p_value": effect.drift_p_value, "per_day": slopes}
         document["arms"] = [
             {
                 "file": self.members[self.used[arm]].file,
@@ -218,18 +184,39 @@ class Population:
             for arm, found in enumerate(effect.estimates())
             if found is not None
         ]
-        document["rivals"] = [
-            {**self._named(term, self.candidates[term.key]), "log_likelihood_gap": float(gap)}
-            for term, gap in selected.rivals
-        ]
+        document["rivals"] = [{**self._named(term), "log_likelihood_gap": gap} for term, gap in selected.rivals]
         return document
+
+
+def _interval(name: str, hierarchy: Hierarchy, covariate: int, number: int) -> dict[str, Any]:
+    """A coefficient with its standard deviation and its 95 % interval."""
+    value, std, half = (
+        float(each[covariate, number]) for each in (hierarchy.coefficients, hierarchy.std, hierarchy.half_width)
+    )
+    return {name: value, "std": std, "interval_95": [value - half, value + half]}
+
+
+def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
+    """The mean of a process of one driver, or of one and of a direction of motion, then forwards."""
+    further = [driver_of(phrase).discrete for phrase in process.drivers[1:]]
+    if not all(further):
+        return {}
+    low, high, *others = process.bounds
+    at = np.linspace(low, high, POINTS)
+    values = np.stack([at, *(np.full(POINTS, upper) for upper in others[1::2])])
+    B = process.functions(values)
+    covariance = hierarchy.covariance[: len(B), : len(B)]
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0))
+    mean = hierarchy.coefficients[0] @ B
+    name = f"curve_{process.unit}"
+    return {"curve": {"name": name, "driver": at.tolist(), "mean": mean.tolist(), "std": std.tolist()}}
 
 
 def diagnose_population(
     arm: str,
     members: Sequence[Member],
     used: Sequence[int],
-    candidates: Mapping[str, Candidate],
+    tried: Tried,
     reduced: Reduced,
     dates: Array | None = None,
     progress: Callable[[int], object] = lambda effects: None,
@@ -240,43 +227,25 @@ def diagnose_population(
         arm: the name of the nominal arm.
         members: all recordings.
         used: places of those in `reduced`, in its order.
-        candidates: by key, of all recordings.
+        tried: all that they are tested for.
         reduced: the recordings.
         dates: `(used,)`, days as ordinals, where recordings are of one arm over time.
         progress: called with the number of effects at each round of the search.
     """
-    options, covariate = reduced.options, None if dates is None else dates - dates.mean()
-    outcome = search(reduced, candidates, [members[i].found for i in used], covariate, progress)
-    effects = [
-        _effect(selected, evidence, covariate, len(outcome.selected), options)
-        for selected, evidence in zip(outcome.selected, outcome.evidence, strict=True)
-    ]
-    return Population(
-        arm=arm,
-        members=tuple(members),
-        used=tuple(used),
-        effects=tuple(effects),
-        candidates={**candidates, **{key: function.candidate for key, function in reduced.functions.items()}},
-        functions=reduced.functions,
-        overdispersion=outcome.overdispersion,
-        searched=outcome.searched,
-        dates=dates,
-        options=options,
-    )
+    covariate = None if dates is None else dates - dates.mean()
+    found = Search(reduced, tried, covariate, progress).selected()
+    effects = [_effect(one, tried.candidate(one.term), covariate, len(found), reduced.options) for one in found]
+    return Population(arm, tuple(members), tuple(used), tuple(effects), tried, dates, reduced.options)
 
 
 def _effect(
-    selected: Selected,
-    evidence: tuple[Evidence | None, ...],
-    covariate: Array | None,
-    effects: int,
-    options: PoolingOptions,
+    selected: Weighed, candidate: Candidate, covariate: Array | None, effects: int, options: PoolingOptions
 ) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
-    whole = likelihoods(evidence, selected.candidate.typical, covariate)
+    evidence = selected.evidence
     kept, outliers = list(range(len(evidence))), dict[int, float]()
-    hierarchy = fitted(whole)
-    assert hierarchy is not None, "an effect was selected that no arm shows"
+    hierarchy = fitted(selected.likelihoods(candidate.typical, covariate))
+    assert hierarchy is not None, "an effect was selected that too few arms show"
     shown = sum(one is not None for one in evidence)
     while shown - len(outliers) >= options.fewest_arms:
         p_values = [hierarchy.outlier_p_value(i) for i in range(len(kept))]
@@ -288,19 +257,13 @@ def _effect(
         rest = fitted(hierarchy.arms.without(most))
         assert rest is not None
         hierarchy = rest
-    return TypeEffect(
-        selected,
-        hierarchy,
-        evidence,
-        outliers,
-        _between_p_value(hierarchy),
-        None if covariate is None else _drift_p_value(hierarchy, effects),
-    )
+    drift = None if covariate is None else _drift_p_value(hierarchy, effects)
+    return TypeEffect(selected, candidate, hierarchy, outliers, _between_p_value(hierarchy), drift)
 
 
 def _between_p_value(hierarchy: Hierarchy) -> float:
     """Cochran's test that all arms are alike."""
-    arms = hierarchy.arms
+    arms = replace(hierarchy.arms, variance=np.inf)
     values, _, along = arms.eigen
     coefficients, M, *_ = arms.solved(0.0)
     shown = values > 0

@@ -1,31 +1,44 @@
-"""One recording reduced to what pooling needs: white residuals and the columns of all candidates, without a robot.
+"""One recording reduced to what pooling needs: white residuals and the columns of what is tested, without a robot.
 
 A recording is diagnosed once, where its problem and its noise model are at hand. What is kept of it is linear: then any
-set of effects that the type is found to have is fitted to it by linear algebra alone, without the files, the kinematics
-and compiled code.
+set of effects that the type is found to have is fitted to it by linear algebra alone, without the files and the
+kinematics.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, final
+from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque.filtering import LowPass
-from lite6jax.estimation.noise import NoiseModel
+from lite6jax.effects import kernels
+from lite6jax.errors import InputError
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
-from lite6jax.estimation.score_test import Score, block_covariance, block_test, sums_by_block
-from lite6jax.populations.candidate import Candidate
-from lite6jax.populations.functions import Function
+from lite6jax.estimation.score_test import block_covariance, sums_by_block
 from lite6jax.populations.options import PoolingOptions
+from lite6jax.populations.terms import CUBICS, SPLINES, Candidate, Place, PooledTerm, Process, Tested, Varied
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
+SCREENED = {
+    SPLINES: tuple(kernels.root(name) for name in ("cubic", "medium", "rough")),
+    CUBICS: (np.eye(kernels.size_of(CUBICS, ())),),
+}
+"""`(function, feature)`, by which functions become those of the kernels that processes are screened by."""
 _ORDERS_AT_ONCE = 1 << 21
 """Numbers of columns that are in memory at once: 16 MB."""
+_ROUNDING = 1e-9
+_ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
 def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
@@ -47,32 +60,40 @@ def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], num
     return found
 
 
-class PooledTerm(NamedTuple):
-    """An effect of the type: a candidate by its key, a wave of a family, or a function without a name.
-
-    Attributes:
-        key: of the candidate, of the family, or of the function.
-        order: of the wave; None of the others.
-    """
-
-    key: str
-    order: float | None = None
-
-
-@final
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """What the diagnosis of the recording alone found.
 
     Attributes:
-        term: as a term that can be pooled; None where it cannot, such as a curve without a name.
         label: its name and site.
         p_value: family-wise, over all that was searched in the recording.
+        pooled: whether it is part of the residual again, and so of what is pooled.
     """
 
-    term: PooledTerm | None
     label: str
     p_value: float
+    pooled: bool
+
+
+class Heading(NamedTuple):
+    """What is said of a recording before the numbers.
+
+    Attributes:
+        about: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
+        found: by the recording alone.
+        candidates: that can be tested here.
+        families: of waves, each of an angle that is one of the quantities.
+        places: where processes can act.
+        quantities: what they can depend on.
+        version: of the file.
+    """
+
+    about: dict[str, Any]
+    found: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    families: tuple[Candidate, ...]
+    places: tuple[Place, ...]
+    quantities: tuple[Varied, ...]
+    version: int = 4
 
 
 class Evidence(NamedTuple):
@@ -82,15 +103,45 @@ class Evidence(NamedTuple):
         score: `(number,)`, the derivative of the log-likelihood at zero.
         information: `(number, number)`, minus its second derivative.
         covariance: `(number, number)` of the score, by the scatter between blocks of samples.
-        blocks: their number.
-        p_value: of the recording alone; the larger of the tests for white and for correlated noise.
+        left: the sum of squares that is left without it.
+        freedom: its degrees of freedom.
     """
 
     score: Array
     information: Array
     covariance: Array
-    blocks: int
-    p_value: float
+    left: float
+    freedom: float
+
+
+class Screened(NamedTuple):
+    """What a recording says of groups of functions.
+
+    Attributes:
+        score: `(group, number)`.
+        information: `(group, number, number)`.
+        sums: `(3, group, kernel)`; of processes the square of the score, the trace of the information and that of its
+            square, with the features of each kernel that vary; of waves χ² and twice its degrees of freedom.
+    """
+
+    score: Array
+    information: Array
+    sums: Array
+
+
+class Scan(NamedTuple):
+    """What a recording says of all that is tested.
+
+    Attributes:
+        named: of each candidate by its key; None where it says nothing.
+        groups: by the key of each family its waves at the orders of `order_grid`; by `SPLINES` and `CUBICS` processes.
+        left, freedom: as in `Evidence`.
+    """
+
+    named: dict[str, Evidence | None]
+    groups: dict[str, Screened]
+    left: float
+    freedom: float
 
 
 @final
@@ -99,89 +150,142 @@ class ReducedArm:
     """The linear model of one recording; readings are all rows of all samples, and then those of the nuisance's prior.
 
     Attributes:
-        about: of the recording: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
-        found: by the recording alone.
-        candidates: that can be tested here.
+        heading: what is said of it.
         columns: `(number, reading)`, white, of unit noise, of all candidates one after the other.
-        families: of waves.
-        sites: `(family, row, sample)`, how residuals change with a deflection at the site of each family, unit noise.
-        angles: `(family, moment)` rad; the moments are the samples, unless there is a `smoothing`.
+        places: `(place, row, sample)`, how residuals change with what acts there, of unit noise.
+        values: `(quantity, moment)`; the moments are the samples, unless there is a `smoothing`.
+        run: `(2, moment)`, the first and the last moment of the run of each.
         noise: the filter that makes columns white.
         training: `(sample,)` bool.
         basis: `(k, reading)`, orthonormal, the span of the nuisance and of effects that are not pooled.
         residual: `(reading,)` white, of unit noise, predicted less measured, with all pooled effects zero.
         blocks: the first sample of each block of neighbouring samples.
-        functions: without a name, by which names are tested; over the ranges of this recording, until `over` others.
-        places: `(row, sample)`, how residuals change with a deflection or torque, unit noise, by its key.
-        drivers: `(moment,)`, what functions depend on and directions that multiply them, by its key.
-        smoothing: the low pass that waves and functions pass, and which of its moments are samples; None where they
+        smoothing: the low pass that waves and processes pass, and which of its moments are samples; None where they
             pass none.
     """
 
-    about: Mapping[str, Any]
-    found: tuple[Found, ...]
-    candidates: tuple[Candidate, ...]
+    heading: Heading
     columns: Array
-    families: tuple[Candidate, ...]
-    sites: Array
-    angles: Array
+    places: Array
+    values: Array
+    run: Integers
     noise: NoiseModel
     training: NDArray[np.bool_]
     basis: Array
     residual: Array
     blocks: Integers
-    functions: tuple[Function, ...] = ()
-    places: Mapping[str, Array] = field(default_factory=dict)
-    drivers: Mapping[str, Array] = field(default_factory=dict)
     smoothing: LowPass | None = None
 
-    def over(self, functions: Sequence[Function]) -> "ReducedArm":
-        """The same with functions over other ranges, of which those stay that this recording can show."""
-        own = {function.key for function in self.functions}
-        return replace(self, functions=tuple(function for function in functions if function.key in own))
+    def to_bytes(self) -> bytes:
+        """A file of NumPy (.npz); columns are in single precision, which is a ten-millionth of each."""
+        filtered = self.smoothing
+        smoothing = {} if filtered is None else {
+            "smoothing": np.array([filtered.rate, filtered.cutoff, filtered.every]),
+            "runs": filtered.runs,
+            "kept": filtered.kept,
+        }  # fmt: skip
+        sink = io.BytesIO()
+        np.savez(
+            sink,
+            heading=np.frombuffer(msgspec.msgpack.encode(self.heading), np.uint8),
+            columns=self.columns.astype(np.float32),
+            noise=np.array([(model.coefficient, model.share) for model in self.noise.models]),
+            groups=self.noise.groups,
+            starts=np.array(self.noise.starts),
+            **{name: getattr(self, name) for name in _ARRAYS},
+            **smoothing,
+        )
+        return sink.getvalue()
+
+    @classmethod
+    def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
+        """What `to_bytes` wrote.
+
+        Raises:
+            InputError: the bytes are no such file; the message begins with `place`.
+        """
+        with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
+            models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
+            smoothing = None
+            if "smoothing" in file:
+                rate, cutoff, every = map(float, file["smoothing"])
+                smoothing = LowPass(rate, cutoff, int(every), file["runs"], file["kept"])
+            return cls(
+                heading=_heading(file["heading"]),
+                columns=file["columns"].astype(float),
+                noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
+                smoothing=smoothing,
+                **{name: file[name] for name in _ARRAYS},
+            )
+
+    # -------------------------------------------------------------- columns
 
     @cached_property
     def parts(self) -> dict[str, slice]:
         """Where the columns of each candidate stand."""
-        ends = np.cumsum([0, *(len(candidate.names) for candidate in self.candidates)])
-        return {
-            candidate.key: slice(int(a), int(b))
-            for candidate, a, b in zip(self.candidates, ends[:-1], ends[1:], strict=True)
-        }
+        ends = np.cumsum([0, *(len(candidate.names) for candidate in self.heading.candidates)]).tolist()
+        keys = (candidate.key for candidate in self.heading.candidates)
+        return dict(zip(keys, map(slice, ends[:-1], ends[1:]), strict=True))
 
-    def columns_of(self, term: PooledTerm) -> Array:
+    @cached_property
+    def _values(self) -> dict[str, Array]:
+        return dict(zip((one.driver.phrase for one in self.heading.quantities), self.values, strict=True))
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], Array]:
+        return dict(zip((one[:2] for one in self.heading.places), self.places, strict=True))
+
+    def columns_of(self, term: Tested) -> Array:
         """`(number, reading)`; none where the recording cannot show the term."""
+        if isinstance(term, Process):
+            if not self._has(term):
+                return self.columns[:0]
+            return self._moved(self._places[term.site, term.component], self._functions(term))
         if term.order is None:
             part = self.parts.get(term.key)
-            function = next((one for one in self.functions if one.key == term.key), None)
-            if function is not None:
-                return self.columns_of_function(function)
             return self.columns[:0] if part is None else self.columns[part]
-        place = next((i for i, family in enumerate(self.families) if family.key == term.key), None)
-        return self.columns[:0] if place is None else self.waves(place, np.array([term.order]))[0]
+        family = next((family for family in self.heading.families if family.key == term.key), None)
+        if family is None:
+            return self.columns[:0]
+        return self._moved(self._place_of(family), self._waves(family, np.array([term.order]))[0])
 
-    def waves(self, family: int, orders: Array) -> Array:
-        """Columns of sine and cosine of some orders, `(order, 2, reading)`."""
-        columns = self._waves(family, orders)[:, :, None] * self.sites[family]
-        return readings(columns, self.noise, self.training, self.residual.size)
+    def _has(self, process: Process) -> bool:
+        return (process.site, process.component) in self._places and set(process.drivers) <= set(self._values)
 
-    def _waves(self, family: int, orders: Array) -> Array:
+    def _place_of(self, family: Candidate) -> Array:
+        return next(column for (site, _), column in self._places.items() if site == family.site)
+
+    def _waves(self, family: Candidate, orders: Array) -> Array:
         """Sine and cosine `(order, 2, sample)`, as the measurements show them."""
-        turned = np.multiply.outer(orders, self.angles[family])
-        return self._measured(np.stack([np.sin(turned), np.cos(turned)], 1))
+        turned = np.multiply.outer(orders, self._values[family.driver])
+        return self._seen(np.stack([np.sin(turned), np.cos(turned)], 1))
 
-    def _measured(self, values: Array) -> Array:
+    def _functions(self, process: Process) -> Array:
+        """`(function, sample)`, as the measurements show them."""
+        return self._seen(process.functions(np.stack([self._values[one] for one in process.drivers]), self.run))
+
+    def _seen(self, values: Array) -> Array:
         """Values `(…, moment)` as the measurements show them, `(…, sample)`."""
         return values if self.smoothing is None else self.smoothing(values)
 
-    def columns_of_function(self, function: Function) -> Array:
-        """`(number, reading)`, those of each component one after the other."""
-        basis = function.basis(np.stack([self.drivers[key] for key in function.drivers]))
-        basis = self._measured(basis * self.drivers[function.direction] if function.direction else basis)
-        columns = [basis[:, None] * self.places[component] for component in function.components]
-        return readings(np.concatenate(columns), self.noise, self.training, self.residual.size)
+    def _moved(self, place: Array, functions: Array) -> Array:
+        """Columns `(…, reading)` of what moves a place by functions `(…, sample)`."""
+        return readings(functions[..., None, :] * place, self.noise, self.training, self.residual.size)
 
-    def beside(self, terms: Sequence[PooledTerm], options: PoolingOptions) -> "ReducedArm":
+    # -------------------------------------------------------------- evidence
+
+    @cached_property
+    def left(self) -> Array:
+        """`(reading,)`, the residual outside the span of the model."""
+        return self.residual - (self.basis @ self.residual) @ self.basis
+
+    @property
+    def freedom(self) -> float:
+        """Of what is left."""
+        rows = len(self.noise.groups)
+        return float(max(self.residual.size - rows * np.sum(~self.training) - len(self.basis), 1))
+
+    def beside(self, terms: Sequence[Tested], options: PoolingOptions) -> "ReducedArm":
         """The same with further terms in the model: they join the basis, and leave the residual."""
         columns = [self.columns_of(term) for term in terms]
         flat = unit_rows(np.concatenate([self.columns[:0], *columns]))
@@ -189,78 +293,82 @@ class ReducedArm:
         basis = np.concatenate([self.basis, new])
         return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
-    def evidence(self, term: PooledTerm, options: PoolingOptions) -> Evidence | None:
+    def evidence(self, term: Tested, options: PoolingOptions) -> Evidence | None:
         """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
         columns = self.columns_of(term)
-        if not len(columns):
-            return None
         projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
-        per_block = self._by_block(projected * self.residual)
-        score: Score = block_test(projected, norms, per_block, self._by_block, 1.0, options.engine)
-        if score.confounded:
+        # what is confounded with the model is rounding, in the score and in the information alike
+        least, length = options.engine.confounded, np.where(norms > 0, norms, 1.0)
+        C = projected @ projected.T / np.outer(length, length)
+        seen = np.diagonal(C) > least
+        eigenvalues, V = np.linalg.eigh(np.where(np.outer(seen, seen), C, 0.0))
+        V, eigenvalues = np.where(seen[:, None], V, 0.0)[:, eigenvalues > least], eigenvalues[eigenvalues > least]
+        if not eigenvalues.size:
             return None
-        determined, information = _determined(-per_block.sum(1), projected @ projected.T, norms, options)
-        spread = block_covariance(projected, per_block, -score.values, self._by_block)
-        return Evidence(determined, information, spread, per_block.shape[1], score.p_value)
+        per_block = self._by_block(projected * self.left)
+        along = V.T @ (per_block.sum(1) / length)
+        information = (V * eigenvalues) @ V.T * np.outer(length, length)
+        covariance = block_covariance(projected, per_block, V @ (along / eigenvalues) / length, self._by_block)
+        return Evidence(-V @ along * length, information, covariance, float(self.left @ self.left), self.freedom)
 
-    def scores(self, options: PoolingOptions) -> tuple[list[tuple[Array, Array]], Array, Array]:
-        """Scores and information of all candidates, and of both waves of all orders of `order_grid`.
+    def scan(self, processes: Sequence[Process], options: PoolingOptions) -> Scan:
+        """What the recording says of all candidates, of all waves, and of functions that processes are screened by."""
+        named = {one.key: self.evidence(PooledTerm(one.key), options) for one in self.heading.candidates}
+        groups = {family.key: self._spectrum(family, options) for family in self.heading.families}
+        for kernel in SCREENED:
+            groups[kernel] = self._screened(
+                [one for one in processes if one.kernel == kernel], SCREENED[kernel], options
+            )
+        return Scan(named, groups, float(self.left @ self.left), self.freedom)
 
-        Returns:
-            for each candidate `(number,)` and `(number, number)`; then `(family, order, 2)` and, as sine², sine·cosine
-            and cosine², `(family, order, 3)`.
-        """
-        projected = outside(self.columns, self.basis)
-        total, norms = -(projected @ self.residual), np.linalg.norm(self.columns, axis=1)
-        named: list[tuple[Array, Array]] = [
-            _determined(total[part], projected[part] @ projected[part].T, norms[part], options)
-            for part in self.parts.values()
-        ]
-        orders = order_grid(options)
-        shape = len(self.families), orders.size
-        score, information = np.zeros((*shape, 2)), np.zeros((*shape, 3))
-        for family in range(len(self.families)):
-            if self.sites[family].any():
-                score[family], information[family] = self._spectrum(family, orders, options)
-        return named, score, information
-
-    def scores_of_functions(self, options: PoolingOptions) -> list[tuple[Array, Array]]:
-        """Score `(number,)` and information `(number, number)` of each function without a name."""
-        found = []
-        for function in self.functions:
-            columns = self.columns_of_function(function)
-            projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
-            found.append(_determined(-(projected @ self.residual), projected @ projected.T, norms, options))
-        return found
-
-    def _spectrum(self, family: int, orders: Array, options: PoolingOptions) -> tuple[Array, Array]:
-        """The part of `scores` of one family."""
-        site = self.sites[family] * self.training
-        basis, residual, inside = self.basis[:, : site.size], self.residual[: site.size], self.basis @ self.residual
-        weight = np.sum(site**2, 0) if self.noise.white else None
-        if weight is not None:  # then rows add up before waves are multiplied: their columns are not made
-            over_rows = np.sum(site * np.concatenate([residual[None], basis]).reshape(-1, *site.shape), 1)
-            residual, basis = over_rows[0], over_rows[1:]
-        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 3))
-        step = max(1, _ORDERS_AT_ONCE // (2 * max(residual.size, self.angles.shape[1])))
+    def _spectrum(self, family: Candidate, options: PoolingOptions) -> Screened:
+        """Of the waves of a family."""
+        orders, place = order_grid(options), self._place_of(family)
+        acting, white = place.any(1), self.noise.white
+        noise, site = replace(self.noise, groups=self.noise.groups[acting]), place[acting]
+        # autocorrelated noise mixes samples: then rows do not add up before waves are multiplied
+        measured = self._over_rows(place) if white else (1.0, self._measured[:, acting].reshape(-1, site.size))
+        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 2, 2))
+        step = max(1, _ORDERS_AT_ONCE // (2 * max(site.size, self.run.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
-            flat = self._waves(family, orders[part])
-            if weight is not None:
-                weighted = flat * weight
-            else:
-                flat = self.noise.whitened(flat[:, :, None] * self.sites[family]) * self.training
-                flat = weighted = flat.reshape(len(flat), 2, -1)
-            known = flat @ basis.T
-            score[part] = -(flat @ residual - known @ inside)
-            own, G = weighted @ flat.swapaxes(1, 2), known @ known.swapaxes(1, 2)
-            G = own - G
-            found = np.stack([G[:, 0, 0], G[:, 0, 1], G[:, 1, 1]], 1)
-            lengths = np.maximum(np.diagonal(own, axis1=1, axis2=2), np.finfo(float).tiny)
-            lost = (np.diagonal(G, axis1=1, axis2=2) < options.engine.confounded * lengths).any(1)
-            score[part][lost], found[lost] = 0.0, 0.0
-            information[part] = found
-        return score, information
+            waves = self._waves(family, orders[part])
+            if not white:
+                waves = (noise.whitened(waves[:, :, None] * site) * self.training).reshape(len(waves), 2, -1)
+            score[part], information[part] = _equations(waves, *measured, options.engine.confounded)
+        statistic, size = chi_squared(score, information)
+        return Screened(score, information, np.stack([statistic, size, size])[..., None])
+
+    def _screened(self, processes: Sequence[Process], roots: Sequence[Array], options: PoolingOptions) -> Screened:
+        """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
+        groups, size = len(processes), len(roots[0])
+        score, information = np.zeros((groups, size)), np.zeros((groups, size, size))
+        functions, members = dict[tuple[str, ...], Array](), dict[tuple[str, str], list[int]]()
+        for k, one in enumerate(processes):
+            if self._has(one):
+                members.setdefault((one.site, one.component), []).append(k)
+                if one.drivers not in functions:
+                    functions[one.drivers] = self._functions(one)
+        for where, own in members.items():
+            f, measured = np.stack([functions[processes[k].drivers] for k in own]), self._over_rows(self._places[where])
+            score[own], information[own] = _equations(f, *measured, options.engine.confounded)
+        sums = np.zeros((3, groups, len(roots)))
+        for k, R in enumerate(roots):
+            varying = R[:, 1:]  # without the constant, which is larger than all else
+            G = varying.T @ information @ varying
+            sums[:, :, k] = np.sum((score @ varying) ** 2, 1), np.trace(G, axis1=1, axis2=2), np.sum(G**2, (1, 2))
+        return Screened(score, information, sums)
+
+    def _over_rows(self, place: Array) -> tuple[Array, Array]:
+        """Sums over the rows of each sample of a place's square, and of it times what is left and the basis."""
+        site = self.noise.whitened(place) * self.training
+        return np.sum(site**2, 0), np.sum(site * self._measured, 1)
+
+    @cached_property
+    def _measured(self) -> Array:
+        """What is left, and the basis, of the measurements alone: `(1 + k, row, sample)`."""
+        shape = len(self.noise.groups), self.training.size
+        return np.concatenate([self.left[None], self.basis])[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def _by_block(self, products: Array) -> Array:
         return sums_by_block(products, len(self.noise.groups), self.training.size, self.blocks)
@@ -271,20 +379,46 @@ def order_grid(options: PoolingOptions) -> Array:
     return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
 
 
-def _determined(score: Array, G: Array, norms: Array, options: PoolingOptions) -> tuple[Array, Array]:
-    """Score and information without what is confounded with the model: there both are rounding.
+def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:
+    """bᵀ G⁺ b and the rank of G, `(…,)` each, of scores `(…, number)` and information `(…, number, number)`."""
+    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    eigenvalues, V = np.linalg.eigh(information / (size[..., None] * size[..., None, :]))
+    kept = eigenvalues > _ROUNDING
+    along = np.einsum("...ij,...i->...j", V, score / size)
+    return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1)
 
-    Args:
-        score: `(number,)`.
-        G: `(number, number)`, of projected columns.
-        norms: `(number,)` of the columns before that.
-        options: thresholds.
+
+def _equations(functions: Array, weight: Array | float, measured: Array, confounded: float) -> tuple[Array, Array]:
+    """Score `(group, number)` and information of functions `(group, number, sample)`, zero of what is confounded."""
+    along = functions @ measured.T
+    own, inside = (functions * weight) @ functions.swapaxes(1, 2), along[..., 1:]
+    information = own - inside @ inside.swapaxes(1, 2)
+    seen = np.diagonal(information, axis1=1, axis2=2) > confounded * np.diagonal(own, axis1=1, axis2=2)
+    return np.where(seen, -along[..., 0], 0.0), np.where(seen[:, :, None] & seen[:, None], information, 0.0)
+
+
+def read_heading(path: Path) -> Heading:
+    """The heading of a file, without its arrays.
+
+    Raises:
+        InputError: as `from_bytes`.
     """
-    least, length = options.engine.confounded, np.where(norms > 0, norms, 1.0)
-    C = G / np.outer(length, length)
-    seen = np.diagonal(C) > least
-    C = np.where(np.outer(seen, seen), C, 0.0)
-    eigenvalues, V = np.linalg.eigh(C)
-    V = np.where(seen[:, None], V[:, eigenvalues > least], 0.0)
-    information = (V * eigenvalues[eigenvalues > least]) @ V.T * np.outer(length, length)
-    return V @ (V.T @ (score / length)) * length, information
+    with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+        return _heading(file["heading"])
+
+
+def _heading(stored: NDArray[np.uint8]) -> Heading:
+    found = msgspec.msgpack.decode(stored.tobytes(), type=Heading)
+    if found.version != Heading._field_defaults["version"]:
+        raise ValueError("another version")
+    return found
+
+
+@contextmanager
+def _readable(place: str) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile, msgspec.MsgspecError) as error:
+        raise InputError(
+            f"{place}: is no reduced recording of this version; give the command again with --force"
+        ) from error

@@ -12,7 +12,12 @@ from lite6jax.schema import ESTIMATE, PLACE, Positive, Share, check, record
 _INTERVAL = tuple[float, float]
 _CURVE = Annotated[list[float], Meta(min_length=POINTS, max_length=POINTS)]
 _DEVIATIONS = Annotated[list[Positive], Meta(min_length=POINTS, max_length=POINTS)]
-_CHOSEN: dict[str, Any] = {"order": Positive, "source_joint": Annotated[float, Meta(ge=1.0)]}
+_CHOSEN: dict[str, Any] = {
+    "order": Positive,
+    "source_joint": Annotated[float, Meta(ge=1.0)],
+    "component": str,
+    "kernel": str,
+}
 _PARAMETER = record({"mean": float, "std": Positive, "interval_95": _INTERVAL, "between_std": Positive})
 _SLOPE = record({"value": float, "std": Positive, "interval_95": _INTERVAL})
 _ARM = record({"file": str, "parameters": dict[str, ESTIMATE], "outlier_p_value": Share | None})
@@ -20,7 +25,7 @@ _RIVAL = record(PLACE | {"log_likelihood_gap": float}, _CHOSEN)
 _EFFECT = record(
     {
         **PLACE,
-        "found_by": Literal["mean", "any", "drift", "one"],
+        "found_by": Literal["mean", "any", "one", "drift"],
         "p_value": Share,
         "parameters": dict[str, _PARAMETER],
         "between_p_value": Share,
@@ -54,7 +59,6 @@ _DOCUMENT = record(
         "over": Literal["date"] | None,
         "mean_date": str | None,
         "level": Share,
-        "searched": Positive,
         "recordings": list[_RECORDING],
         "effects": list[_EFFECT],
     },

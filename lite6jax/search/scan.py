@@ -34,15 +34,15 @@ Array = NDArray[np.floating]
 
 _OWN = 0.6
 """Prior probability that a driver is one of a site's own."""
-_SINGLE = (*kernels.SCALED, "wave", "play")
-_PAIRS = (
+SINGLE = (*kernels.SCALED, "wave", "play")
+PAIRS = (
     *("line*line", "cubic*cubic", "smooth*smooth", "rough*rough", "wave*wave"),
     *(f"{a}*{b}" for pair in (("line", "smooth"), ("line", "medium"), ("line", "fine"), ("line", "rough"),
                               ("line", "wave"), ("cubic", "wave")) for a, b in (pair, pair[::-1])),
 )  # fmt: skip
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
-_KINDS = np.log(3.0)
+KINDS = np.log(3.0)
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -50,6 +50,8 @@ _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
+_NEARLY = 2.0
+"""Log odds within which the priority of names decides."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
@@ -118,30 +120,43 @@ class Scan:
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
-        self._own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
+        self.own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
 
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of one of the catalogue's names at one site; even odds where nearly every arm has it."""
-        return float(np.log(2.0) if term.usual else _KINDS + np.log(max(len(self.names), 1)))
+        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every arm has it."""
+        number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
+        return float(np.log(2.0) if term.usual else KINDS + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
         if (site, which) in self._costs:
             return self._costs[site, which]
-        cost = _KINDS + np.log(max(len(self.problem.components), 1))
+        cost = KINDS + np.log(max(len(self.problem.components), 1))
         cost += sum(self._cost_of_quantity(site, k) for k in which)
-        cost += np.log(len(_SINGLE)) if len(which) == 1 else np.log(len(_PAIRS) / 2)
+        cost += np.log(len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)
         return self._costs.setdefault((site, which), float(cost))
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
-        own = self._own[site]
+        own = self.own[site]
         return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / len(self.quantities))
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
         return all(self.quantities[k].only in ("", site) for k in which)
+
+    def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
+        """Whether a kernel is one of these quantities."""
+        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
+            driver = self.quantities[k].driver
+            if self.discrete[k] and name != "line":
+                return False
+            if (name == "wave" and driver.quantity not in _ANGLES) or (
+                name == "play" and driver.generalised not in _HYSTERETIC
+            ):
+                return False
+        return True
 
     # -------------------------------------------------------------- features
 
@@ -184,7 +199,7 @@ class Scan:
 
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
-        """The quantities of many values, and the splines `(quantity, spline, sample)` that express all their kernels."""
+        """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
         many = [k for k, discrete in enumerate(self.discrete) if not discrete]
         none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
         return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
@@ -207,12 +222,12 @@ class Scan:
     # -------------------------------------------------------------- what is likeliest
 
     def ranked(self, test: ScoreTest, pairs: bool = True, rows: Mask | None = None) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first; of the sites that act on `rows`."""
+        """All that is worth its cost, and the best that is not, the likeliest first, at sites that act on `rows`."""
         weighed = _Weighed(self, test, rows)
         if self._among is not None:
             few = [weighed.exact(weighed.of_kernel(*one)) for one in self._processes if one[0] in weighed.components]
             found = [*weighed.named(), *weighed.waves(), *(one for one in few if one.gain > 0)]
-            return sorted(found, key=lambda one: -one.net)
+            return _in_order(found)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
         found += singles
@@ -222,9 +237,9 @@ class Scan:
         likely = [one for one in found if one.process][:_CONSIDERED]
         self.considered |= {(*one.key, *one.process[2:]) for one in likely}
         if test.fit.noise.white:
-            return found
+            return _in_order(found)
         exact = [weighed.exact(one) for one in found[:_EXACT]]
-        return sorted((one for one in exact if one.gain > 0), key=lambda one: -one.net)
+        return _in_order([one for one in exact if one.gain > 0])
 
     @cached_property
     def _processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
@@ -321,7 +336,7 @@ class _Weighed:
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
-            own = self._scan.cost_of_name(line.term) if named else _KINDS + np.log(families) + line.searched
+            own = self._scan.cost_of_name(line.term) if named else KINDS + np.log(families) + line.searched
             order = f"{line.term.label} {line.order:.3g}"
             found.append(self._ranked(evidence, float(own), line.term.site, (order,), "", lambda line=line: line.term))
         return [one for one in found if one.gain > 0]
@@ -356,11 +371,11 @@ class _Weighed:
                 R = kernels.root(name)
                 each = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
                 for i, *one in zip(some, *each, strict=True):
-                    found.append(self._process(Evidence(*one), *at[i][:1], (at[i][1],), name))
+                    found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
             for i in some:
                 component, k = at[i][:2]
                 for name in ("wave", "play"):
-                    if self._suits(name, (k,)):
+                    if self._scan.suits(name, (k,)):
                         found.append(self.of_kernel(component, (k,), name))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
@@ -404,23 +419,11 @@ class _Weighed:
     def kernels_of(self, component: Component, which: tuple[int, ...]) -> list[Ranked]:
         """Every kernel of given quantities at a component."""
         own = [self._scan.quantities[k] for k in which]
-        names = [name for name in (_SINGLE if len(which) == 1 else _PAIRS) if self._suits(name, which)]
+        names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         found = [self.of_kernel(component, which, name) for name in names]
         if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
             found += self._spectra_of(component, which[0])
         return found
-
-    def _suits(self, kernel: str, which: tuple[int, ...]) -> bool:
-        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
-            quantity = self._scan.quantities[k]
-            if self._scan.discrete[k] and name != "line":
-                return False
-            if (name == "wave" and not _is_angle(quantity)) or (name == "play" and not self._is_hysteretic(quantity)):
-                return False
-        return True
-
-    def _is_hysteretic(self, quantity: Quantity) -> bool:
-        return quantity.driver.generalised in _HYSTERETIC
 
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
         """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
@@ -513,6 +516,16 @@ class _Weighed:
         process: tuple[Any, ...] = (),
     ) -> Ranked:
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+
+
+def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
+    """The likeliest first; of names that are nearly as likely as a first name, the one of the highest priority."""
+    ordered = sorted(found, key=lambda one: -one.net)
+    if not ordered or ordered[0].process:
+        return ordered
+    near = [one for one in ordered if not one.process and one.net > ordered[0].net - _NEARLY]
+    first = min(near, key=lambda one: (one.make().specificity, -one.net))
+    return [first, *(one for one in ordered if one is not first)]
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:

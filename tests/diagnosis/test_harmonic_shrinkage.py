@@ -1,6 +1,5 @@
-"""Joints that err at very many orders at once: named loads beside curves, of few numbers, that predict unseen poses."""
+"""Joints that err at very many orders at once: named loads beside spectra that predict unseen poses."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, Made, searched, static_motion
@@ -36,7 +35,7 @@ def swept(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_the_load_keeps_its_name_beside_the_curves(swept):
+def test_the_load_keeps_its_name_beside_the_spectra(swept):
     _, _, selection = swept
     named = [one.term.label for one in selection.state.tested if not isinstance(one.term, Unnamed)]
     assert named == ["joint_compliance:joint2"]
@@ -46,29 +45,34 @@ def test_the_load_keeps_its_name_beside_the_curves(swept):
     assert std < 2e-6
 
 
-def test_every_joint_that_errs_has_one_curve(swept):
+def unnamed(selection):
+    """Each nonparametric effect, with its place among the numbers of the fit."""
+    terms = selection.state.fit.terms
+    return [pair for pair in zip(terms.terms, terms.slices, strict=True) if isinstance(pair[0], Unnamed)]
+
+
+def test_every_joint_that_errs_has_one_process(swept):
     _, _, selection = swept
-    curves = [one.term for one in selection.state.tested if isinstance(one.term, Unnamed)]
-    assert sorted(curve.site for curve in curves) == [f"joint{joint}" for joint in range(1, 6)]
+    found = unnamed(selection)
+    assert sorted(effect.site for effect, _ in found) == [f"joint{joint}" for joint in range(1, 6)]
     # of nine waves each: so many numbers at least are determined, and fewer than there are
-    effective = [one.score.size for one in selection.state.tested if isinstance(one.term, Unnamed)]
-    assert all(18 <= size < 0.8 * curve.size for size, curve in zip(effective, curves, strict=True))
-    assert all(len(curve.orders) >= 29 for curve in curves)
+    for effect, part in found:
+        spread = effect.spread
+        effective = effect.size - np.trace(selection.state.fit.covariance[part, part]) / spread**2
+        assert 12 <= effective < 0.8 * effect.size
+        assert (effect.kernel, effect.driver) == ("spectrum", f"position of joint {effect.site[5:]}")
     assert all(one.p_value < 0.003 for one in selection.state.tested)
 
 
-def test_a_curve_is_the_joint_s_error_where_it_was_measured(swept):
+def test_a_process_is_the_joint_s_error_where_it_was_measured(swept):
     case, _, selection = swept
-    for effect, part in zip(selection.state.fit.terms.terms, selection.state.fit.terms.slices, strict=True):
-        if isinstance(effect, Unnamed):
-            joint = int(effect.site[5:])
-            q = np.asarray(case.motion.joint_position[joint - 1])
-            q = q[(q > np.quantile(q, 0.05)) & (q < np.quantile(q, 0.95))]
-            missed = selection.state.fit.values[part] @ np.asarray(effect.basis.at(jnp.asarray(q))) - transmission(
-                joint
-            )(q)
-            # an offset is the calibration's, which is exact here: so none is left over
-            assert np.sqrt(np.mean(missed**2)) < 0.2 * np.sqrt(np.mean(transmission(joint)(q) ** 2))
+    for effect, part in unnamed(selection):
+        joint = int(effect.site[5:])
+        q = np.asarray(case.motion.joint_position[joint - 1])
+        q = q[(q > np.quantile(q, 0.05)) & (q < np.quantile(q, 0.95))]
+        missed = selection.state.fit.values[part] @ effect.functions_at(q[None]) - transmission(joint)(q)
+        # an offset is the calibration's, which is exact here: so none is left over
+        assert np.sqrt(np.mean(missed**2)) < 0.2 * np.sqrt(np.mean(transmission(joint)(q) ** 2))
 
 
 def test_poses_that_it_never_saw_are_predicted(swept):
@@ -83,15 +87,17 @@ def test_poses_that_it_never_saw_are_predicted(swept):
     assert missed(selection.state.fit) < 1.1 * noise
 
 
-def test_a_curve_fades_where_nothing_was_measured(swept):
+def test_a_process_is_uncertain_where_nothing_was_measured(swept):
     _, _, selection = swept
-    curve = next(one.term for one in selection.state.tested if isinstance(one.term, Unnamed))
-    values = jnp.ones(curve.size)
-    assert np.abs(np.asarray(curve.curve(values, jnp.array([curve.lower - 1, curve.upper + 1])))).max() == 0
-    assert np.abs(np.asarray(curve.curve(values, jnp.linspace(curve.lower, curve.upper, 200)))).max() > 1
+    for effect, part in unnamed(selection):
+        at = np.linspace(effect.lower, effect.upper, 50)
+        inside, outside = (np.asarray(effect.functions_at(x[None])) for x in (at, at + effect.upper - effect.lower))
+        C = selection.state.fit.covariance[part, part]
+        std = [np.sqrt(np.mean(np.sum(functions * (C @ functions), 0))) for functions in (inside, outside)]
+        assert std[1] > 3 * std[0]
 
 
-def test_a_curve_survives_its_file(swept):
+def test_a_process_survives_its_file(swept):
     _, _, selection = swept
     terms = selection.state.fit.terms
     for effect, part in zip(terms.terms, terms.slices, strict=True):

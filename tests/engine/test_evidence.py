@@ -141,12 +141,26 @@ def test_the_evidence_of_a_process_is_that_of_its_covariance_beside_the_nuisance
 
 def test_of_a_name_all_directions_are_determined_equally_well(beside):
     problem, y, Q, test = beside
-    term = next(one for one in problem.candidates if one.label == "frame_offset:link3")
-    columns = problem.columns([term])
-    found, values = Marginal(test).of_columns(columns)
-    Z = Q.T @ columns.reshape(len(columns), -1).T / test.scale[0]
-    np.testing.assert_allclose(values, -np.linalg.lstsq(Z, Q.T @ y, rcond=1e-3)[0], rtol=1e-3, atol=1e-9)
-    U = np.linalg.svd(Z, full_matrices=False)[0]
+    labels = ("frame_offset:link3", "joint_scale:joint2")
+    groups = [problem.columns([one for one in problem.candidates if one.label == label]) for label in labels]
     left, freedom = y @ y + 4 / test.scale[0] ** 2, Q.shape[1] + 4.0
-    alike = of_process(U.T @ (Q.T @ y), np.eye(U.shape[1]), left, freedom, CONFOUNDED)
-    assert found.gain == pytest.approx(alike.gain, abs=0.05)
+    for columns, found in zip(groups, Marginal(test).of_names(groups), strict=True):
+        Z = Q.T @ columns.reshape(len(columns), -1).T / test.scale[0]
+        U, sizes, _ = np.linalg.svd(Z / np.linalg.norm(Z, axis=0), full_matrices=False)
+        U = U[:, sizes > 1e-3]
+        alike = of_process(U.T @ (Q.T @ y), np.eye(U.shape[1]), left, freedom, CONFOUNDED)
+        assert found.gain == pytest.approx(alike.gain, abs=0.05)
+
+
+def test_a_site_that_moves_by_a_number_of_its_own_in_each_sample_is_noise_along_its_direction(beside):
+    problem, y, Q, test = beside
+    column = next(one.column for one in problem.components if one.site == "joint3") / test.scale[0]
+    found = Marginal(test).of_noise(column * test.scale[0])
+    left = np.append(Q @ (Q.T @ y), np.full(4, 1 / test.scale[0]))
+    C, bare = np.eye(len(left)), (Q.shape[1] + 4) / len(left)
+    for k in range(problem.samples):
+        rows = np.arange(problem.rows) * problem.samples + k
+        C[np.ix_(rows, rows)] += found.variance * np.outer(column[:, k], column[:, k])
+    S = left @ left, left @ np.linalg.solve(C, left)
+    gain = -0.5 * bare * len(left) * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1]
+    assert found.gain == pytest.approx(gain, abs=0.05)

@@ -13,7 +13,6 @@ from lite6jax.cli import main
 from lite6jax.cli.diagnose import Diagnose
 from lite6jax.errors import InputError
 from lite6jax.folders.diagnoses import check_pooled, pool_folder
-from lite6jax.populations.files import to_bytes
 
 
 @pytest.fixture
@@ -26,8 +25,8 @@ def results(tmp_path):
             row = {"file": f"a{i}.csv", "result": "unreadable", "message": f"a{i}.csv: no", "reduced": None}
             if about is not None:
                 made = arm(rng)
-                made.about.update(about)
-                (tmp_path / f"a{i}.npz").write_bytes(to_bytes(made))
+                made.heading.about.update(about)
+                (tmp_path / f"a{i}.npz").write_bytes(made.to_bytes())
                 row |= {"result": "diagnosed", "message": "", "reduced": f"a{i}.npz"}
             rows.append(row)
         pq.write_table(pa.Table.from_pylist(rows), tmp_path / "summary.parquet")

@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from populations.linear_arms import OPTIONS, arm, wave
+from populations.linear_arms import LOAD, OPTIONS, POSITION, arm, tried, wave
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
-from lite6jax.populations.files import from_bytes, read_heading, to_bytes
-from lite6jax.populations.reduced import PooledTerm, order_grid
+from lite6jax.populations.reduced import ReducedArm, order_grid, read_heading
+from lite6jax.populations.terms import PooledTerm, Process
 
 SOFT, BENT = PooledTerm("soft"), PooledTerm("bent")
 LINE = wave(7.25, 0.9, 0.4)
+CURVE = Process("joint3", "rz", "rad", (POSITION.phrase,), (-3.2, 3.2), "cubic")
+BOTH = Process("joint3", "rz", "rad", (POSITION.phrase, LOAD.phrase), (-3.2, 3.2, -3.0, 3.0), "wave*line")
 
 
 @pytest.fixture
@@ -28,14 +30,16 @@ def least_squares(made, terms):
     return numbers[-size:], np.linalg.inv(A.T @ A)[-size:, -size:]
 
 
-@pytest.mark.parametrize("term", [SOFT, BENT, LINE[0]])
+@pytest.mark.parametrize("term", [SOFT, BENT, LINE[0], CURVE, BOTH])
 def test_evidence_is_least_squares_beside_the_others(made, term):
     others = [other for other in (SOFT, BENT, LINE[0]) if other != term]
     found = made.beside(others, OPTIONS).evidence(term, OPTIONS)
     values, covariance = least_squares(made, [*others, term])
     np.testing.assert_allclose(np.linalg.solve(found.information, found.score), values, rtol=1e-8)
     np.testing.assert_allclose(np.linalg.inv(found.information), covariance, rtol=1e-8)
-    assert found.p_value < 0.05
+    left = made.beside(others, OPTIONS).left
+    assert found.left == pytest.approx(left @ left)
+    assert found.freedom == made.residual.size - len(made.basis) - sum(len(made.columns_of(one)) for one in others)
     ratio = np.diagonal(found.covariance) / np.diagonal(found.information)
     assert ratio.min() > 0.3  # of 20 blocks of white noise of unit variance
     assert ratio.max() < 3
@@ -46,23 +50,24 @@ def test_scores_of_a_search_are_the_evidence_on_each_term(made, noise):
     if noise is not None:
         made = replace(made, noise=NoiseModel((noise,), np.zeros(1, int), (0, 30)))
     made = replace(made, training=np.arange(made.residual.size) % 9 > 0).beside([BENT], OPTIONS)
-    named, score, information = made.scores(OPTIONS)
+    scan = made.scan(tried([made]).singles, OPTIONS)
     expected = made.evidence(SOFT, OPTIONS)
-    np.testing.assert_allclose(named[0][0], expected.score)
-    np.testing.assert_allclose(named[0][1], expected.information)
-    assert not named[1][1].any()  # it is in the model
-    orders = order_grid(OPTIONS)
+    np.testing.assert_allclose(scan.named["soft"].score, expected.score)
+    assert scan.named["bent"] is None  # it is in the model
+    orders, (score, information, _) = order_grid(OPTIONS), scan.groups["waves:joint3"]
     for order in (1.0, 7.25, 133.125):
         at = int(np.flatnonzero(orders == order)[0])
         expected = made.evidence(PooledTerm("waves:joint3", order), OPTIONS)
-        np.testing.assert_allclose(score[0, at], expected.score, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(information[0, at], expected.information[[0, 0, 1], [0, 1, 1]], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(score[at], expected.score, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(information[at], expected.information, rtol=1e-9, atol=1e-9)
 
 
 def test_what_is_in_the_model_or_unknown_has_no_evidence(made):
     assert made.beside([SOFT], OPTIONS).evidence(SOFT, OPTIONS) is None
     assert made.evidence(PooledTerm("unheard of"), OPTIONS) is None
     assert made.evidence(PooledTerm("waves:joint9", 3.0), OPTIONS) is None
+    assert made.evidence(replace(CURVE, site="joint9"), OPTIONS) is None
+    assert made.evidence(replace(CURVE, drivers=("position of joint 9",)), OPTIONS) is None
 
 
 def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made):
@@ -72,42 +77,30 @@ def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made)
     found = made.evidence(BENT, OPTIONS)
     assert (found.score[0], *found.information[0], *found.information[:, 0]) == (0.0, 0.0, 0.0, 0.0, 0.0)
     assert found.information[1, 1] > 1
-    named = made.scores(OPTIONS)[0][1]
-    np.testing.assert_allclose(named[0], found.score)
-    np.testing.assert_allclose(named[1], found.information)
 
 
 def test_a_file_holds_the_recording(made, tmp_path):
     made = replace(made, noise=NoiseModel((Autocorrelation(0.8, 0.6),), np.zeros(1, int), (0, 30)))
     path = tmp_path / "a.npz"
-    path.write_bytes(to_bytes(made))
-    again = from_bytes(path.read_bytes())
-    assert (again.about, again.found, again.candidates, again.families) == (
-        made.about, made.found, made.candidates, made.families
-    )  # fmt: skip
+    path.write_bytes(made.to_bytes())
+    again = ReducedArm.from_bytes(path.read_bytes())
     np.testing.assert_allclose(again.columns, made.columns, rtol=1e-7)
-    for name in ("sites", "angles", "training", "basis", "residual", "blocks"):
+    for name in ("places", "values", "run", "training", "basis", "residual", "blocks"):
         np.testing.assert_array_equal(getattr(again, name), getattr(made, name))
     models = [(model.coefficient, model.share) for model in again.noise.models]
     assert (models, again.noise.starts) == ([(0.8, 0.6)], (0, 30))
-    assert to_bytes(made) == to_bytes(made)
-    assert again.functions == made.functions
-    for name in ("places", "drivers"):
-        own, there = getattr(made, name), getattr(again, name)
-        assert [*own] == [*there]
-        np.testing.assert_array_equal([*own.values()], [*there.values()])
-    assert read_heading(path).functions == made.functions
-    assert read_heading(path).candidates == made.candidates
+    assert made.to_bytes() == made.to_bytes()
+    assert again.heading == read_heading(path) == made.heading
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"no", lambda b: b""])
 def test_a_damaged_file_is_refused_with_the_remedy(made, tmp_path, damage):
     path = tmp_path / "a.npz"
-    path.write_bytes(damage(to_bytes(made)))
+    path.write_bytes(damage(made.to_bytes()))
     with pytest.raises(InputError, match=r"a\.npz: is no reduced recording of this version; .* with --force"):
         read_heading(path)
     with pytest.raises(InputError, match=r"^here: is no reduced recording"):
-        from_bytes(path.read_bytes(), "here")
+        ReducedArm.from_bytes(path.read_bytes(), "here")
 
 
 def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
@@ -116,27 +109,38 @@ def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
     diagnosis = corpus["compliance"].diagnosis
     made = reduced(diagnosis)
     (finding,) = diagnosis.findings
-    assert [(one.label, one.p_value) for one in made.found] == [(finding.effect.label, finding.p_value)]
-    found = made.evidence(made.found[0].term, OPTIONS)
+    assert [(one.label, one.p_value, one.pooled) for one in made.heading.found] == [
+        (finding.effect.label, finding.p_value, True)
+    ]
+    (key,) = (
+        one.key
+        for one in made.heading.candidates
+        if (one.effect, one.site) == (finding.effect.name, finding.effect.site)
+    )
+    found = made.evidence(PooledTerm(key), OPTIONS)
     std = float(np.sqrt(finding.covariance[0, 0]))
     assert 1 / found.information[0, 0] == pytest.approx(std**2, rel=0.1)  # robust weights differ a little
     assert found.score[0] / found.information[0, 0] == pytest.approx(finding.values[0], abs=0.3 * std)
 
 
-def test_functions_are_those_that_test_the_names_of_the_diagnosis(corpus):
+def test_processes_are_those_of_the_search_of_the_recording(corpus):
     from lite6jax.populations.reduction import reduced
 
     diagnosis = corpus["compliance"].diagnosis
     made, problem = reduced(diagnosis), diagnosis.problem
-    tried = [part for whole in problem.flexible if not whole.rare for part in whole.displacements]
-    assert "x y z rx ry rz" in {one.component for one in problem.flexible} - {one.component for one in tried}
-    some = [k for k, effect in enumerate(tried) if effect.site in ("joint3", "link2", "tool", "sensor")]
-    assert len(some) > 40
-    assert len({function.key for function in made.functions}) == len(made.functions) > len(tried)
-    for k in some:
-        expected = problem.columns([tried[k]])
-        columns = made.columns_of_function(made.functions[k])[:, : expected[0].size].reshape(expected.shape)
-        columns, expected = columns[..., made.training], expected[..., made.training]
-        scale = np.vdot(columns, expected) / np.vdot(expected, expected)  # the noise, which all of them share
-        np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * scale)
-        assert scale == pytest.approx(1 / diagnosis.fit.scale[0], rel=0.2)
+    all_tried = tried([made])
+    assert len(all_tried.singles) > 1000
+    assert len(all_tried.pairs) > 1000
+    quantities = {one.driver.phrase: one for one in problem.quantities}
+    components = {(one.site, one.name): one for one in problem.components}
+    for screened in (*all_tried.singles[::97], *all_tried.pairs[::97]):
+        for process in all_tried.with_every_kernel(screened):
+            own = [quantities[one] for one in process.drivers]
+            effect = problem.process(components[process.site, process.component], own, process.kernel, 1.0)
+            assert (effect.site, effect.unit) == (process.site, process.unit)
+            expected = problem.columns([effect])
+            columns = made.columns_of(process)[:, : expected[0].size].reshape(expected.shape)
+            columns, expected = columns[..., made.training], expected[..., made.training]
+            scale = np.vdot(columns, expected) / np.vdot(expected, expected)  # the noise, which all of them share
+            np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * scale)
+            assert scale == pytest.approx(1 / diagnosis.fit.scale[0], rel=0.2)

@@ -1,20 +1,18 @@
 """Fleets of torque recordings: friction and ripple that all arms share below the threshold of one, and an odd arm."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from populations.linear_arms import population
+from populations.linear_arms import population, tried
 from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.populations.files import from_bytes, to_bytes
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.reduced import PooledTerm
-from lite6jax.populations.reduction import reduced_torques
+from lite6jax.populations.reduced import ReducedArm
+from lite6jax.populations.reduction import reduced
 from lite6jax.populations.schema import check_fleet_document
+from lite6jax.populations.terms import PooledTerm
 from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
@@ -51,9 +49,8 @@ def bump(position):
 
 def fleet(folder, motion, sizes):
     """Arms with viscous friction and ripple of these sizes, of which none has findings of its own, and their result."""
-    arms = [reduced_torques(diagnosed(recording(motion, seed, *size))) for seed, size in enumerate(sizes)]
-    candidates = {each.key: each for each in (*arms[0].candidates, *arms[0].families)}
-    return arms, population(folder, arms, candidates=candidates, options=OPTIONS)
+    arms = [reduced(diagnosed(recording(motion, seed, *size))) for seed, size in enumerate(sizes)]
+    return arms, population(folder, arms, options=OPTIONS)
 
 
 def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_path, motion):
@@ -79,7 +76,7 @@ def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
 
 
 def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
-    arms, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
+    _, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
     (effect,) = found.to_dict()["effects"]
     assert (effect["effect"], effect["site"]) == ("unnamed", "joint4")
     assert effect["driver"] == "position of joint 4 and direction of motion of joint 4"
@@ -88,42 +85,35 @@ def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
     inside = np.abs(np.array(curve["driver"]) - LITE6.joint_limits[3].mean()) < 0.3
     off = (np.array(curve["mean"]) - BUMP * bump(np.array(curve["driver"])))[inside]
     assert np.mean(np.abs(off) < 3 * np.array(curve["std"])[inside]) > 0.9
-    without = population(
-        tmp_path / "names",
-        [replace(one, functions=()) for one in arms],
-        candidates={each.key: each for each in (*arms[0].candidates, *arms[0].families)},
-        options=OPTIONS,
-    )
-    assert all(one.selected.term.key.partition(":")[0] != "unnamed" for one in without.effects)
-    assert without.effects  # the nearest names, which are wrong
 
 
-def test_functions_are_those_that_test_the_names_of_the_diagnosis(motion):
+def test_processes_are_those_of_the_search_of_the_recording(motion):
     found = diagnosed(recording(motion, 0))
-    arm, problem = from_bytes(to_bytes(reduced_torques(found))), found.problem
-    assert len({function.key for function in arm.functions}) == len(arm.functions) > len(problem.flexible)
-    shared = [effect for effect in problem.flexible if not effect.full_load]
-    tested = [(arm.functions[k], effect) for k, effect in enumerate(shared) if effect.site == "joint4"]
-    assert {effect.signed for _, effect in tested} == {True, False}
-    for function, effect in tested:
-        expected = problem.columns([effect]).reshape(effect.size, -1)
-        columns = arm.columns_of_function(function)[:, : expected.shape[1]]
-        # a spline has other coefficients there: the sums of these
-        expected = expected if effect.degree else expected - np.append(expected[1:], 0 * expected[:1], 0)
-        scale = np.vdot(columns, expected) / np.vdot(expected, expected)
-        np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * np.abs(columns).max())
-        assert scale == pytest.approx(1.0, rel=0.2)
+    arm, problem = ReducedArm.from_bytes(reduced(found).to_bytes()), found.problem
+    all_tried, quantities = tried([arm]), {one.driver.phrase: one for one in problem.quantities}
+    components = {one.site: one for one in problem.components}
+    for screened in (*all_tried.singles[::23], *all_tried.pairs[::23]):
+        for process in all_tried.with_every_kernel(screened):
+            own = [quantities[one] for one in process.drivers]
+            effect = problem.process(components[process.site], own, process.kernel, 1.0)
+            expected = problem.columns([effect]).reshape(effect.size, -1)
+            columns = arm.columns_of(process)[:, : expected.shape[1]]
+            scale = np.vdot(columns, expected) / np.vdot(expected, expected)
+            np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * np.abs(columns).max())
+            assert scale == pytest.approx(1.0, rel=0.2)
 
 
 def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):
     found = diagnosed(recording(motion, 0, 0.5), (ViscousFriction(2),))
-    arm = reduced_torques(found)
-    assert [one.term for one in arm.found] == [VISCOUS]  # it is in the residual again
+    arm = reduced(found)
+    assert [one.pooled for one in arm.heading.found] == [True]  # it is in the residual again
     value = np.linalg.solve(*arm.evidence(VISCOUS, OPTIONS)[1::-1])
     assert value == pytest.approx(found.fit.values, rel=0.02)
     family = found.problem.periodic[2]
     expected = family.columns(np.array([ORDER]))[0].reshape(2, -1)
-    columns = from_bytes(to_bytes(arm)).columns_of(PooledTerm("waves:joint3", ORDER))[:, : expected.shape[1]]
+    columns = ReducedArm.from_bytes(arm.to_bytes()).columns_of(PooledTerm("waves:joint3", ORDER))[
+        :, : expected.shape[1]
+    ]
     scale = np.vdot(columns, expected) / np.vdot(expected, expected)
     np.testing.assert_allclose(columns, scale * expected, rtol=1e-9, atol=1e-9)
     assert scale == pytest.approx(1.0, rel=0.1)

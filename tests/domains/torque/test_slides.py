@@ -36,7 +36,7 @@ from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, par
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
-from lite6jax.populations.reduction import reduced_torques
+from lite6jax.populations.reduction import reduced
 from lite6jax.recordings import write_recording
 from lite6jax.report.reference import headline
 from lite6jax.report.remedies import cause_of, remedy_of
@@ -277,11 +277,11 @@ def test_the_ripple_of_a_screw_is_found_with_its_lead(on_a_screw):
 def test_the_ripple_of_a_screw_stays_in_the_model_where_recordings_are_pooled(on_a_screw):
     """Its order counts along the stroke of this recording: no wave of a fleet can take it up."""
     found = on_a_screw[0]
-    pooled = reduced_torques(found)
-    terms = {one.label: one.term for one in pooled.found}
-    assert terms["torque_ripple:joint3"] is None
-    assert terms["coulomb_friction:joint3"] is not None
-    assert {family.site for family in pooled.families} == {"joint1", "joint2"}
+    pooled = reduced(found)
+    is_pooled = {one.label: one.pooled for one in pooled.heading.found}
+    assert not is_pooled["torque_ripple:joint3"]
+    assert is_pooled["coulomb_friction:joint3"]
+    assert {family.site for family in pooled.heading.families} == {"joint1", "joint2"}
     ripple = next(one.effect for one in found.findings if one.effect.name == "torque_ripple")
     problem = found.problem
     columns = found.fit.noise.whitened(problem.columns([ripple])) * found.fit.training
