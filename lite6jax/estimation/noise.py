@@ -20,6 +20,8 @@ Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
 _COEFFICIENTS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
+_FORGOTTEN = 10.0
+"""Times in the samples, at least, that noise takes to forget: what stays longer is an offset or a drift."""
 _SCALINGS = 3
 """Estimates of the variance, each with the numbers that the last one determines."""
 _SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
@@ -179,9 +181,10 @@ def _autocorrelation(
             scale = left / max(rows.size - float(np.sum((measured @ T) * T)), 1.0)
         return found
 
-    coarse = [Autocorrelation(*pair) for pair in product(_COEFFICIENTS[1::3], _SHARES[1::3])]
+    coefficients = [one for one in _COEFFICIENTS if (1 - one) * rows.shape[1] >= _FORGOTTEN] or _COEFFICIENTS[:2]
+    coarse = [Autocorrelation(*pair) for pair in product(coefficients[1::3], _SHARES[1::3])]
     best = max(coarse, key=likelihood)
-    near = product(_near(_COEFFICIENTS, best.coefficient), _near(_SHARES, best.share))
+    near = product(_near(coefficients, best.coefficient), _near(_SHARES, best.share))
     best = max((Autocorrelation(*pair) for pair in near), key=likelihood)
     return best if likelihood(best) > likelihood(UNCORRELATED) + options.close else UNCORRELATED
 

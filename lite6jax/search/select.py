@@ -43,11 +43,27 @@ class Selector:
         state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
         for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
-            better = instead is not None and instead.evidence > state.evidence + self.options.better
+            better = instead is not None and self._odds(instead) > self._odds(state) + self.options.better
             if grown and not better:
                 break
             state, grown = self._grown(instead if instead is not None and better else state, thorough), True
+        while (simpler := self._noise_instead(state)) is not None:
+            state = simpler
         return state
+
+    def _odds(self, state: State) -> float:
+        """Log evidence, less what autocorrelated noise has to gain in each group."""
+        return state.evidence - self.options.close * sum(model.share > 0 for model in state.fit.noise.models)
+
+    def _noise_instead(self, state: State) -> State | None:
+        """The state with the noise that is left in the place of a process, where that is likelier; else None."""
+        for k in np.argsort([one.net for one in state.tested]).tolist():
+            if state.tested[k].term.nonparametric:
+                trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+                trial = self._dropped(replace(trial, fit=self.in_own_noise(trial.fit)))
+                if self._odds(trial) > self._odds(state):
+                    return trial
+        return None
 
     def _instead_of_noise(self, state: State) -> State | None:
         """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
