@@ -56,13 +56,17 @@ class Selector:
         return state.evidence - self.options.close * sum(model.share > 0 for model in state.fit.noise.models)
 
     def _noise_instead(self, state: State) -> State | None:
-        """The state with the noise that is left in the place of a process, where that is likelier; else None."""
+        """The state with other noise in the place of a process, where that is not clearly less likely; else None."""
         for k in np.argsort([one.net for one in state.tested]).tolist():
-            if state.tested[k].term.nonparametric:
-                trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
-                trial = self._dropped(replace(trial, fit=self.in_own_noise(trial.fit)))
-                if self._odds(trial) > self._odds(state):
-                    return trial
+            if not state.tested[k].term.nonparametric:
+                continue
+            trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+            trial = replace(trial, fit=self.in_own_noise(trial.fit))
+            if trial.fit.noise.models == state.fit.noise.models:
+                continue
+            trial = self._dropped(self._estimated(trial))
+            if self._odds(trial) > self._odds(state) - self.options.close:
+                return trial
         return None
 
     def _instead_of_noise(self, state: State) -> State | None:
