@@ -17,7 +17,7 @@ import numpy as np
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem, acts_on
+from lite6jax.estimation.problem import Component, Mask, Problem, acts_on
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Considered, Ranked, Scan
@@ -165,7 +165,7 @@ class Selector:
             return replace(one, gain=0.0)
         return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
 
-    def _process_of(self, term: Term):  # type: ignore[no-untyped-def]
+    def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
         component = next(
             c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", ""))
         )
@@ -277,11 +277,17 @@ class Selector:
                 said = other.site, other.cause
                 if gap >= self.options.close or len(others) == self.options.listed:
                     break
-                if not self._is(other, one.term) and said not in seen:
+                if not self._contains(other, one.term) and said not in seen:
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
             tested.append(replace(one, alternatives=tuple(others)))
         return replace(state, tested=tuple(tested))
+
+    def _contains(self, ranked: Ranked, term: Term) -> bool:
+        """Whether a ranked term is this one, or a process of its quantities and another one at its site."""
+        phrases = {driver.phrase for driver in term.drivers}
+        more = term.nonparametric and ranked.site == term.site and bool(ranked.process) and phrases <= set(ranked.cause)
+        return more or self._is(ranked, term)
 
     def _is(self, ranked: Ranked, term: Term) -> bool:
         """Whether a ranked term is this one, or a process of the same quantities at its site."""

@@ -229,7 +229,7 @@ class LinearProblem:
 
     @cached_property
     def quantities(self):
-        every = [name for name in self.data if name != "every_run"]
+        every = [name for name, values in self.data.items() if name != "every_run" and np.ptp(values)]
         own = {name: frozenset({"wheel" if name == "angle" else "x"}) for name in every}
         return tuple(Quantity(Driver(name), self.data[name], own[name]) for name in every)
 

@@ -1,20 +1,16 @@
-"""The weights of candidates: they add up to one, and noise exceeds the level of all orders no more often than that."""
+"""Prior probabilities of terms add up to one at most, and noise exceeds the level of all orders no more often."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Curve, Wave, linear_problem
+from engine.linear_problem import Column, Decay, Driver, linear_problem
 from scipy.integrate import quad
 
-from lite6jax.estimation.multiplicity import (
-    description_length,
-    log_orders,
-    log_orders_of,
-    multiplicity,
-    searched_size,
-)
+from lite6jax.effects import kernels
+from lite6jax.estimation.multiplicity import log_orders, log_orders_of
 from lite6jax.estimation.options import DEFAULTS
+from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
 
 
 def test_the_probabilities_of_whole_and_other_orders_add_up_to_one():
@@ -59,15 +55,6 @@ def test_noise_exceeds_the_level_of_all_orders_no_more_often_than_that(turns, le
     assert share > 0.4 * level * min(turns, 1)  # and it is not a multiple of what is needed
 
 
-def test_only_waves_of_a_fixed_order_have_a_weight_of_their_own():
-    problem = linear_problem(np.random.default_rng(1))
-    searched = searched_size(problem, DEFAULTS)
-    assert multiplicity(problem, Column("u3"), DEFAULTS) == searched
-    assert multiplicity(problem, Wave(None), DEFAULTS) == searched  # its order is fitted
-    low, high = (multiplicity(problem, Wave(order), DEFAULTS) for order in (3.0, 320.5))
-    assert low < searched < high
-
-
 def test_orders_count_more_where_angles_spread_farther_and_fewer_are_searched_to_a_lower_one():
     problem = linear_problem(np.random.default_rng(1))
     (family,) = problem.periodic
@@ -79,34 +66,62 @@ def test_orders_count_more_where_angles_spread_farther_and_fewer_are_searched_to
     assert log_orders_of(some, 7.5, DEFAULTS) < log_orders_of(family, 7.5, DEFAULTS)
 
 
-def test_the_order_of_a_wave_is_what_its_family_says():
-    """Orders of a slide are waves per metre: in their family they are waves per stroke."""
-    problem = linear_problem(np.random.default_rng(1))
-    (family,) = problem.periodic
-    stroke = replace(family, order=lambda term: None if term.order is None else 0.3 * term.order, whole=False)
-    other = type(
-        "Slide", (), {"periodic": (stroke,), "candidates": (), "shaped": (), "functions_tried": 0, "curves": ()}
-    )()
-    found = multiplicity(other, Wave(200.0), DEFAULTS) / searched_size(other, DEFAULTS)
-    assert np.log(found * DEFAULTS.searched_orders) == pytest.approx(float(log_orders_of(stroke, 60.0, DEFAULTS)))
+# ---------------------------------------------------------------------------- costs of a scan
 
 
-def test_description_lengths_count_numbers_and_the_choice_of_orders():
-    problem = linear_problem(np.random.default_rng(1))
-    (family,) = problem.periodic
-    n = 500.0
-    a_number = 0.5 * np.log(n)
-    assert description_length(problem, [Column("u3")], n, DEFAULTS) == pytest.approx(a_number)
-    low = description_length(problem, [Wave(3.0)], n, DEFAULTS)
-    assert low == pytest.approx(3 * a_number + float(log_orders_of(family, 3.0, DEFAULTS)))
-    both = description_length(problem, [Wave(3.0), Wave(160.7)], n, DEFAULTS)
-    assert both == pytest.approx(low + 3 * a_number + float(log_orders_of(family, 160.7, DEFAULTS)))
+@pytest.fixture(scope="module")
+def scan():
+    """Of seven names, three sites and seven quantities, one of which is an angle."""
+    return Scan(linear_problem(np.random.default_rng(1)), DEFAULTS)
 
 
-def test_a_rare_function_costs_more_by_as_much_as_it_is_less_likely():
-    problem, n = linear_problem(np.random.default_rng(3)), 100
-    usual, rare = Curve("u2"), Curve("u2", rare=True)
-    more = description_length(problem, [rare], n, DEFAULTS) - description_length(problem, [usual], n, DEFAULTS)
-    assert more == pytest.approx(DEFAULTS.rare)
-    factor = multiplicity(problem, rare, DEFAULTS) / multiplicity(problem, usual, DEFAULTS)
-    assert np.log(factor) == pytest.approx(DEFAULTS.rare)
+def weights_of_processes(scan):
+    """Of all processes of one quantity, and of all of two."""
+    count, one, two = len(scan.quantities), 0.0, 0.0
+    for component in scan.problem.components:
+        for which in [(k,) for k in range(count)] + [(a, b) for a in range(count) for b in range(a + 1, count)]:
+            kernels_of_it = [name for name in (SINGLE if len(which) == 1 else PAIRS) if scan.suits(name, which)]
+            weight = len(kernels_of_it) * np.exp(-scan.cost_of_process(component.site, which))
+            one, two = one + weight * (len(which) == 1), two + weight * (len(which) == 2)
+    return one, two
+
+
+def test_the_prior_probabilities_of_all_terms_add_up_to_one_at_most(scan):
+    names = sum(np.exp(-scan.cost_of_name(term)) for term in scan.names)
+    waves = np.exp(-KINDS)  # of one family, and the weights of its orders add up to one
+    assert 0.3 < names + waves + sum(weights_of_processes(scan)) <= 1 + 1e-9
+
+
+def test_each_kind_of_process_has_a_third_at_most(scan):
+    one, two = weights_of_processes(scan)
+    assert 0.1 < one <= 1 / 3 + 1e-9
+    assert 0.1 < two <= 1 / 3 + 1e-9
+
+
+def test_a_quantity_is_likelier_at_its_own_site(scan):
+    place = {quantity.driver: k for k, quantity in enumerate(scan.quantities)}
+    angle, u1 = place[Driver("angle")], place[Driver("u1")]
+    assert scan.cost_of_process("wheel", (angle,)) < scan.cost_of_process("x", (angle,))
+    assert scan.cost_of_process("x", (u1,)) < scan.cost_of_process("wheel", (u1,))
+    # of a site that has no quantity of its own all are as likely
+    assert scan.cost_of_process("y", (angle,)) == scan.cost_of_process("y", (u1,))
+
+
+def test_two_quantities_cost_more_than_one_and_in_any_order_the_same(scan):
+    for a, b in ((0, 1), (2, 6)):
+        both = scan.cost_of_process("x", (a, b))
+        assert both == pytest.approx(scan.cost_of_process("x", (b, a)))
+        assert both > max(scan.cost_of_process("x", (k,)) for k in (a, b))
+
+
+def test_a_number_that_is_tried_costs_and_what_nearly_every_problem_has_does_not(scan):
+    plain = scan.cost_of_name(Column("u3"))
+    assert scan.cost_of_name(Decay("u3", 0.3)) > plain
+    assert plain > scan.cost_of_name(Column("u3", usual=True)) == pytest.approx(np.log(2))
+
+
+def test_a_kernel_of_angles_suits_no_other_quantity(scan):
+    names = [quantity.driver.phrase for quantity in scan.quantities]
+    suiting = {name: [phrase for k, phrase in enumerate(names) if scan.suits(name, (k,))] for name in SINGLE}
+    assert suiting["wave"] == suiting["play"] == ["angle"]
+    assert all(suiting[name] == names for name in kernels.SCALED)

@@ -34,7 +34,6 @@ from lite6jax.effects.effect import Coordinate
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.errors import InputError
-from lite6jax.estimation.multiplicity import searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.populations.reduction import reduced
@@ -341,9 +340,6 @@ def test_periods_are_searched_as_far_as_stroke_and_low_pass_resolve_them():
     at = np.outer([1, 7.3], 2 * np.pi * q[problem.data.filter.kept][problem.chosen] / np.ptp(q))
     own = replace(slide, waves=None).waves_of(np.array([1, 7.3]))
     np.testing.assert_allclose(own, np.stack([np.sin(at), np.cos(at)], 1), atol=1e-12)
-    more = searched_size(problem, EngineOptions()) - len(problem.candidates) - len(problem.shaped)
-    more -= len(problem.flexible) + len(problem.curves) * EngineOptions().searched_curves
-    assert more == pytest.approx(EngineOptions().searched_orders * len(problem.periodic))
 
 
 def test_a_push_along_the_slide_is_a_contact_in_newtons():
