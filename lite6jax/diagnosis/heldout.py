@@ -40,10 +40,6 @@ Array = NDArray[np.floating]
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
 
-_MANY_ROWS = 60
-"""Rows from which positions alone determine the frames and the geometry of any arm of up to about 14 joints."""
-
-
 # ------------------------------------------------------------------ blocks of rows
 
 

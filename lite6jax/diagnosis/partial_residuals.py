@@ -219,7 +219,8 @@ def _over_drivers(effect: Unnamed | UnnamedTorque, of: _Process) -> list[Finding
     def over(main: int, placed: Callable[[Array], Array], rows: Mask, **more: Any) -> FindingCurve:
         x, waves = drivers[main], more.get("periods", 1.0)
         at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * waves)))
-        (curve, std), (moved, _) = (shown(effect.functions_at(placed(along))) for along in (at, x[rows]))
+        functions = (np.asarray(effect.functions_at(placed(along))) for along in (at, x[rows]))  # type: ignore[arg-type]
+        (curve, std), (moved, _) = map(shown, functions)
         driver, partial = effect.drivers[main], moved + of.left[rows]
         return FindingCurve(k, "driver", driver, key, unit, x[rows], partial, at, curve, std, **more)
 

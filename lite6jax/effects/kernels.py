@@ -171,7 +171,7 @@ def _table(name: str, in_product: bool) -> NDArray:
         return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
     inner = centres[outer : outer + PIECES + 3]
     covariance = kernel.covariance(centres[:, None], inner, np.abs(centres[:, None] - inner)) + 1.0
-    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T
+    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T  # type: ignore[arg-type]
     eigenvalues, V = np.linalg.eigh(covariance[outer : outer + PIECES + 3])
     U, S, _ = np.linalg.svd(grid @ (V * np.sqrt(np.maximum(eigenvalues, 0.0))), full_matrices=False)
     rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
@@ -226,9 +226,9 @@ def _factor(name: str, values: Array, lower: float, upper: float, in_product: bo
 
 def _play_features(values: Array, bounds: Sequence[float], run: Array | None) -> Array:
     xp, half = library_of(values), 0.5 * (bounds[1] - bounds[0])
-    run = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)]) if run is None else run
+    whole = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)])
     centred = values - 0.5 * (bounds[0] + bounds[1])
-    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), run)
+    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(whole if run is None else run))
     behind = np.asarray(behind) if xp is np else behind
     return xp.concatenate([xp.ones_like(centred)[None], behind / half])
 

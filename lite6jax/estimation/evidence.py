@@ -77,7 +77,7 @@ class Marginal:
 
     @cached_property
     def _by_group(self) -> tuple[Array, Array]:
-        """The sum of squares that is left in each group of rows, and its degrees of freedom, with the declared noise."""
+        """The sum of squares left in each group of rows, and its degrees of freedom, with the declared noise."""
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
         products = self.test.left**2  # in sum that times the residual, which of a group alone may be negative
@@ -90,7 +90,7 @@ class Marginal:
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)` bool; of all that nuisance couples."""
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`; of all that nuisance couples."""
         squares, freedom = self._by_group
         coupled = len(self.test.problem.precision) > 0
         groups = np.arange(len(squares)) if coupled else np.unique(self.test.problem.groups[rows])
@@ -198,7 +198,9 @@ def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, free
     return Evidence(*(np.take_along_axis(each, best, -1)[..., 0] for each in (gains, s, volume)))
 
 
-def of_process(pull: Array, information: Array, left: float, freedom: float, confounded: float) -> Evidence:
+def of_process(
+    pull: Array, information: Array, left: Array | float, freedom: Array | float, confounded: float
+) -> Evidence:
     """The evidence of processes whose coefficients have the same variance.
 
     Args:

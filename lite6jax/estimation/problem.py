@@ -209,7 +209,7 @@ class Problem(LinearisedProblem, Protocol):
         ...
 
     def seen(self, functions: Array) -> Array:
-        """Functions `(…, every sample)` as they reach the samples of this problem: through its filter, if it has one."""
+        """Functions `(…, every sample)` as they reach the samples of this problem, through its filter if it has one."""
         ...
 
     def limits(self, term: Term) -> Sequence[tuple[float, float]]:

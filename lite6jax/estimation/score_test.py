@@ -255,7 +255,7 @@ class ScoreTest:
         return replace(self, time=time, blocks=_blocks(self.problem.samples, time, self.options))
 
     def whitened(self, columns: Array, rows: NDArray[np.integer] | None = None) -> Array:
-        """Columns `(…, row, sample)` of some rows whitened, of the training samples, in units of the first group's noise."""
+        """Columns `(…, row, sample)` of some rows, whitened, of training samples, over the first group's noise."""
         return _white(self.fit, columns, self.scale, rows)
 
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:

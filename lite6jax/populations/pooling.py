@@ -15,7 +15,8 @@ directions equally determined. Numbers of names have no prior: with T the χ² s
 ratio of prior to information gives −½ ν ln(1 − q T / S) + ½ K ln(1 − q).
 
 Noise that the model does not know is seen by the scatter of scores between blocks of samples: where that is larger than
-the information says, the sum of squares S is so much larger.
+the information says, the likelihood is that of so many fewer samples. Whether a term is there is decided so; not which
+of two terms, as the scatter of each is known to a tenth.
 """
 
 import pickle
@@ -59,6 +60,7 @@ class Weighed:
         cost: −ln of its prior probability.
         gain: log evidence over its absence from all arms.
         likelihood: gain of the likelihood.
+        scatter: of scores between blocks of samples over the information, at least 1.
         way: in which it is likeliest.
         variance: of the coefficients of a process; infinite of a name.
         rivals: terms that may stand in its place, and by how much the evidence less the cost is lower.
@@ -70,6 +72,7 @@ class Weighed:
     cost: float
     gain: float = 0.0
     likelihood: float = 0.0
+    scatter: float = 1.0
     way: Way = "mean"
     variance: float = np.inf
     rivals: tuple[tuple[Tested, float], ...] = ()
@@ -81,9 +84,14 @@ class Weighed:
         return self.gain - self.cost
 
     @property
+    def sure(self) -> float:
+        """The same in noise of the scatter between blocks."""
+        return self.net - self.likelihood * (1 - 1 / self.scatter)
+
+    @property
     def p_value(self) -> float:
         """A bound on the probability that chance alone makes anything so likely: that of an evidence is one over it."""
-        return float(min(np.exp(-self.net), 1.0))
+        return float(min(np.exp(-self.sure), 1.0))
 
     def likelihoods(self, typical: Sequence[float], covariate: Array | None) -> ArmLikelihoods:
         """What the arms say, for a hierarchical model; nothing where there is no evidence.
@@ -124,7 +132,7 @@ def weigh(
     b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
     spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
     scatter = max(float(spread.sum() / chi_squared(b.sum(0), G.sum(0))[1]), 1.0)
-    left, freedom = scatter * np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
+    left, freedom = np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
 
     def of(score: Array, information: Array, left: float, freedom: float) -> tuple[float, float, float]:
         """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
@@ -144,13 +152,13 @@ def weigh(
         (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
         (of(b, G, S, v), "any"),
     ]
-    gain, *rest = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
-    ways.append(((gain - float(np.log(len(evidence))), *rest), "one"))
+    gain, likelihood, variance = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
+    ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
     if covariate is not None:
         own = _slope(b, G, covariate[at])
         ways.append((of(own[0][None], own[1][None], S, v), "drift"))
     (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
-    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, way, variance)
+    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, way, variance)
 
 
 def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:

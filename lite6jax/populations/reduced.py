@@ -66,12 +66,10 @@ class Found(NamedTuple):
     Attributes:
         label: its name and site.
         p_value: family-wise, over all that was searched in the recording.
-        pooled: whether it is part of the residual again, and so of what is pooled.
     """
 
     label: str
     p_value: float
-    pooled: bool
 
 
 class Heading(NamedTuple):
@@ -324,16 +322,18 @@ class ReducedArm:
     def _spectrum(self, family: Candidate, options: PoolingOptions) -> Screened:
         """Of the waves of a family."""
         orders, place = order_grid(options), self._place_of(family)
-        acting = place.any(1)
-        noise, place = replace(self.noise, groups=self.noise.groups[acting]), place[acting]
-        left, *basis = self._measured[:, acting].reshape(len(self.basis) + 1, place.size)
+        acting, white = place.any(1), self.noise.white
+        noise, site = replace(self.noise, groups=self.noise.groups[acting]), place[acting]
+        # autocorrelated noise mixes samples: then rows do not add up before waves are multiplied
+        measured = self._over_rows(place) if white else (1.0, self._measured[:, acting].reshape(-1, site.size))
         score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 2, 2))
-        step = max(1, _ORDERS_AT_ONCE // (2 * max(place.size, self.run.shape[1])))
+        step = max(1, _ORDERS_AT_ONCE // (2 * max(site.size, self.run.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
-            flat = noise.whitened(self._waves(family, orders[part])[:, :, None] * place) * self.training
-            flat = flat.reshape(len(flat), 2, -1)
-            score[part], information[part] = _equations(flat, 1.0, left, basis, options.engine.confounded)
+            waves = self._waves(family, orders[part])
+            if not white:
+                waves = (noise.whitened(waves[:, :, None] * site) * self.training).reshape(len(waves), 2, -1)
+            score[part], information[part] = _equations(waves, *measured, options.engine.confounded)
         statistic, size = chi_squared(score, information)
         return Screened(score, information, np.stack([statistic, size, size])[..., None])
 
@@ -348,16 +348,19 @@ class ReducedArm:
                 if one.drivers not in functions:
                     functions[one.drivers] = self._functions(one)
         for where, own in members.items():
-            site = self.noise.whitened(self._places[where]) * self.training
-            left, *basis = np.sum(site * self._measured, 1)
-            f, weight = np.stack([functions[processes[k].drivers] for k in own]), np.sum(site**2, 0)
-            score[own], information[own] = _equations(f, weight, left, basis, options.engine.confounded)
+            f, measured = np.stack([functions[processes[k].drivers] for k in own]), self._over_rows(self._places[where])
+            score[own], information[own] = _equations(f, *measured, options.engine.confounded)
         sums = np.zeros((3, groups, len(roots)))
         for k, R in enumerate(roots):
             varying = R[:, 1:]  # without the constant, which is larger than all else
             G = varying.T @ information @ varying
             sums[:, :, k] = np.sum((score @ varying) ** 2, 1), np.trace(G, axis1=1, axis2=2), np.sum(G**2, (1, 2))
         return Screened(score, information, sums)
+
+    def _over_rows(self, place: Array) -> tuple[Array, Array]:
+        """Sums over the rows of each sample of a place's square, and of it times what is left and the basis."""
+        site = self.noise.whitened(place) * self.training
+        return np.sum(site**2, 0), np.sum(site * self._measured, 1)
 
     @cached_property
     def _measured(self) -> Array:
@@ -383,15 +386,13 @@ def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:
     return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1)
 
 
-def _equations(
-    functions: Array, weight: Array | float, left: Array, basis: Sequence[Array], confounded: float
-) -> tuple[Array, Array]:
+def _equations(functions: Array, weight: Array | float, measured: Array, confounded: float) -> tuple[Array, Array]:
     """Score `(group, number)` and information of functions `(group, number, sample)`, zero of what is confounded."""
-    inside = functions @ np.reshape(basis, (len(basis), functions.shape[-1])).T
-    own = (functions * weight) @ functions.swapaxes(1, 2)
+    along = functions @ measured.T
+    own, inside = (functions * weight) @ functions.swapaxes(1, 2), along[..., 1:]
     information = own - inside @ inside.swapaxes(1, 2)
     seen = np.diagonal(information, axis1=1, axis2=2) > confounded * np.diagonal(own, axis1=1, axis2=2)
-    return np.where(seen, -(functions @ left), 0.0), np.where(seen[:, :, None] & seen[:, None], information, 0.0)
+    return np.where(seen, -along[..., 0], 0.0), np.where(seen[:, :, None] & seen[:, None], information, 0.0)
 
 
 def read_heading(path: Path) -> Heading:

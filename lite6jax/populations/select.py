@@ -60,8 +60,9 @@ class Search:
         seen = set[Tested]()
         while len(terms) < self._options.most_effects:
             self._progress(len(terms))
-            more = next((one for one in self._ranked(terms) if one.term not in seen), None)
-            if more is None or more.net < self._least:
+            worth = (one for one in self._ranked(terms) if one.term not in seen and one.sure >= self._least)
+            more = next(worth, None)
+            if more is None:
                 break
             seen.add(more.term)
             terms = self._dropped([*terms, more.term])
@@ -70,8 +71,8 @@ class Search:
     def _dropped(self, terms: list[Tested]) -> list[Tested]:
         """Without those that are not worth their cost beside the others, the least of them first."""
         while terms:
-            worst = min(self._beside_others(terms), key=lambda one: one.net)
-            if worst.net >= self._least:
+            worst = min(self._beside_others(terms), key=lambda one: one.sure)
+            if worst.sure >= self._least:
                 break
             terms = [term for term in terms if term != worst.term]
         return terms

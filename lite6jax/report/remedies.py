@@ -231,7 +231,7 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
         return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
     source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry, torques).cause.format(
-        place=joined(places_of(entry), "or"),
+        place=place_of(entry["site"]) if torques else joined(_places(entry), "or"),
         source=f"joint {source:.0f}" if source else "another joint",
         effect=effect_name(entry["effect"]),
         exerted=_exerted(entry),
@@ -243,7 +243,7 @@ def _exerted(entry: Entry) -> str:
     return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
 
 
-def places_of(entry: Entry) -> list[str]:
+def _places(entry: Entry) -> list[str]:
     """The place of a finding in words; of an unnamed one also those where it is nearly as likely, the nearest first."""
     near = [rival for rival in distinct_rivals(entry) if rival["status"] not in ("rejected", "found")]
     sites = [entry["site"], *(rival["site"] for rival in near if entry["effect"] == "unnamed")]
@@ -293,6 +293,7 @@ _SHAPES = {
 }
 """What a nonparametric effect of one driver looks like, by its kernel."""
 _MOST_PLACES = 3
+"""Where an effect may be, in its cause."""
 
 
 def effect_title(entry: Entry) -> str:
@@ -338,7 +339,8 @@ def component(where: Entry) -> str:
 
 def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
-    return _SHAPES.get(where.get("kernel", "smooth"), "a surface")
+    two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
+    return _SHAPES.get(where.get("kernel", "smooth"), two)
 
 
 def drivers_of(entry: Entry) -> Sequence[str]:

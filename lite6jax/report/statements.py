@@ -564,7 +564,8 @@ def what_to_record(document: Document) -> list[str]:
                 pairs.append(pair)
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in drivers_of(entry)]
     if pairs:
-        vary = f" in which {joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
+        several = dict.fromkeys(drivers)
+        vary = f" in which {joined(several)} vary independently" if len(several) > 1 else ""
         lines.append(f"To separate {joined(pairs, 'or')}, record more poses{vary}.")
     doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:

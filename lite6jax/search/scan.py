@@ -43,8 +43,9 @@ PAIRS = (
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
 KINDS = np.log(3.0)
-Considered = frozenset[tuple[str, str, tuple[str, ...]]]
-"""Processes by site, component and phrases of their quantities."""
+_Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
+Considered = frozenset[_Considered]
+"""Processes by site, component, phrases of their quantities, kernel and rolloff."""
 _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
@@ -106,13 +107,13 @@ class Scan:
     """What is tried in one problem; the features of its quantities are computed once.
 
     Attributes:
-        considered: the processes that were among the likeliest of a scan, by site, component and phrases.
+        considered: the processes that were among the likeliest of a scan, each as its likeliest kernel.
     """
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         """Tries all processes, or those `among` which it is to choose."""
         self.problem, self.options, self._among = problem, options, among
-        self.considered = set[tuple[str, str, tuple[str, ...]]]()
+        self.considered = set[_Considered]()
         self.quantities = list(problem.quantities)
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
@@ -198,7 +199,7 @@ class Scan:
 
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
-        """The quantities of many values, and the splines `(quantity, spline, sample)` that express all their kernels."""
+        """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
         many = [k for k, discrete in enumerate(self.discrete) if not discrete]
         none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
         return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
@@ -221,11 +222,11 @@ class Scan:
     # -------------------------------------------------------------- what is likeliest
 
     def ranked(self, test: ScoreTest, pairs: bool = True, rows: Mask | None = None) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first; of the sites that act on `rows`."""
+        """All that is worth its cost, and the best that is not, the likeliest first, at sites that act on `rows`."""
         weighed = _Weighed(self, test, rows)
         if self._among is not None:
-            few = [self.alike(test, *one) for one in self._processes if one[0] in weighed.components]
-            found = [*weighed.named(), *weighed.waves(), *(one for one in few if one is not None and one.gain > 0)]
+            few = [weighed.exact(weighed.of_kernel(*one)) for one in self._processes if one[0] in weighed.components]
+            found = [*weighed.named(), *weighed.waves(), *(one for one in few if one.gain > 0)]
             return _in_order(found)
         found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
         singles = weighed.singles(max([0.0, *(one.net - self.options.close for one in found)]))
@@ -233,19 +234,20 @@ class Scan:
         if pairs:
             found += weighed.pairs(singles)
         found.sort(key=lambda one: -one.net)
-        self.considered |= {one.key for one in [one for one in found if one.process][:_CONSIDERED]}
+        likely = [one for one in found if one.process][:_CONSIDERED]
+        self.considered |= {(*one.key, *one.process[2:]) for one in likely}
         if test.fit.noise.white:
             return _in_order(found)
         exact = [weighed.exact(one) for one in found[:_EXACT]]
         return _in_order([one for one in exact if one.gain > 0])
 
     @cached_property
-    def _processes(self) -> list[tuple[Component, tuple[int, ...]]]:
+    def _processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
         components = {(one.site, one.name): one for one in self.problem.components}
         place = {one.driver.phrase: k for k, one in enumerate(self.quantities)}
         return [
-            (components[site, name], tuple(place[phrase] for phrase in phrases))
-            for site, name, phrases in sorted(self._among or ())
+            (components[site, name], tuple(place[phrase] for phrase in phrases), kernel, rolloff)
+            for site, name, phrases, kernel, rolloff in sorted(self._among or ())
             if (site, name) in components and all(phrase in place for phrase in phrases)
         ]
 
@@ -369,12 +371,12 @@ class _Weighed:
                 R = kernels.root(name)
                 each = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
                 for i, *one in zip(some, *each, strict=True):
-                    found.append(self._process(Evidence(*one), *at[i][:1], (at[i][1],), name))
+                    found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
             for i in some:
                 component, k = at[i][:2]
                 for name in ("wave", "play"):
                     if self._scan.suits(name, (k,)):
-                        found.append(self._of_kernel(component, (k,), name))
+                        found.append(self.of_kernel(component, (k,), name))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
 
@@ -418,7 +420,7 @@ class _Weighed:
         """Every kernel of given quantities at a component."""
         own = [self._scan.quantities[k] for k in which]
         names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
-        found = [self._of_kernel(component, which, name) for name in names]
+        found = [self.of_kernel(component, which, name) for name in names]
         if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
             found += self._spectra_of(component, which[0])
         return found
@@ -454,7 +456,7 @@ class _Weighed:
 
     def exact(self, ranked: Ranked) -> Ranked:
         """A process in autocorrelated noise, where all others are weighed as if it varied slowly."""
-        if not ranked.process:
+        if not ranked.process or self._test.fit.noise.white:
             return ranked
         component, which, kernel, rolloff = ranked.process
         if self._sums(component).row is not None:
@@ -468,9 +470,10 @@ class _Weighed:
         sums = self._sums(component)
         return *self._marginal.equations(sums, functions), sums.left, sums.freedom
 
-    def _of_kernel(
+    def of_kernel(
         self, component: Component, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = ()
     ) -> Ranked:
+        """A process of one kernel."""
         return self._of_kernels(component, [which], kernel, rolloff)[0]
 
     def _of_kernels(

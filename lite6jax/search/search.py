@@ -58,7 +58,7 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        thorough: whether terms are exchanged, and what may stand in their place, is confounded or nearest is determined.
+        thorough: whether terms are exchanged, and what may replace them, is confounded or nearest is determined.
         among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
@@ -96,9 +96,7 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
     return State(baseline, fitted, tested)
 
 
-def _selected(
-    selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None
-) -> Selection:
+def _selected(selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None) -> Selection:
     for _ in range(_ROUNDS):
         before, selector = selection.problem, Selector(selection.problem, options.rough, among)
         state = selector.selected(selection.state, thorough)
@@ -166,7 +164,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates = problem.candidates
     explained = score_test(selection.reference, state.baseline, options).explained(candidates)
     confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
-    left = [one for one in selector.scan.named(score_test(problem, state.fit, options))]
+    left = selector.scan.named(score_test(problem, state.fit, options))
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)

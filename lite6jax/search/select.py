@@ -17,7 +17,7 @@ import numpy as np
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem, acts_on
+from lite6jax.estimation.problem import Component, Mask, Problem, acts_on
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Considered, Ranked, Scan
@@ -38,14 +38,15 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Then terms are tried in its place.
+        many processes are significant that each describe a part of it. Terms are then tried in its place.
         """
-        state = self._grown(replace(state, fit=self.in_own_noise(state.fit)), thorough)
-        for _ in range(self.options.exchanges):
+        state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
+        for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
-            if instead is None or instead.evidence < state.evidence + self.options.better:
+            better = instead is not None and instead.evidence > state.evidence + self.options.better
+            if grown and not better:
                 break
-            state = self._grown(instead, thorough)
+            state, grown = self._grown(instead if instead is not None and better else state, thorough), True
         return state
 
     def _instead_of_noise(self, state: State) -> State | None:
@@ -164,7 +165,7 @@ class Selector:
             return replace(one, gain=0.0)
         return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
 
-    def _process_of(self, term: Term):  # type: ignore[no-untyped-def]
+    def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
         component = next(
             c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", ""))
         )
@@ -276,11 +277,17 @@ class Selector:
                 said = other.site, other.cause
                 if gap >= self.options.close or len(others) == self.options.listed:
                     break
-                if not self._is(other, one.term) and said not in seen:
+                if not self._contains(other, one.term) and said not in seen:
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
             tested.append(replace(one, alternatives=tuple(others)))
         return replace(state, tested=tuple(tested))
+
+    def _contains(self, ranked: Ranked, term: Term) -> bool:
+        """Whether a ranked term is this one, or a process of its quantities and another one at its site."""
+        phrases = {driver.phrase for driver in term.drivers}
+        more = term.nonparametric and ranked.site == term.site and bool(ranked.process) and phrases <= set(ranked.cause)
+        return more or self._is(ranked, term)
 
     def _is(self, ranked: Ranked, term: Term) -> bool:
         """Whether a ranked term is this one, or a process of the same quantities at its site."""

@@ -29,10 +29,12 @@ def model_with(*texts):
 
 def test_friction_without_a_name_is_exported_as_far_as_simulators_hold_it():
     _, model = model_with()
-    curve = UnnamedTorque(2, "speed of joint 2", 0.0, 1.5, pieces=2, signed=True)
-    # the straight line 0.4 + 0.2 |v| as such a curve
-    speeds = np.linspace(0.0, 1.5, 50)
-    values = np.linalg.lstsq(curve.functions_of(speeds[None]).T, 0.4 + 0.2 * speeds, rcond=None)[0]
+    drivers = "speed of joint 2 and direction of motion of joint 2"
+    curve = UnnamedTorque(2, drivers, 0.0, 1.5, "cubic*line", (-1.0, 1.0))
+    # the straight line 0.4 + 0.2 |v| as such a process
+    speeds, sign = np.tile(np.linspace(0.0, 1.5, 50), 2), np.repeat([-1.0, 1.0], 50)
+    functions = np.asarray(curve.functions_at(np.stack([speeds, sign])))
+    values = np.linalg.lstsq(functions.T, sign * (0.4 + 0.2 * speeds), rcond=None)[0]
     wide = CoulombFriction(3, 0.2)
     model = replace(model, terms=Terms((curve, wide)), values=np.concatenate([values, [0.5]]))
     found, left_out = diagnosed_arm(model)

@@ -25,9 +25,7 @@ def process(kernel, drivers=LOADED[0], bounds=LOADED[1], site="joint1"):
 
 
 def measured(arms, term):
-    """Evidence whose blocks scatter as the noise model says."""
-    found = [one.evidence(term, OPTIONS) for one in arms]
-    return [one._replace(covariance=one.information) for one in found]
+    return [one.evidence(term, OPTIONS) for one in arms]
 
 
 def outside(one, rows):
@@ -129,7 +127,7 @@ def test_evidence_without_an_effect_is_as_rare_as_it_says(term, covariate):
     found = []
     for seed in range(60):
         evidence = [one.evidence(term, OPTIONS) for one in arms_of(100 + seed, 6)]
-        found.append(min(np.exp(-weigh(term, evidence, covariate, CONFOUNDED).gain), 1.0))
+        found.append(weigh(term, evidence, covariate, CONFOUNDED).p_value)
     assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
 
 
@@ -143,8 +141,9 @@ def test_noise_that_the_model_does_not_know_is_seen_by_the_blocks():
             one.columns[one.parts["soft"]] = lfilter([0.2], [1, -0.97], rng.normal(size=(1, 400)))
             arms.append(one)
         evidence = [one.evidence(PooledTerm("soft"), OPTIONS) for one in arms]
-        robust.append(weigh(PooledTerm("soft"), evidence, None, CONFOUNDED).gain)
-        white.append(weigh(PooledTerm("soft"), measured(arms, PooledTerm("soft")), None, CONFOUNDED).gain)
+        found = weigh(PooledTerm("soft"), evidence, None, CONFOUNDED)
+        robust.append(found.sure)
+        white.append(found.net)
     assert np.mean(np.array(white) > 3) > 0.3
     assert np.mean(np.array(robust) > 3) < 0.1
 

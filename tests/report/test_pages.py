@@ -251,16 +251,21 @@ def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     bump = 0.8 * np.exp(-(((q[1] - q[1].mean()) / 0.25) ** 2))
     extra = np.zeros_like(q)
     extra[1] = bump * np.sign(dq[1]) if signed else bump
-    curve = UnnamedTorque(2, "position of joint 2", float(q[1].min()), float(q[1].max()), 10, signed)
-    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (curve,))
-    (shown,) = finding_curves(found, 0)
-    planted = 0.8 * np.exp(-(((shown.at - q[1].mean()) / 0.25) ** 2))
-    assert np.sqrt(np.mean((shown.curve - planted) ** 2)) < 0.05
-    near = np.interp(shown.driver, shown.at, shown.curve)
-    assert np.corrcoef(near, shown.partial)[0, 1] > 0.9
+    signs = " and direction of motion of joint 2" if signed else ""
+    kernel, further = ("medium*line", (-1.0, 1.0)) if signed else ("medium", ())
+    ends = float(q[1].min()), float(q[1].max())
+    process = UnnamedTorque(2, f"position of joint 2{signs}", *ends, kernel, further, spread=1.0)
+    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (process,))
+    curves = finding_curves(found, 0)
+    assert [curve.beside and curve.beside[1] for curve in curves] == ([-1, 1] if signed else [None])
+    for shown in curves:
+        planted = 0.8 * np.exp(-(((shown.at - q[1].mean()) / 0.25) ** 2)) * (shown.beside[1] if signed else 1)
+        assert np.sqrt(np.mean((shown.curve - planted) ** 2)) < 0.05
+        near = np.interp(shown.driver, shown.at, shown.curve)
+        assert np.corrcoef(near, shown.partial)[0, 1] > 0.9
     text = paged(found)
-    times = ", multiplied by the direction of motion" if signed else ""
-    of = f"a torque at joint2 that is a function of the position of joint 2{times}"
+    also = " and the direction of motion of joint 2" if signed else ""
+    of = f"a torque at joint2 that is a function of the position of joint 2{also}"
     assert "Joint 2 has a torque that no effect of the catalogue names: " in text
     assert f"No effect of the catalogue explains {of}: it contributes " in text
     assert "peak to peak" in text
@@ -272,7 +277,8 @@ def test_a_curve_that_names_nearly_describe_says_so():
     _, q, dq, _ = moved()
     extra = np.zeros_like(q)
     extra[1] = np.sign(dq[1]) * (2.0 + 1.5 * np.abs(dq[1]) ** 1.5)
-    curve = UnnamedTorque(2, "speed of joint 2", 0.0, float(np.abs(dq[1]).max()), 4, signed=True)
+    driver, fastest = "speed of joint 2 and direction of motion of joint 2", float(np.abs(dq[1]).max())
+    curve = UnnamedTorque(2, driver, 0.0, fastest, "smooth*line", (-1.0, 1.0), spread=3.0)
     found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (curve,))
     described = found.to_dict()["findings"][0]["described_by"]
     A = np.stack([dq[1], np.sign(dq[1])], 1)  # filtering changes both sides alike, but for the ends and the jumps
@@ -291,15 +297,15 @@ def test_a_curve_that_names_nearly_describe_says_so():
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
+def test_a_function_of_two_drivers_is_shown_at_three_values_of_the_second():
     _, q, dq, _ = moved()
     further = (float(dq[1].min()), float(dq[1].max()))
     drivers = "position of joint 2 and velocity of joint 2"
-    curve = UnnamedTorque(2, drivers, float(q[1].min()), float(q[1].max()), degree=2, further=further)
-    found = torques_diagnosed(torques_recorded(), (curve,))
-    (shown,) = finding_curves(found, 0)
-    assert shown.hysteresis
-    assert shown.at.shape == shown.curve.shape == shown.partial.shape
+    both = UnnamedTorque(2, drivers, float(q[1].min()), float(q[1].max()), "cubic*cubic", further, spread=2.0)
+    found = torques_diagnosed(torques_recorded(), (both,))
+    curves = finding_curves(found, 0)
+    assert [curve.beside[0].phrase for curve in curves] == ["velocity of joint 2"] * 3
+    assert sum(len(curve.partial) for curve in curves) == found.problem.valid.sum()
     assert "position of joint 2 and the velocity of joint 2" in paged(found)
 
 

@@ -67,7 +67,7 @@ def diagnosed(recording, effects=(), faults=(), arm=LITE6):
         Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, rivals)
         for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)
     )
-    state = State(baseline, fitted, tuple(SelectedTerm(e, 1e-9, score) for e, score in pairs))
+    state = State(baseline, fitted, tuple(SelectedTerm(e, score.gain, p_value=1e-9) for e, score in pairs))
     folds = tuple(np.arange(problem.samples) * 5 // problem.samples == np.arange(5)[:, None])
     errors = [f.residuals.rows * problem.noise[:, None] for f in (baseline, fitted)]
     return TorqueDiagnosis(problem, Selection(problem, problem, state), findings, *errors, faults, (), options, folds)

@@ -1,5 +1,6 @@
 """Effects on torques against a generator that shares no code with the library, and the laws of all of them."""
 
+import json
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.rows import RigidBodies
-from lite6jax.effects.dynamic.catalogue import BUILT_IN, torque_catalogue, torque_ladder
+from lite6jax.effects.dynamic.catalogue import BUILT_IN, torque_catalogue
 from lite6jax.effects.dynamic.friction import CoupledFriction, StribeckFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple
 from lite6jax.effects.dynamic.torque_effect import Delaying, Scaling, direction
@@ -124,62 +125,41 @@ def test_laws_of_every_effect(scene, effect):
         assert not effect.torque(a, dynamics)[others].any()
 
 
-def test_no_two_of_the_ladder_are_the_same_function(scene):
+def test_a_process_acts_at_its_joint_by_the_values_of_its_drivers(scene):
     dynamics = scene[2]
-    columns = np.array([e.torque(u, dynamics).ravel() for e in torque_ladder(6) for u in np.eye(e.size)])
-    scaled = columns / np.linalg.norm(columns, axis=1)[:, None]
-    assert np.linalg.eigvalsh(scaled @ scaled.T)[0] > 1e-6
+    drivers = "speed of joint 2 and direction of motion of joint 2"
+    process = UnnamedTorque(2, drivers, 0.0, 2.0, "smooth*line", (-1.0, 1.0), 0.4)
+    velocity = dynamics.velocity(2)
+    own = np.stack([np.abs(velocity), np.tanh(velocity / 0.002)])
+    np.testing.assert_allclose(process.values_in(dynamics), own, atol=1e-12)
+    values = np.random.default_rng(5).normal(size=process.size)
+    added = process.torque(values, dynamics)
+    np.testing.assert_allclose(added[1], values @ np.asarray(process.functions_at(own)), atol=1e-12)
+    assert not added[[0, 2, 3, 4, 5]].any()
+    assert {number.spread for number in process.coordinates} == {0.4}
+    again, same = effect_from_dict(json.loads(json.dumps(effect_as_dict(process, values))), BUILT_IN)
+    assert again == process
+    np.testing.assert_array_equal(same, values)
 
 
-def test_a_curve_of_splines_follows_a_function_and_stays_constant_beyond():
-    curve = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, 12)
-    q = np.linspace(-1, 1, 300)
-    values = np.linalg.lstsq(curve.functions_of(q[None]).T, np.sin(2 * q), rcond=None)[0]
-    assert np.abs(curve.curve(values, q) - np.sin(2 * q)).max() < 2e-4
-    assert curve.curve(values, np.array([5.0]))[0] == pytest.approx(curve.curve(values, np.array([1.0]))[0])
-    assert [c.name for c in curve.coordinates][:2] == ["level_Nm", "step1_Nm"]
-    assert curve.drivers[0].phrase == "position of joint 2"
-    signed = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, signed=True)
-    assert [driver.quantity for driver in signed.drivers] == ["position", "direction of motion"]
+def test_friction_depends_on_the_motion_of_its_own_joint_alone():
+    own = UnnamedTorque(2, "velocity of joint 2", -1.0, 1.0)
+    assert own.is_friction
+    assert replace(own, driver="velocity of joint 2 and direction of motion of joint 2", kernel="smooth*line",
+                   further=(-1.0, 1.0)).is_friction  # fmt: skip
+    assert not replace(own, joint=3).is_friction
+    assert not replace(own, driver="position of joint 2").is_friction
 
 
-def test_a_curve_continues_as_a_constant_where_no_sample_determines_it():
-    curve = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, 8, spread=20.0)
-    q = np.linspace(-1, 0, 200)
-    A = curve.functions_of(q[None]).T / 0.1
-    prior = np.diag([number.spread**-2 for number in curve.coordinates])
-    values = np.linalg.solve(A.T @ A + prior, A.T @ np.full(200, 7.0) / 0.1)
-    np.testing.assert_allclose(curve.curve(values, np.array([-1.0, 0.3, 1.0])), 7.0, atol=1e-3)
-
-
-def test_a_curve_over_the_speed_is_an_odd_function_of_the_velocity(scene):
+def test_a_process_of_load_and_position_is_of_the_torque_that_the_joint_bears(scene):
     dynamics = scene[2]
-    curve = UnnamedTorque(2, "speed of joint 2", 0.0, 2.0, 3, signed=True)
-    values = np.random.default_rng(5).normal(size=curve.size)
-    back = dynamics._replace(motion=dynamics.motion._replace(joint_velocity=-dynamics.motion.joint_velocity))
-    there = values @ curve.basis(dynamics)
-    np.testing.assert_allclose(there, -(values @ curve.basis(back)), atol=1e-12)
-    assert np.abs(there).max() > 0.1
-
-
-def test_a_curve_that_is_multiplied_by_the_load_is_zero_without_one(scene):
-    dynamics = scene[2]
-    curve = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, 3)
-    loaded = replace(curve, full_load=4.0)
-    assert [driver.phrase for driver in loaded.drivers] == ["position of joint 2", "gravity torque of joint 2"]
+    process = UnnamedTorque(2, "position of joint 2 and gravity torque of joint 2", -1.0, 1.0, "wave*line", (-4.0, 4.0))
     # what links exert on a motor is the opposite of what it exerts
-    np.testing.assert_allclose(loaded.basis(dynamics), -curve.basis(dynamics) * dynamics.torque[1] / 4.0, atol=1e-12)
-    assert not loaded.basis(dynamics._replace(torque=0 * dynamics.torque)).any()
-
-
-def test_products_with_a_direction_of_motion_hold_it_once():
-    drivers = "position of joint 2 and direction of motion of joint 2"
-    curve = UnnamedTorque(2, drivers, -1.0, 1.0, degree=3, further=(-1.0, 1.0))
-    q, sign = np.random.default_rng(6).uniform(-1, 1, 40), np.tile([-1.0, 1.0], 20)
-    functions = curve.functions_of(np.stack([q, sign]))
-    expected = [np.ones(40), q, sign, q**2, q * sign, q**3, q**2 * sign]
-    assert len(functions) == curve.size == np.linalg.matrix_rank(functions)
-    np.testing.assert_allclose(sorted(functions.tolist()), sorted(np.array(expected).tolist()), atol=1e-12)
+    np.testing.assert_allclose(process.values_in(dynamics)[1], -dynamics.torque[1])
+    without = process.functions_of(dynamics._replace(torque=0 * dynamics.torque)).reshape(7, 2, -1)
+    with_load = process.functions_of(dynamics).reshape(7, 2, -1)
+    np.testing.assert_allclose(with_load[:, 1], -with_load[:, 0] * dynamics.torque[1] / 4.0, atol=1e-12)
+    assert not without[:, 1].any()
 
 
 @pytest.mark.parametrize(
@@ -188,11 +168,11 @@ def test_products_with_a_direction_of_motion_hold_it_once():
         (lambda: StribeckFriction(1, -0.1), "velocity_rad_per_s is -0.1; give a positive number"),
         (lambda: CoupledFriction(2, 2), "name the outer joint as joint"),
         (lambda: TorqueRipple(1, 0.0), "order is 0; give a positive number"),
-        (lambda: UnnamedTorque(1, "time", 1.0, 1.0), "are no curve; give lower < upper"),
-        (lambda: UnnamedTorque(1, "time and time", 0.0, 1.0), "give lower and upper of each driver but the first"),
-        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, orders=(1.0,), degree=2), "a degree beside orders"),
-        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, signed=True, full_load=2.0), "full_load 2 is not possible"),
-        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, full_load=-2.0), "full_load -2 is not possible"),
+        (lambda: UnnamedTorque(1, "time", 1.0, 1.0), "are not those of 1 drivers; give lower < upper of each"),
+        (lambda: UnnamedTorque(1, "time and payload", 0.0, 1.0, "line*line"), "are not those of 2 drivers"),
+        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, "smooth*line"), "'smooth\\*line' is not possible with 1 drivers"),
+        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, rolloff=(3.0, 2.0)), "give corner and slope of a spectrum"),
+        (lambda: UnnamedTorque(1, "tide", 0.0, 1.0), "driver 'tide': unknown"),
     ],
 )
 def test_impossible_effects(make, message):

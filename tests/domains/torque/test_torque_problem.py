@@ -28,6 +28,22 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 
 
+def processes_of(problem):
+    """One of every kind: kernels of one driver and of two, at several joints."""
+    of = {one.driver.phrase: one for one in problem.quantities}
+    tried = (
+        (0, ("velocity of joint 1",), "rough"),
+        (1, ("position of joint 2", "direction of motion of joint 2"), "medium*line"),
+        (1, ("gravity torque of joint 2",), "smooth"),
+        (2, ("travel since reversal of joint 3", "direction of motion of joint 3"), "rough*line"),
+        (3, ("position of joint 3",), "wave"),
+        (4, ("position of joint 5",), "play"),
+        (5, ("time",), "line"),
+    )
+    return [problem.process(problem.components[j], [of[phrase] for phrase in own], kernel, 0.3)
+            for j, own, kernel in tried]  # fmt: skip
+
+
 def plain(time, run=None):
     q = np.sin(time)[:, None] * np.ones(2)
     return Recording.from_arrays(q, time=time, joint_velocity=q, run=run, motion="trajectory")
@@ -131,7 +147,7 @@ def test_two_spikes_in_a_row_are_found_and_a_push_is_none():
 def test_columns_are_the_derivatives_of_residuals(inertial):
     recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)], inertial=inertial)
     problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
-    terms = Terms((*problem.candidates, StribeckFriction(1), TorqueRipple(3), *problem.flexible[:4]))
+    terms = Terms((*problem.candidates, StribeckFriction(1), TorqueRipple(3), *processes_of(problem)))
     rng = np.random.default_rng(0)
     values = 0.1 * terms.typical * rng.normal(0, 1, terms.size)
     for effect, part in zip(terms.terms, terms.slices, strict=True):
@@ -167,7 +183,7 @@ def test_the_gain_alone_is_that_of_the_score(inertial, noise):
     case = torque_problem(torque_rows(recording, arm, recording.torques().T))
     model = None if noise is None else NoiseModel((Autocorrelation(noise, 0.8),) * case.rows, case.groups)
     some = fit(case, Terms((TorqueScale(3), TorqueRipple(1, 3.0))), EngineOptions(), noise=model)
-    terms = [*case.candidates, *case.shaped[::5], *case.flexible[::9]]
+    terms = [*case.candidates, *case.shaped[::5], *processes_of(case)]
     assert_same_gains(score_test(case, some, EngineOptions()), terms)
 
 
@@ -317,7 +333,7 @@ def test_another_process_finds_the_same_in_a_problem_that_this_one_works_on(iner
     rubs = hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=2.0)
     recording, arm = recorded((rubs,), inertial=inertial)
     here = torque_problem(torque_rows(recording, arm, recording.torques().T))
-    cached = here.periodic, here.curves, here.dynamics
+    cached = here.periodic, here.components, here.quantities, here.dynamics
     assert all(cached)
 
     def gains(problem):
@@ -329,3 +345,32 @@ def test_another_process_finds_the_same_in_a_problem_that_this_one_works_on(iner
     there = pickle.loads(pickle.dumps(here))
     assert not there.known.units
     assert gains(there) == found
+
+
+def test_what_a_search_sees_of_a_process_are_its_columns():
+    recording, arm = recorded(seed=3, warming=True)
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T)).thinned(2)
+    place = {one.driver.phrase: one for one in problem.quantities}
+    for term in processes_of(problem):
+        component = problem.components[term.joint - 1]
+        own = np.stack([place[driver.phrase].values for driver in term.drivers])
+        seen = problem.seen(np.asarray(term.functions_at(own, problem.every_run)))
+        np.testing.assert_allclose(seen[:, None] * component.column, problem.columns([term]), rtol=0, atol=1e-9)
+        assert component.site == term.site
+
+
+def test_the_quantities_are_those_that_vary_each_with_the_joint_whose_own_it_is():
+    recording, arm = recorded(seed=3)
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    found = {one.driver.phrase: one for one in problem.quantities}
+    of_joint = ("position", "velocity", "speed", "direction of motion", "gravity torque", "travel since reversal")
+    # the first joint of an upright arm carries no load
+    wanted = {f"{what} of joint {j}" for what in of_joint for j in range(1, 7)} - {"gravity torque of joint 1"}
+    assert set(found) - {"gravity torque of joint 1"} == {*wanted, "time"}
+    assert found["position of joint 3"].own == {"joint3"}
+    assert found["time"].own == {""}
+    assert {one.driver.generalised for one in found.values() if one.only} == {"speed", "travel since reversal"}
+    assert all(len(one.values) == problem.every_run.shape[1] for one in found.values())
+    warming, _ = recorded(seed=3, warming=True)
+    temperatures = torque_problem(torque_rows(warming, arm, warming.torques().T)).quantities
+    assert {"temperature of joint 2", "temperature rise"} & {one.driver.phrase for one in temperatures}

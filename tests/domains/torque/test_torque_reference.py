@@ -100,15 +100,16 @@ def sticky(q, v, size):
 
 @pytest.mark.parametrize(("before", "differs"), [(0.8, False), (0.4, True)])
 def test_functions_without_a_name_are_compared_where_both_recordings_have_them(monkeypatch, before, differs):
-    """Of splines with other knots over other ranges, as two searches find them; only the searches are left out."""
+    """Of processes of other kernels over other ranges, as two searches find them; only the searches are left out."""
     setup, _ = setup_of(1)
     settings, sides = recorded(seed=1)[0].settings, []
-    for seed, size, pieces in ((500, 0.8, 10), (501, before, 9)):
+    for seed, size, kernel in ((500, 0.8, "medium*line"), (501, before, "fine*line")):
         motion, rng = motion_of(setup, seed), np.random.default_rng(seed)
         noise = 0.5 * rng.normal(0, 1, motion.q.shape) * setup.arm.noise
         tau = torques(setup, [], motion) + sticky(motion.q, motion.dq, size) + noise
         q = motion.q[:, 1]
-        curve = UnnamedTorque(2, "position of joint 2", q.min(), q.max(), pieces, signed=True, spread=5.0)
+        drivers = "position of joint 2 and direction of motion of joint 2"
+        curve = UnnamedTorque(2, drivers, q.min(), q.max(), kernel, (-1.0, 1.0), 5.0)
         side = Recording.from_arrays(
             motion.q, time=motion.time, joint_velocity=motion.dq, joint_torque=tau, settings=settings
         )
@@ -123,8 +124,8 @@ def test_functions_without_a_name_are_compared_where_both_recordings_have_them(m
     (difference,) = seen.effects
     assert difference.p_value < 1e-6 if differs else difference.p_value > 0.0027
     document = with_statements(seen.to_dict())["differences"][0]
-    assert document["driver"] == "position of joint 2 times direction of motion of joint 2"
-    assert document["statement"].startswith("Unnamed effect at joint2 over position of joint 2 times direction")
+    assert document["driver"] == "position of joint 2 and direction of motion of joint 2"
+    assert document["statement"].startswith("Unnamed effect at joint2 over position of joint 2 and direction")
     assert ("differs (p = " in document["statement"]) == differs
     here, there = (document[side]["parameters"]["rms_Nm"] for side in ("recording", "reference"))
     assert there["value"] / here["value"] == pytest.approx(before / 0.8, abs=0.1)
@@ -133,7 +134,7 @@ def test_functions_without_a_name_are_compared_where_both_recordings_have_them(m
 def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     (warm, arm), (cold, _) = (recorded(seed=1, warming=True), recorded(seed=1))
     cold = cold.select(np.arange(cold.samples) > 200)  # another motion
-    curve = UnnamedTorque(2, "temperature of joint 2", 20.0, 60.0, 3, spread=5.0)
+    curve = UnnamedTorque(2, "temperature of joint 2", 20.0, 60.0, "cubic", spread=5.0)
     monkeypatch.setattr(
         "lite6jax.diagnosis.torque_diagnosis.diagnose_torques",
         lambda recording, arm, **given: diagnosed(recording, (curve,) if recording is warm else (), arm=arm),
