@@ -16,7 +16,7 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | rough | exp(-d) | steps and kinks |
 | wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
-| play | Σ of play operators of five widths | hysteresis |
+| play | line, and Σ of what play operators of seven widths lag behind, over the width | hysteresis |
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +38,7 @@ _PERIOD = 1.25
 _REACH = 8.0
 """Half ranges beyond its driver's range from which on a process of a scaled driver keeps its value."""
 _WAVES = np.array([1.0, 2.0, 3.0])
-_PLAYS = np.array([0.05, 0.1, 0.2, 0.4, 0.7])
+_PLAYS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Half-widths of play operators over half the range of their driver."""
 
 
@@ -130,7 +130,7 @@ def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
 def size_of(kernel: str, bounds: Sequence[float]) -> int:
     """How many features a kernel has."""
     if kernel == "play":
-        return len(_PLAYS) + 1
+        return len(_PLAYS) + 2
     if kernel == "spectrum":
         return 2 * len(orders_of(bounds))
     names = factors_of(kernel)
@@ -230,7 +230,9 @@ def _play_features(values: Array, bounds: Sequence[float], run: Array | None) ->
     centred = values - 0.5 * (bounds[0] + bounds[1])
     behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(whole if run is None else run))
     behind = np.asarray(behind) if xp is np else behind
-    return xp.concatenate([xp.ones_like(centred)[None], behind / half])
+    # a spring that slips at the end of its play, from -1 to 1: friction and lost motion are sums of such
+    slipping = (centred - behind) / (_PLAYS * half)[:, None]
+    return xp.concatenate([xp.ones_like(centred)[None], centred[None] / half, slipping])
 
 
 @jit

@@ -23,6 +23,7 @@ from lite6jax.domains.torque.predict import (
 )
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
@@ -104,7 +105,7 @@ def with_uncertainty(texts, inertial, rng):
     everywhere = np.tile([-1e3, 1e3], (6, 1))
     recorded_range = RecordedRange(everywhere, np.zeros((1, 6)), 1e3, {}, everywhere, everywhere)
     nothing, sites = np.zeros(6), link_sites(6) if inertial else ()
-    known = Uncertainty(sites, root @ root.T, nothing, nothing, nothing, (None,) * len(pairs), recorded_range)
+    known = Uncertainty(sites, root @ root.T, nothing, nothing, nothing, recorded_range)
     return setup, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0, uncertainty=known)
 
 
@@ -178,3 +179,18 @@ def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
     assert code == 0
     assert NO_BARS in flat(warned)
     assert pyarrow.csv.read_csv(tmp_path / "old.csv").column_names == names[:6]
+
+
+def test_a_process_is_as_uncertain_beyond_its_range_as_its_prior():
+    setup, model = with_uncertainty((), False, np.random.default_rng(6))
+    process = UnnamedTorque(2, "position of joint 2", -0.05, 0.05, "smooth", spread=0.3)
+    terms, size = Terms((process,)), process.size
+    known = replace(model.uncertainty, covariance=1e-12 * np.eye(size))
+    model = replace(model, terms=terms, values=np.zeros(size), uncertainty=known)
+    motion = motion_of(setup, 7)
+    recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    std = predicted_torques(model, recording).std
+    far = np.abs(motion.q[:, 1]) > 0.6
+    # the constant that every process has is known, and the rest of it has the prior's variance
+    np.testing.assert_allclose(std[far, 1], 0.3, atol=0.01)
+    assert std[:, [0, 2, 3, 4, 5]].max() < 1e-3

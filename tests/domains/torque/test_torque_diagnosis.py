@@ -144,14 +144,15 @@ def test_a_function_outside_the_catalogue_has_no_name():
     assert found.verdict == "unnamed"
 
 
-def test_friction_that_bends_before_it_slides_is_a_function_of_the_travel_since_reversal():
+def test_friction_that_bends_before_it_slides_is_hysteresis_of_the_position():
     setup, _ = setup_of(5)
     bent = presliding({"bristle_rad": 0.02}, 1, rigid(setup, (), motion_of(setup, 105)), np.zeros(0))
     changed, arm = recorded(seed=5, change=lambda tau: tau + 0.5 * np.stack([bent * (j == 1) for j in range(6)], 1))
     found = diagnose_torques(changed, arm, options=FEW)
     assert {(one.effect.name, one.effect.site) for one in found.findings} == {("unnamed", "joint2")}
     largest = max(found.findings, key=lambda finding: finding.gain)
-    assert "travel since reversal of joint 2" in [driver.phrase for driver in largest.effect.drivers]
+    assert largest.effect.hysteretic
+    assert largest.effect.driver == "position of joint 2"
 
 
 def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noise():
