@@ -123,7 +123,7 @@ class Selector:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         there = [term for term in model if term.nonparametric and term.site == one.site]
         phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
-        return bool(one.process) and one.cause in phrases and one.place not in {term.component for term in there}
+        return bool(one.process) and one.cause in phrases and one.place not in {getattr(term, "component", "") for term in there}
 
     @staticmethod
     def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
