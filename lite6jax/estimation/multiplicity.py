@@ -21,11 +21,6 @@ _UNIFORM = 2 * np.pi / np.sqrt(12)
 """rad, the standard deviation of an angle that is spread evenly over a turn."""
 
 
-def relative_multiplicity(log_order: ArrayLike, options: EngineOptions) -> float:
-    """The multiplicity of a wave over that of another term, by `log_orders` of its order."""
-    return float(np.exp(log_order)) / options.searched_orders
-
-
 def log_orders_of(family: PeriodicFamily, order: ArrayLike, options: EngineOptions) -> Array:
     """`log_orders` of the orders of a family."""
     turns = max(float(np.std(family.angle)) / _UNIFORM, 1.0)

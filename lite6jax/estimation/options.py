@@ -46,11 +46,6 @@ class EngineOptions:
         "log-likelihood within which two models are not distinguished",
         "a likelihood ratio of 400; also what a noise model of two numbers must gain",
     )
-    searched_orders: float = option(
-        400.0,
-        "candidates that all orders of an angle weigh as much as, for family-wise p-values",
-        "at six angles, four fifths of the family-wise level: a line is the most specific of findings",
-    )
     resolved_orders: float = option(
         3.8,
         "independent orders per order, over a full turn",

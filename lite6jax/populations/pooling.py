@@ -152,8 +152,8 @@ def weigh(
         (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
         (of(b, G, S, v), "any"),
     ]
-    gain, *rest = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
-    ways.append(((gain - float(np.log(len(evidence))), *rest), "one"))
+    gain, likelihood, variance = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
+    ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
     if covariate is not None:
         own = _slope(b, G, covariate[at])
         ways.append((of(own[0][None], own[1][None], S, v), "drift"))

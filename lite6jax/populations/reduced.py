@@ -66,12 +66,10 @@ class Found(NamedTuple):
     Attributes:
         label: its name and site.
         p_value: family-wise, over all that was searched in the recording.
-        pooled: whether it is part of the residual again, and so of what is pooled.
     """
 
     label: str
     p_value: float
-    pooled: bool
 
 
 class Heading(NamedTuple):

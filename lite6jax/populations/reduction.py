@@ -57,9 +57,7 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
                 "date": settings.date,
                 "verdict": found.verdict,
             },
-            found=tuple(
-                Found(one.effect.label, one.p_value, _is_pooled(one.effect, named, problem)) for one in found.findings
-            ),
+            found=tuple(Found(one.effect.label, one.p_value) for one in found.findings),
             candidates=tuple(_candidate(effect, _key(effect), problem) for effect in named),
             families=tuple(
                 _candidate(wave, f"waves:{wave.site}", problem)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, cast, final
+from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ class Candidate:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     usual: bool = False
+
+    chosen: ClassVar[None] = None
+    """As of a term: no number is chosen for a candidate."""
 
 
 class PooledTerm(NamedTuple):
@@ -101,7 +104,8 @@ class Process:
     def functions(self, values: Array, run: NDArray[np.integer] | None = None) -> Array:
         """Its functions `(function, moment)` at values `(driver, moment)`; `run` as of a `Motion`."""
         if self.kernel == SPLINES:
-            return np.asarray(kernels.spline_basis(cast(Any, values[0]), *self.bounds))
+            lower, upper = self.bounds
+            return np.asarray(kernels.spline_basis(cast(Any, values[0]), lower, upper))
         return np.asarray(kernels.features(self.kernel, cast(Any, values), self.bounds, cast(Any, run)))
 
 

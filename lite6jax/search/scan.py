@@ -5,7 +5,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, process of one quantity, process of two | ln 3 |
+| a kind: name, wave, process of one quantity, process of two | ln 4 |
 | a name | ln of their number |
 | a wave | that, and ln of the orders that it is the best of |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
@@ -42,7 +42,7 @@ PAIRS = (
 )  # fmt: skip
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
-KINDS = np.log(3.0)
+KINDS = np.log(4.0)
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -52,6 +52,8 @@ _ANGLES = ("position", "measured position's azimuth", "measured position's eleva
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
 _NEARLY = 2.0
 """Log odds within which the priority of names decides."""
+_TURNS = 1.5 * np.pi
+"""rad, the range of an angle from which a wave says more of it than a cubic."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
@@ -135,7 +137,7 @@ class Scan:
             return self._costs[site, which]
         cost = KINDS + np.log(max(len(self.problem.components), 1))
         cost += sum(self._cost_of_quantity(site, k) for k in which)
-        cost += np.log(len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)
+        cost += np.log(1 + len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)  # the spectrum is one more
         return self._costs.setdefault((site, which), float(cost))
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
@@ -251,6 +253,13 @@ class Scan:
             if (site, name) in components and all(phrase in place for phrase in phrases)
         ]
 
+    def together(self, test: ScoreTest, term: Term) -> list[tuple[Ranked, Ranked]]:
+        """A name that has a number which is tried, each time with another name of its site, the likeliest pair first.
+
+        Either alone may take another number: a spring and a play add up to a wider play.
+        """
+        return _Weighed(self, test).together(term)
+
     def usual(self, test: ScoreTest) -> list[Ranked]:
         """The names that nearly every arm has, the likeliest first."""
         return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
@@ -308,6 +317,30 @@ class _Weighed:
         if found and found[0].make().chosen and same:
             found = self._refined(found[0])
         return found[0] if found else None
+
+    def together(self, term: Term) -> list[tuple[Ranked, Ranked]]:
+        """As `Scan.together`; the second of each pair has what the two are worth."""
+        same = [one for one in self._scan.names if one.label == term.label]
+        if term.chosen:
+            same = [*same, *(term.held(term.chosen * ratio) for ratio in _RATIOS)]
+        others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
+        others = [one for one in others if one.chosen is None and not one.periodic]
+        if not same or not others:
+            return []
+        model = self._test.fit.terms, self._test.fit.values
+        own, beside = ([self._problem.columns([one], beside=model) for one in some] for some in (same, others))
+        pairs = [(a, b) for a in range(len(same)) for b in range(len(others))]
+        evidence = self._marginal.of_names([np.concatenate([own[a], beside[b]]) for a, b in pairs])
+        found = []
+        for (a, b), one in zip(pairs, evidence, strict=True):
+            cost = self._scan.cost_of_name(same[a]) + self._scan.cost_of_name(others[b])
+            each = ((t.label,) for t in (same[a], others[b]))
+            first, second = (
+                self._ranked(one, cost, t.site, cause, "", lambda t=t: t)
+                for t, cause in zip((same[a], others[b]), each, strict=True)
+            )
+            found.append((first, second))
+        return sorted(found, key=lambda pair: -pair[1].net)
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this."""
@@ -401,7 +434,7 @@ class _Weighed:
 
     def pairs(self, singles: Sequence[Ranked]) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel."""
-        plain = ["line" if discrete else "cubic" for discrete in self._scan.discrete]
+        plain = [self._plain(k) for k in range(len(self._scan.quantities))]
         alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
         components = {id(one): one for one in self.components}
         for component, *which in self._shortlist(singles):
@@ -415,6 +448,12 @@ class _Weighed:
         return _best_of_each(
             [one for _, component, which in first[:_REFINED] for one in self.kernels_of(component, which)]
         )
+
+    def _plain(self, k: int) -> str:
+        """The kernel as which a quantity of a pair is first weighed."""
+        quantity = self._scan.quantities[k]
+        turns = quantity.driver.quantity in _ANGLES and np.ptp(quantity.values) > _TURNS
+        return "line" if self._scan.discrete[k] else "wave" if turns else "cubic"
 
     def kernels_of(self, component: Component, which: tuple[int, ...]) -> list[Ranked]:
         """Every kernel of given quantities at a component."""

@@ -6,10 +6,12 @@
 4. Drop the term that is least worth its cost, as long as one is not.
 5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
 
-A site has one process: what that does not describe is not told apart from what else may act there. Nor is anything
+A site has one process, at as many components as it moves: what that does not describe is not told apart from what else
+may act there. Nor is anything
 found elsewhere that explains less than noise would at the component of a process.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +19,11 @@ import numpy as np
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, acts_on
+from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Considered, Ranked, Scan
+from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
 
 
@@ -126,7 +129,7 @@ class Selector:
         for one in self._possible(ranked, test, state):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or one.site in there:
+            if one.key in tried or (one.site in there and not self._goes_on(one, model)):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
@@ -134,6 +137,13 @@ class Selector:
                 if all(one.gain >= gain for own, gain in noises if (own & rows).any()):
                     found.append(one)
         return found
+
+    @staticmethod
+    def _goes_on(one: Ranked, model: Sequence[Term]) -> bool:
+        """Whether it is a process of the quantities that one has at its site already, at another component."""
+        there = [term for term in model if term.nonparametric and term.site == one.site]
+        phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
+        return bool(one.process) and one.cause in phrases and one.place not in {getattr(term, "component", "") for term in there}
 
     @staticmethod
     def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
@@ -228,10 +238,28 @@ class Selector:
             ]
             k = int(np.argmax(beyond)) if beyond else 0
             if not beyond or beyond[k] <= self.options.impossible:
-                return state
+                contradicted = next((k for k in range(len(beyond)) if self._is_contradicted(state, k)), None)
+                if contradicted is None:
+                    return state
+                k = contradicted
             refused = state.refused | {state.tested[k].term}
             rest = [*state.tested[:k], *state.tested[k + 1 :]]
             state = replace(refitted(self.problem, state, rest, self.options), refused=refused)
+
+    def _is_contradicted(self, state: State, k: int) -> bool:
+        """Whether the part of a name in one group of rows alone is likelier than the whole.
+
+        A name acts on all groups by its definition: what one alone shows is something else, whatever it is.
+        """
+        term = state.tested[k].term
+        if term.nonparametric or term in self._preset or len(set(self.problem.groups[self._rows(term, state)])) < 2:
+            return False
+        test = self.beside(state, k)
+        columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
+        groups = np.unique(self.problem.groups[np.any(columns, axis=(0, 2))])
+        parts = [columns * (self.problem.groups == group)[:, None] for group in groups]
+        whole, *alone = (float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts]))
+        return max(alone) > whole + self.options.close
 
     # -------------------------------------------------------------- exchange
 
@@ -243,6 +271,8 @@ class Selector:
                 continue
             if one.term.nonparametric and (named := self._named(state, k)) is not None:
                 return named
+            if not one.term.nonparametric and (paired := self._paired(state, k)) is not None:
+                return paired
             best = next(iter(self._in_place(state, k)), None)
             if best is None or best.net < one.net + self.options.better or self._is(best, one.term):
                 continue
@@ -251,6 +281,20 @@ class Selector:
             if trial.evidence > state.evidence + self.options.better:
                 return trial
         return None
+
+    def _paired(self, state: State, k: int) -> State | None:
+        """The state with another name beside one whose number is tried, where both together are likelier; else None."""
+        one = state.tested[k]
+        if one.term.periodic or not (one.term.chosen or self.scan.has_numbers(one.term)):
+            return None
+        labels = {term.label for term in state.fit.terms.terms}
+        pairs = (pair for pair in self.scan.together(self.beside(state, k), one.term) if pair[1].cause[0] not in labels)
+        best = next(pairs, None)
+        if best is None or best[1].net < one.net + self.options.margin:
+            return None
+        rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+        trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, *best))))
+        return trial if trial.evidence > state.evidence + self.options.better else None
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None."""
@@ -269,9 +313,20 @@ class Selector:
             if len(more.tested) <= len(trial.tested):
                 break
             trial = self._estimated(more)
-            if trial.evidence > state.evidence:
-                return self._dropped(trial)
+            choices = [trial, *self._with_less(trial, state.tested[k].term)]
+            best_of = max(choices, key=lambda one: one.evidence)
+            if best_of.evidence > state.evidence:
+                return self._dropped(best_of)
         return None
+
+    def _with_less(self, trial: State, term: Term) -> list[State]:
+        """Names beside a process of one of the two quantities that another process has."""
+        component, which = self._process_of(term)
+        if len(which) < 2:
+            return []
+        test = score_test(self.problem, trial.fit, self.options)
+        less = (self.scan.alike(test, component, (k,)) for k in which)
+        return [self._with(trial, one) for one in less if one is not None and one.net >= self.options.margin]
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:
         """What may stand in the place of the k-th term, that itself among it, the likeliest first."""
@@ -297,11 +352,25 @@ class Selector:
                 said = other.site, other.cause
                 if gap >= self.options.close or len(others) == self.options.listed:
                     break
-                if not self._contains(other, one.term) and said not in seen:
+                if not self._contains(other, one.term) and said not in seen and self._is_possible(test, other):
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
+            if (wave := wave_of(self.problem, one.term)) is not None:
+                near = as_likely(test, *wave, self.options.close)
+                others += [Alternative(wave[0].term(order), gap) for order, gap in near]
+                others.sort(key=lambda each: each.gap)
             tested.append(replace(one, alternatives=tuple(others)))
         return replace(state, tested=tuple(tested))
+
+    def _is_possible(self, test: ScoreTest, ranked: Ranked) -> bool:
+        """Whether a name of one number would be within its bounds."""
+        term = ranked.make()
+        if ranked.process or term.size != 1:
+            return True
+        score, ((lower, upper),) = test.score([term])[0], self.problem.limits(term)
+        value = float(score.values[0])
+        std = abs(value) / max(np.sqrt(2 * score.gain), 1e-300)
+        return max(lower - value, value - upper) <= self.options.impossible * std
 
     def _contains(self, ranked: Ranked, term: Term) -> bool:
         """Whether a ranked term is this one, or a process of its quantities and another one at its site."""

@@ -35,7 +35,7 @@ class Column:
 
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"{self.name}:{self.site}")
-    drivers = property(lambda self: (self.name,))
+    drivers = property(lambda self: (Driver(self.name),))
 
     def basis(self, data):
         return data[self.name][None]
@@ -58,7 +58,7 @@ class Wave:
     coordinates = property(lambda self: (Number(),) * (2 if self.order else 3))
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"wave:{self.site}")
-    drivers = ("angle",)
+    drivers = property(lambda self: (Driver("angle"),))
 
     def released(self):
         return Wave(None)
@@ -94,7 +94,7 @@ class Decay:
     coordinates = property(lambda self: (Number(),) if self.width else (Number(), Number(lower=0.0)))
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"decay of {self.name}:{self.site}")
-    drivers = property(lambda self: (self.name,))
+    drivers = property(lambda self: (Driver(self.name),))
 
     def released(self):
         return replace(self, width=None)

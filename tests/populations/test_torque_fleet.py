@@ -106,7 +106,6 @@ def test_processes_are_those_of_the_search_of_the_recording(motion):
 def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):
     found = diagnosed(recording(motion, 0, 0.5), (ViscousFriction(2),))
     arm = reduced(found)
-    assert [one.pooled for one in arm.heading.found] == [True]  # it is in the residual again
     value = np.linalg.solve(*arm.evidence(VISCOUS, OPTIONS)[1::-1])
     assert value == pytest.approx(found.fit.values, rel=0.02)
     family = found.problem.periodic[2]

@@ -10,10 +10,9 @@ from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.links import LinkCompliance
 from lite6jax.estimation.least_squares import fit
-from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.search import Selection, at_estimate
-from lite6jax.search.state import SelectedTerm, State, reduced
+from lite6jax.search.state import SelectedTerm, State, refitted
 
 TRUE = np.array([4e-3, 3e-3])
 """rad/Nm, about x and y: a link that bends by 10 mrad."""
@@ -40,7 +39,7 @@ def followed(case):
 @pytest.fixture(scope="module")
 def selection(case, followed):
     problem, baseline = case
-    tested = SelectedTerm(LINK.terms[0], 0.0, Score(0.0, LINK.size, 0.0, False, followed.values))
+    tested = SelectedTerm(LINK.terms[0])
     return Selection(problem, problem, State(baseline, followed, (tested,)))
 
 
@@ -70,7 +69,7 @@ def test_a_selection_is_linearised_at_its_estimate(selection):
 
 def test_without_its_term_a_moved_selection_is_the_nuisance_alone(selection):
     moved = at_estimate(selection, OPTIONS)
-    rest = reduced(moved.problem, moved.state, 0, OPTIONS)
+    rest = refitted(moved.problem, moved.state, [], OPTIONS)
     assert rest.fit.scale == pytest.approx(moved.state.baseline.scale, rel=1e-3)
 
 
