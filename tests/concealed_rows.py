@@ -31,13 +31,13 @@ def a_hidden(name, site, parameters, **more):
 
 def a_finding(name, site, gain=10.0, rivals=(), p=1e-3, driver="none", **parameters):
     said = {key: {"value": value, "std": 0.1} for key, value in parameters.items()}
-    others = [{"effect": n, "site": s, "log_evidence_gap": gap} for n, s, gap in rivals]
+    others = [{"effect": n, "site": s, "log_likelihood_gap": gap} for n, s, gap in rivals]
     return {
         "effect": name,
         "site": site,
         "parameters": said,
         "p_value": p,
-        "log_evidence_gain": gain,
+        "log_likelihood_gain": gain,
         "confusable_with": others,
         "driver": driver,
     }

@@ -124,8 +124,8 @@ def test_diagnose_writes_the_schema(diagnosed):
     assert abs(entry["value"] - 9e-5) < 4 * entry["std"] < 1e-5
     assert 0 <= finding["p_value"] < 1e-3
     for rival in finding["confusable_with"]:
-        assert {"effect", "site", "driver", "log_evidence_gap", "status"} <= set(rival)
-        assert type(rival["log_evidence_gap"]) is float
+        assert {"effect", "site", "driver", "log_likelihood_gap", "status"} <= set(rival)
+        assert type(rival["log_likelihood_gap"]) is float
     model = document["model"]
     assert np.shape(model["kinematics"]) == (6, 6)
     assert model["arm"] == "lite6"

@@ -142,7 +142,7 @@ def test_a_name_is_right_by_site_order_and_source():
 def test_a_finding_admits_what_it_says_it_cannot_be_told_from():
     said = a_finding("viscous_friction", "joint3")
     assert judged(a_truth(FRICTION), said)["wrong_name"]
-    admitted = said | {"confusable_with": [{"effect": "coulomb_friction", "site": "joint3", "log_evidence_gap": 1.0}]}
+    admitted = said | {"confusable_with": [{"effect": "coulomb_friction", "site": "joint3", "log_likelihood_gap": 1.0}]}
     row = judged(a_truth(FRICTION), admitted)
     assert (row["found"], row["top_in_set"], row["exact"], row["wrong_name"]) == (True, True, False, False)
 

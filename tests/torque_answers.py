@@ -21,7 +21,7 @@ def a_finding(name, site, parameters=None, driver=""):
         "site": site,
         "parameters": parameters or {},
         "p_value": 1e-6,
-        "log_evidence_gain": 50.0,
+        "log_likelihood_gain": 50.0,
         "confusable_with": [],
         "driver": driver,
     }

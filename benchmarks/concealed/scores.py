@@ -49,7 +49,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "after": {},
         "noise": {},
     }
-    findings = sorted(diagnosis["findings"], key=lambda finding: -finding.get("log_evidence_gain", 0.0))
+    findings = sorted(diagnosis["findings"], key=lambda finding: -finding.get("log_likelihood_gain", 0.0))
     names = [fault["fault"] for fault in diagnosis["data_faults"]]
     nearest = diagnosis.get("nearest") or {}
     row |= answered(hidden, findings, error) | {
@@ -136,7 +136,7 @@ def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
         "site": finding["site"],
         "driver": finding.get("driver", ""),
         "p_value": finding["p_value"],
-        "gain": finding.get("log_evidence_gain"),
+        "gain": finding.get("log_likelihood_gain"),
         "order": value_of(parameters["order"]) if "order" in parameters else None,
         "source_joint": value_of(parameters["source_joint"]) if "source_joint" in parameters else None,
         "true": any(same(effect, finding) for effect in hidden),

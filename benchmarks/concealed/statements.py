@@ -109,7 +109,7 @@ def admits(effect: Row, finding: Row) -> bool:
 
 def rivals_of(finding: Row) -> list[Row]:
     """The alternatives that a finding lists as inseparable."""
-    return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_evidence_gap"] <= GAP]
+    return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
 
 
 def matched(hidden: Sequence[Row], findings: Sequence[Row], test: Any) -> bool:

@@ -38,7 +38,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     """
     hidden = truth["hidden"]
     said = diagnosis or _NOTHING
-    findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_evidence_gain") or 0.0))
+    findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
     false = [f for f in findings if not is_true(f, hidden, findings)]
     before, after = (said[key].get("heldout_torque_rms_Nm") for key in ("before", "after"))
     faults = [fault["fault"] for fault in said["data_faults"]]

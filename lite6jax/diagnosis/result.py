@@ -131,7 +131,7 @@ class Finding:
             **nearest,
             **({"payload_share": self.input_share} if self.input_share else {}),
             "p_value": self.p_value,
-            "log_evidence_gain": self.gain,
+            "log_likelihood_gain": self.gain,
             **contribution,
             "confusable_with": rivals,
         }
@@ -598,4 +598,4 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         else:
             status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
         numbers = {key: getattr(effect, key) for key in ("order", "source_joint", "component") if hasattr(effect, key)}
-        return {**located(effect), **numbers, "log_evidence_gap": rival.gap, "status": status}
+        return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}

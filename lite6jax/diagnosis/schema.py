@@ -51,7 +51,7 @@ _FAULT = record({"fault": str, "rows": list[Number], "numbers": Any}, {"statemen
 _FILE = record({"role": str, "file": str, "sha256": str})
 _UNTESTABLE = record(PLACE, {"reason": str})
 _RIVAL = record(
-    {"effect": str, "site": str, "log_evidence_gap": float},
+    {"effect": str, "site": str, "log_likelihood_gap": float},
     {
         "driver": str,
         "status": Literal["rejected", "found", "separable", "undecided", "equivalent"],
@@ -62,7 +62,7 @@ _RIVAL = record(
     },
 )
 _DESCRIBING = record(PLACE | {"parameters": dict[str, float]})
-_FINDING = PLACE | {"parameters": dict[str, ESTIMATE], "p_value": Share, "log_evidence_gain": float}
+_FINDING = PLACE | {"parameters": dict[str, ESTIMATE], "p_value": Share, "log_likelihood_gain": float}
 _FURTHER = {"confusable_with": list[_RIVAL], "nearest": record(PLACE | {"share": Share}), "statement": str}
 _SHARED: dict[str, Any] = {
     "schema": str,

@@ -143,4 +143,4 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         numbers = {key: getattr(rival.effect, key, None) for key in (repeats, "source_joint")}
         known = {key: value for key, value in numbers.items() if value is not None}
         status = "rejected" if rival.gap >= self.options.engine.close else "undecided"
-        return {**located(rival.effect), **known, "log_evidence_gap": rival.gap, "status": status}
+        return {**located(rival.effect), **known, "log_likelihood_gap": rival.gap, "status": status}

@@ -122,7 +122,7 @@ def unit_of(document: Document) -> str:
 def order(document: Document) -> list[int]:
     """Places of the findings, from 0, the largest contribution first; by log-likelihood in a document without these."""
     findings = document["findings"]
-    sizes = _sizes(document) or [finding["log_evidence_gain"] for finding in findings]
+    sizes = _sizes(document) or [finding["log_likelihood_gain"] for finding in findings]
     return sorted(range(len(findings)), key=lambda k: -sizes[k])
 
 

@@ -255,7 +255,7 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
 
     What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
     """
-    rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_evidence_gap", 0.0))
+    rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
     kept, seen = [], [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
     for rival in rivals:
         if rival["effect"] == "unnamed":

@@ -306,7 +306,7 @@ class Findings(Section):
                     "id": f"{of.anchor}finding{rank}",
                     "remedy": remedy_of(finding, of_torques(of.document)).action,
                     "significance": f"{statements.p_value_statement(finding)} Its log evidence is "
-                    f"{finding['log_evidence_gain']:.1f}.",
+                    f"{finding['log_likelihood_gain']:.1f}.",
                     "picture": of.pictures[f"finding{rank}"],
                 },
             )

@@ -500,7 +500,7 @@ def rivals(finding: Entry, torques: bool = False, rejected: bool = False) -> lis
     entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
     if torques:
         return list(map(effect_title, entries))
-    return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_evidence_gap'], 1, '+')})" for rival in entries]
+    return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_likelihood_gap'], 1, '+')})" for rival in entries]
 
 
 # ------------------------------------------------------------------ what was not tested, and what to record

@@ -50,7 +50,7 @@ _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 _ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
 _HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
-_NEARLY = 2.0
+NEARLY = 2.0
 """Log odds within which the priority of names decides."""
 _TURNS = 1.5 * np.pi
 """rad, the range of an angle from which a wave says more of it than a cubic."""
@@ -562,7 +562,7 @@ def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
     ordered = sorted(found, key=lambda one: -one.net)
     if not ordered or ordered[0].process:
         return ordered
-    near = [one for one in ordered if not one.process and one.net > ordered[0].net - _NEARLY]
+    near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
     first = min(near, key=lambda one: (one.make().specificity, -one.net))
     return [first, *(one for one in ordered if one is not first)]
 

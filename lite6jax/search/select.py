@@ -22,7 +22,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import Considered, Ranked, Scan
+from lite6jax.search.scan import NEARLY, Considered, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
 
@@ -143,7 +143,11 @@ class Selector:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         there = [term for term in model if term.nonparametric and term.site == one.site]
         phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
-        return bool(one.process) and one.cause in phrases and one.place not in {getattr(term, "component", "") for term in there}
+        return (
+            bool(one.process)
+            and one.cause in phrases
+            and one.place not in {getattr(term, "component", "") for term in there}
+        )
 
     @staticmethod
     def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
@@ -274,7 +278,9 @@ class Selector:
             if not one.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
             best = next(iter(self._in_place(state, k)), None)
-            if best is None or best.net < one.net + self.options.better or self._is(best, one.term):
+            # a name need not be the likeliest to stay
+            needed = self.options.better if one.term.nonparametric or not best or not best.process else NEARLY
+            if best is None or best.net < one.net + needed or self._is(best, one.term):
                 continue
             rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
             trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, best))))

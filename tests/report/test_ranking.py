@@ -115,7 +115,7 @@ def test_a_document_without_sizes_is_ranked_by_likelihood(found):
     ]
     old = {**document, "findings": old}
     assert ranking.bars(old) == []
-    gains = [finding["log_evidence_gain"] for finding in ranked(old)]
+    gains = [finding["log_likelihood_gain"] for finding in ranked(old)]
     assert gains == sorted(gains, reverse=True)
     assert " is left" in ranking.headline(old)
 

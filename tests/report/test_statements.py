@@ -212,7 +212,14 @@ def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, t
 
 
 def alike(site, driver, gap, **more):
-    return {"effect": "unnamed", "site": site, "driver": driver, "log_evidence_gap": gap, "status": "undecided", **more}
+    return {
+        "effect": "unnamed",
+        "site": site,
+        "driver": driver,
+        "log_likelihood_gap": gap,
+        "status": "undecided",
+        **more,
+    }
 
 
 def test_an_unnamed_effect_is_said_by_its_sites_and_drivers():
@@ -221,7 +228,13 @@ def test_an_unnamed_effect_is_said_by_its_sites_and_drivers():
         alike("link3", "time", 2.0, component="ry"),
         alike("link3", "position of joint 1 and time", 3.0, component="ry"),
         alike("joint3", "position of joint 3 and payload", 0.5),
-        {"effect": "joint_offset", "site": "joint4", "driver": "none", "log_evidence_gap": 4.0, "status": "undecided"},
+        {
+            "effect": "joint_offset",
+            "site": "joint4",
+            "driver": "none",
+            "log_likelihood_gap": 4.0,
+            "status": "undecided",
+        },
     ]
     finding = alike("joint3", "position of joint 3", 0.0, confusable_with=rivals)
     assert statements.rivals(finding) == [
