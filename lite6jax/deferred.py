@@ -85,8 +85,11 @@ def _register() -> None:
         sys.modules["jax"].tree_util.register_static(_static.pop())
 
 
-class _LazyModule(ModuleType):
-    """A module that is executed when a name is wanted that only its code makes."""
+class _LazyModule(ModuleType):  # a module that is executed when a name is wanted that only its code makes
+    @property
+    def __doc__(self) -> str | None:  # type: ignore[override]
+        # every module has one from its beginning, None until its code is executed
+        return self.__getattr__("__doc__")
 
     def __getattr__(self, name: str) -> Any:
         with _one_at_a_time:

@@ -88,7 +88,9 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.fitting import source
     from lite6jax.recordings import sidecar
+    from lite6jax.arms import joint_units
 print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-10:])
+print("unit" in joint_units.__doc__)
 print(sidecar.sidecar_path("run.csv"), recordings.recording_file("run.csv"), source.load_nominal("lite6").name)
 print(sidecar is sys.modules["lite6jax.recordings.sidecar"] is recordings.sidecar)
 from lite6jax.recordings.sidecar import sidecar_path
@@ -108,6 +110,7 @@ print(poses.plan_poses.__name__)
 """
     assert in_a_new_process(code) == [
         "False lite6jax.recordings.sidecar sidecar.py",
+        "True",
         "run.yaml run.csv lite6",
         "True",
         "True module",
