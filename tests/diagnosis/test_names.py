@@ -232,15 +232,6 @@ def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, c
     assert not found.fit.noise.white
 
 
-@pytest.mark.long
-def test_a_direction_of_gravity_that_shows_only_through_a_function_of_a_load_is_what_that_does_not_describe(tmp_path):
-    """A bearing whose balls are pressed into their races: a spline leaves a hundredth of a root of the moment."""
-    found = terms(drawn(tmp_path, 2421, 558, sealed=True))
-    assert [(term.name, term.site, term.driver) for term in found] == [
-        ("unnamed", "link3", "gravity moment x of link 3")
-    ]
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_two_joints_swing_round_in_a_short_motion_is_a_function_of_their_velocities(arm, seed):
     """100 samples: functions of two positions were found first, and the four numbers of the truth were not significant,
