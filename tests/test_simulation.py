@@ -716,7 +716,7 @@ def test_what_the_command_cannot_write(capsys, tmp_path):
 def test_help_does_not_load_the_simulation():
     code = (
         "import sys; from lite6jax import cli; cli.main(['simulate', '--help']);"
-        "sys.exit(sum(name in sys.modules for name in ('lite6jax.simulation', 'scipy')))"
+        "sys.exit(sum(name in sys.modules for name in ('lite6jax.simulation.measurement', 'scipy')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")

@@ -75,7 +75,8 @@ def compare_transforms(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     """
     difference = np.asarray(a, float) - np.asarray(b, float)
     chord = np.linalg.norm(difference[..., :3, :3], axis=(-2, -1))
-    return np.linalg.norm(difference[..., :3, 3], axis=-1), 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+    distance = np.linalg.norm(difference[..., :3, 3], axis=-1)
+    return np.asarray(distance), np.asarray(2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0)))
 
 
 def frames_at_zero(kinematics: ArrayLike) -> Array:

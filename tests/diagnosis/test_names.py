@@ -1,6 +1,7 @@
 """Names that are claimed: physics that the catalogue lacks gets none, and what is in it keeps its own."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.concentration import concentration
+from lite6jax.recordings.formats import read_recording
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -191,9 +193,9 @@ def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial)
     assert found.fit.terms.size == 3
 
 
-def test_a_name_lists_a_step_at_its_site_that_explains_as_much(tmp_path):
+def test_a_name_lists_a_step_at_its_site_that_explains_as_much():
     """A joint that steps in its range looks like one with play where 17 rows approach either side from its own."""
-    recording = drawn(tmp_path, 2463, 348)
+    recording = read_recording(Path(__file__).with_name("step_in_17_rows") / "recording.csv")
     (found,) = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert found.term.label == "joint_backlash:joint1"
     likely = [one.term for one in found.alternatives if one.gap < 0.5 and one.term.nonparametric]
@@ -231,13 +233,6 @@ def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, c
     found = explain(Case(noisy, None, "declared", OPTIONS)).selection.state
     assert found.fit.terms.terms == ()
     assert not found.fit.noise.white
-
-
-@pytest.mark.long
-def test_a_direction_of_gravity_that_shows_only_through_a_function_of_a_load_is_what_that_does_not_describe(tmp_path):
-    """A bearing whose balls are pressed into their races: a spline leaves a hundredth of a root of the moment."""
-    found = terms(drawn(tmp_path, 2421, 558, sealed=True))
-    assert said(found) == [("unnamed", "link3", "gravity moment x of link 3")]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
