@@ -176,6 +176,21 @@ class Driver:
         return self.quantity == "direction of motion"
 
     @property
+    def is_angle(self) -> bool:
+        """Whether it repeats after a turn."""
+        return self.quantity in ("position", "measured position's azimuth", "measured position's elevation")
+
+    @property
+    def is_remembered(self) -> bool:
+        """Whether what it drives may lag behind it, as hysteresis does."""
+        return self.generalised in ("position", "gravity torque", "gravity moment x", "gravity moment y")
+
+    @property
+    def turns(self) -> str:
+        """The site whose own turns it counts, where errors may be of any order; empty where there is none."""
+        return f"joint{self.place}" if self.quantity == "position" else ""
+
+    @property
     def of_slide(self) -> bool:
         """Whether it is a quantity of a prismatic joint alone."""
         return self.quantity in _GENERALISED

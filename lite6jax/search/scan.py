@@ -48,8 +48,6 @@ Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
 _CONSIDERED = 40
 """Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
-_ANGLES = ("position", "measured position's azimuth", "measured position's elevation")
-_HYSTERETIC = ("position", "gravity torque", "gravity moment x", "gravity moment y")
 NEARLY = 2.0
 """Log odds within which the priority of names decides."""
 _TURNS = 1.5 * np.pi
@@ -127,7 +125,7 @@ class Scan:
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every arm has it."""
+        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every problem has it."""
         number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
         return float(np.log(2.0) if term.usual else KINDS + np.log(max(len(self.names), 1)) + number)
 
@@ -154,9 +152,7 @@ class Scan:
             driver = self.quantities[k].driver
             if self.discrete[k] and name != "line":
                 return False
-            if (name == "wave" and driver.quantity not in _ANGLES) or (
-                name == "play" and driver.generalised not in _HYSTERETIC
-            ):
+            if (name == "wave" and not driver.is_angle) or (name == "play" and not driver.is_remembered):
                 return False
         return True
 
@@ -261,7 +257,7 @@ class Scan:
         return _Weighed(self, test).together(term)
 
     def usual(self, test: ScoreTest) -> list[Ranked]:
-        """The names that nearly every arm has, the likeliest first."""
+        """The names that nearly every problem has, the likeliest first."""
         return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
 
     def named(self, test: ScoreTest) -> list[Ranked]:
@@ -414,11 +410,11 @@ class _Weighed:
         return _best_of_each(found)
 
     def spectra(self) -> list[Ranked]:
-        """Spectra of the positions of joints at these joints."""
+        """Spectra of angles at the sites whose turns they are."""
         found = []
         for component in self.components:
             for k, one in enumerate(self._scan.quantities):
-                if one.driver.quantity == "position" and component.site == f"joint{one.driver.place}":
+                if one.driver.turns == component.site:
                     found += self._spectra_of(component, k)
         return _best_of_each(found)
 
@@ -452,7 +448,7 @@ class _Weighed:
     def _plain(self, k: int) -> str:
         """The kernel as which a quantity of a pair is first weighed."""
         quantity = self._scan.quantities[k]
-        turns = quantity.driver.quantity in _ANGLES and np.ptp(quantity.values) > _TURNS
+        turns = quantity.driver.is_angle and np.ptp(quantity.values) > _TURNS
         return "line" if self._scan.discrete[k] else "wave" if turns else "cubic"
 
     def kernels_of(self, component: Component, which: tuple[int, ...]) -> list[Ranked]:
@@ -460,7 +456,7 @@ class _Weighed:
         own = [self._scan.quantities[k] for k in which]
         names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         found = [self.of_kernel(component, which, name) for name in names]
-        if len(which) == 1 and own[0].driver.quantity == "position" and component.site == f"joint{own[0].driver.place}":
+        if len(which) == 1 and own[0].driver.turns == component.site:
             found += self._spectra_of(component, which[0])
         return found
 
@@ -597,4 +593,4 @@ def _is_discrete(quantity: Quantity) -> bool:
 
 
 def _is_angle(quantity: Quantity) -> bool:
-    return quantity.driver.quantity in _ANGLES
+    return bool(quantity.driver.is_angle)

@@ -98,7 +98,7 @@ class Selector:
         tried = set[object]()
         while True:
             test = score_test(self.problem, state.fit, self.options)
-            # what nearly every arm has is there before anything rare is asked for
+            # what nearly every problem has is there before anything rare is asked for
             for found in (self.scan.usual, self.scan.ranked):
                 worth = self._worth(found(test), test, state, tried)
                 if worth:

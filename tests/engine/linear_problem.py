@@ -119,8 +119,10 @@ class Driver:
 
     quantity = property(lambda self: "position" if self.phrase == "angle" else self.phrase)
     generalised = quantity
+    is_angle = is_remembered = property(lambda self: self.phrase == "angle")
     place = 0
     discrete = False
+    turns = ""
 
 
 @dataclass(frozen=True)
