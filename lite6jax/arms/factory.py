@@ -157,8 +157,8 @@ def flange_offset(T_joint_flange: Array, nominal: Arm) -> tuple[Array, str]:
     beyond = T_joint_flange @ np.linalg.inv(nominal.T_joint_flange)
     if np.abs(beyond - np.eye(4)).max() <= _SAME:
         return beyond, ""
-    angle = np.rad2deg(2 * np.arcsin(min(np.linalg.norm(beyond[:3, :3] - np.eye(3)) / np.sqrt(8), 1.0)))
-    return beyond, f"{1e3 * np.linalg.norm(beyond[:3, 3]):.3g} mm, {angle:.3g}°"
+    distance, angle = frames.compare_transforms(beyond, np.eye(4))
+    return beyond, f"{1e3 * distance:.3g} mm, {np.rad2deg(angle):.3g}°"
 
 
 def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Arm | None) -> None:

@@ -71,7 +71,8 @@ def row_from_transform(transform: ArrayLike) -> Array:
 def compare_transforms(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     """Distances `(...,)` in m and angles `(...,)` in rad between transforms `(..., 4, 4)`.
 
-    The angle follows from the chord between the matrices, because the arccos of the trace is zero below 1e-8.
+    For rotation blocks A and B, ‖A − B‖ = 2 √2 sin(angle / 2), which small angles do not round away; the arccos of
+    the trace is zero below 1e-8.
     """
     difference = np.asarray(a, float) - np.asarray(b, float)
     chord = np.linalg.norm(difference[..., :3, :3], axis=(-2, -1))

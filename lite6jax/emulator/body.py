@@ -18,6 +18,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import recognise
 from lite6jax.arms.inertia import six_entries
+from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
@@ -100,7 +101,7 @@ class Body:
                 "revolute joints (its linear track is no joint of the arm); name the chain without it, such as "
                 "robot.urdf#base:tip, or make recordings of the whole arm with `lite6jax simulate`"
             )
-        object.__setattr__(self, "kinematics", self.kinematics.astype(np.float32).astype(float))
+        object.__setattr__(self, "kinematics", protocol.round_floats(self.kinematics))
         if self.kinematics.shape != (dof, 6):
             raise InputError(
                 f"{name}: a calibration {self.kinematics.shape}; it must be {(dof, 6)}: give that of this arm"

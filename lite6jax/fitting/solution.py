@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import threads
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import write_table
@@ -72,10 +73,7 @@ def prediction_errors(
         measured = pose[some]
         if pose.ndim == 2:
             return (np.linalg.norm(predicted[:, :3, 3] - measured, axis=1),)
-        # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
-        chord = np.linalg.norm(predicted[:, :3, :3] - measured[:, :3, :3], axis=(1, 2))
-        distance = np.linalg.norm(predicted[:, :3, 3] - measured[:, :3, 3], axis=1)
-        return distance, 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+        return frames.compare_transforms(predicted, measured)
 
     position, *orientation = _by_slices(form, model, joint_position, compare, of)
     return Errors(position, orientation[0] if orientation else None, joint_position)
