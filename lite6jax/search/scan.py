@@ -317,8 +317,7 @@ class _Weighed:
     def together(self, term: Term) -> list[tuple[Ranked, Ranked]]:
         """As `Scan.together`; the second of each pair has what the two are worth."""
         same = [one for one in self._scan.names if one.label == term.label]
-        if term.chosen:
-            same = [*same, *(term.held(term.chosen * ratio) for ratio in _RATIOS)]
+        same = [*same, *self._near(term)]
         others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
         others = [one for one in others if one.chosen is None and not one.periodic]
         if not same or not others:
@@ -340,8 +339,16 @@ class _Weighed:
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this."""
-        term, number = one.make(), one.make().chosen
-        return self._of_terms([term, *(term.held(number * ratio) for ratio in _RATIOS if number)])
+        return self._of_terms([one.make(), *self._near(one.make())])
+
+    def _near(self, term: Term) -> list[Term]:
+        """A name with the numbers near its own that are not farther from those of the list than these are apart."""
+        listed = [one.chosen for one in self._scan.names if one.label == term.label and one.chosen]
+        if not term.chosen or not listed:
+            return []
+        least, most = _RATIOS[0] * min(listed), _RATIOS[-1] * max(listed)
+        near = np.clip(term.chosen * _RATIOS, least, most)
+        return [term.held(float(number)) for number in np.unique(near)]
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
