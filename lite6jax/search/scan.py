@@ -54,7 +54,7 @@ _TURNS = 1.5 * np.pi
 """rad, the range of an angle from which a wave says more of it than a cubic."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
-_RATIOS = np.geomspace(0.5, 2.0, 17)
+_RATIOS = np.unique(np.concatenate([np.geomspace(0.5, 2.0, 17), np.geomspace(0.93, 1 / 0.93, 7)]))
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
@@ -261,9 +261,9 @@ class Scan:
         return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
 
     def named(self, test: ScoreTest) -> list[Ranked]:
-        """Names and waves alone."""
+        """Names and waves alone, the likeliest first."""
         weighed = _Weighed(self, test)
-        return [*weighed.named(), *weighed.waves()]
+        return _in_order([*weighed.named(), *weighed.waves()])
 
     def has_numbers(self, term: Term) -> bool:
         """Whether a name is one of several that differ in a number that is tried."""
@@ -342,12 +342,11 @@ class _Weighed:
         return self._of_terms([one.make(), *self._near(one.make())])
 
     def _near(self, term: Term) -> list[Term]:
-        """A name with the numbers near its own that are not farther from those of the list than these are apart."""
+        """A name with the numbers near its own, within those of the list."""
         listed = [one.chosen for one in self._scan.names if one.label == term.label and one.chosen]
         if not term.chosen or not listed:
             return []
-        least, most = _RATIOS[0] * min(listed), _RATIOS[-1] * max(listed)
-        near = np.clip(term.chosen * _RATIOS, least, most)
+        near = np.clip(term.chosen * _RATIOS, min(listed), max(listed))
         return [term.held(float(number)) for number in np.unique(near)]
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
@@ -561,12 +560,15 @@ class _Weighed:
 
 
 def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
-    """The likeliest first; of names that are nearly as likely as a first name, the one of the highest priority."""
+    """The likeliest first; of names that are nearly as likely as a first name, that of the highest priority.
+
+    Of the same priority it is that of the fewest numbers.
+    """
     ordered = sorted(found, key=lambda one: -one.net)
     if not ordered or ordered[0].process:
         return ordered
     near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
-    first = min(near, key=lambda one: (one.make().specificity, -one.net))
+    first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
     return [first, *(one for one in ordered if one is not first)]
 
 

@@ -109,9 +109,11 @@ class Selector:
             state = self._settled(more)
 
     def _next(self, test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
-        """What is to be added: what nearly every problem has, before anything rare is asked for."""
-        usual = self._worth(self.scan.usual(test), test, state, tried)
-        return usual or self._worth(self.scan.ranked(test), test, state, tried)
+        """What is to be added: a name that nearly every problem has, before a process is asked for."""
+        worth = self._worth(self.scan.ranked(test), test, state, tried)
+        if any(one.process for one in worth):
+            return self._worth(self.scan.usual(test), test, state, tried) or worth
+        return worth
 
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms that are worth their cost, of each row the likeliest alone.
@@ -125,10 +127,11 @@ class Selector:
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
-        for one in self._possible(ranked, test, state):
+        weighed = [self._continued(one, model) for one in self._possible(ranked, test, state)]
+        for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or (one.site in there and not self._goes_on(one, model)):
+            if one.key in tried or (one.site in there and not self._continues(one, model)):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
@@ -144,8 +147,13 @@ class Selector:
         own = [one for one in self.problem.components if one.site == term.site]
         return own[0] if len(own) == 1 and term not in self._preset else None
 
+    def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
+        """Of a process that continues one, only the choice of the component costs."""
+        own = sum(component.site == one.site for component in self.problem.components)
+        return replace(one, cost=min(one.cost, float(np.log(own)))) if self._continues(one, model) else one
+
     @staticmethod
-    def _goes_on(one: Ranked, model: Sequence[Term]) -> bool:
+    def _continues(one: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         there = [term for term in model if term.nonparametric and term.site == one.site]
         phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
@@ -203,7 +211,7 @@ class Selector:
         best = self.scan.alike(test, *self._process_of(term)) if term.nonparametric else self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
-        return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
+        return replace(one, term=best.make(), gain=best.gain, cost=min(one.cost, best.cost), volume=best.volume)
 
     def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
         component = next(
@@ -341,7 +349,7 @@ class Selector:
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
             names = [one for one in names if one.net >= self.options.margin]
-            names.sort(key=lambda one: (not one.make().usual, -one.net))
+            names.sort(key=lambda one: not one.make().usual)
             best = next((one for one in names if (self._rows(one.make(), trial) & rows).any()), None)
             if best is None:
                 break
@@ -349,6 +357,7 @@ class Selector:
             if len(more.tested) <= len(trial.tested):
                 break
             trial = self._estimated(more)
+            trial = self._paired(trial, len(trial.tested) - 1) or trial
             choices = [self._in_own_noise(one) for one in (trial, *self._with_less(trial, state.tested[k].term))]
             best_of = max(choices, key=lambda one: one.evidence)
             if best_of.evidence > state.evidence + self._needed(state.tested[k].term, best_of is not choices[0]):
@@ -370,7 +379,10 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            self._known[key] = self._possible(self.scan.ranked(test, rows=rows), test, state)
+            rest = [one.term for one in state.tested if one is not state.tested[k]]
+            found = self._possible(self.scan.ranked(test, rows=rows), test, state)
+            continued = [self._continued(one, rest) for one in found]
+            self._known[key] = continued if continued == found else sorted(continued, key=lambda one: -one.net)
         return self._known[key]
 
     def with_alternatives(self, state: State) -> State:
