@@ -91,11 +91,16 @@ class Marginal:
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`; of all that nuisance couples."""
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`."""
         squares, freedom = self._by_group
-        coupled = len(self.test.problem.precision) > 0
-        groups = np.arange(len(squares)) if coupled else np.unique(self.test.problem.groups[rows])
+        groups = np.unique(self.test.problem.groups[rows])
         return float(squares[groups].sum()), float(freedom[groups].sum())
+
+    @cached_property
+    def _together(self) -> int:
+        """The most groups of noise on which one component acts: processes are weighed in their common scale."""
+        problem = self.test.problem
+        return max((len(set(problem.groups[np.any(one.column, 1)])) for one in problem.components), default=1)
 
     def sums(self, column: Array) -> Sums:
         """Of a site's column `(row, sample)`."""
@@ -170,16 +175,21 @@ class Marginal:
         squares, freedom = self._by_group
         found, ends = [], np.cumsum([0, *map(len, groups)])
         for own in map(slice, ends[:-1], ends[1:]):
-            coupled = len(problem.precision) > 0
-            of = np.unique(problem.groups if coupled else problem.groups[acting[own].any(0)])
+            of = np.unique(problem.groups[acting[own].any(0)])
             if not of.size:
                 found.append(Evidence(*(np.zeros(()),) * 3))
                 continue
-            rows = [problem.groups == group for group in of]
-            parts = [(outside[own, one] / lengths[own, None, None]).reshape(own.stop - own.start, -1) for one in rows]
-            pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
-            information = np.stack([part @ part.T for part in parts])
-            found.append(_of_numbers(pull, information, squares[of], freedom[of], self.test.options.confounded))
+            size = lengths[own]
+            if len(of) <= self._together:
+                known = squares[of].sum()[None], freedom[of].sum()[None]
+                pull = (white[own] @ left.ravel() / size)[None]
+                information = ((white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size))[None]
+            else:
+                rows = [problem.groups == group for group in of]
+                parts = [(outside[own, one] / size[:, None, None]).reshape(len(size), -1) for one in rows]
+                pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
+                information, known = np.stack([part @ part.T for part in parts]), (squares[of], freedom[of])
+            found.append(_of_numbers(pull, information, *known, self.test.options.confounded))
         return found
 
 

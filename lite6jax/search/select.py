@@ -141,11 +141,15 @@ class Selector:
         return found
 
     def _component_of(self, term: Term) -> Component | None:
-        """The component of a process, or of a name at a site that has but one; None where a name may move several."""
-        if term.nonparametric:
-            return self._process_of(term)[0]
+        """The component of a process, or of a name at a site that has but one; None where a name may move several.
+
+        None also of a component of one row: what moves there by itself is the noise of that row.
+        """
         own = [one for one in self.problem.components if one.site == term.site]
-        return own[0] if len(own) == 1 and term not in self._preset else None
+        if term.nonparametric:
+            own = [self._process_of(term)[0]]
+        alone = len(own) == 1 and term not in self._preset and np.count_nonzero(own[0].column.any(1)) > 1
+        return own[0] if alone else None
 
     def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
         """Of a process that continues one, only the choice of the component costs."""
@@ -432,7 +436,10 @@ class Selector:
             return False
         if term.nonparametric:
             return bool(ranked.process) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
-        return not ranked.process and ranked.make() == term
+        if ranked.process:
+            return False
+        own, tried = ranked.make(), term.chosen is not None and not term.periodic
+        return own == term or (tried and own.label == term.label)
 
     # -------------------------------------------------------------- noise
 

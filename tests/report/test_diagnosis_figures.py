@@ -138,7 +138,7 @@ def test_a_loop_has_a_point_at_each_sample(recorded):
     """Over its driver it has more than one value."""
     settings = recorded(COMPLIANCE)[0].settings
     slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, "play", spread=1e-3)
-    values = np.array([0.0, 8e-4, 0, 0, 3e-3, 0])
+    values = np.array([0.0, 8e-4, 0, 0, 3e-3, 0, 0, 0, 0])
     recording = simulate(LITE6, effects=[(slack, values)], motion="static", samples=300, settings=settings)
     loop = diagnosed(recording, (slack,))
     (panel,) = finding_figure(loop, "", [0]).axes

@@ -311,7 +311,7 @@ def test_errors_are_those_of_the_whole_motion_where_an_effect_has_memory(arm):
     """Joint positions are searched row by row; where that is not enough, the rows are not said to be reached."""
     play = Unnamed("joint2", "position of joint 2", -3.0, 3.0, "play")
     content = document(arm, [])
-    content["model"]["effects"] = [effect_as_dict(play, [0, 3e-3, 0, 6e-3, 0, 0])]
+    content["model"]["effects"] = [effect_as_dict(play, [0, 3e-3, 0, 6e-3, 0, 0, 0, 0, 0])]
     model, motion = model_from_document(content), static_motion(3, SAMPLES)
     wanted = predict(model, motion["joint_position"])
     found = compensate(model, wanted, start=motion["joint_position"])
@@ -535,7 +535,7 @@ def test_of_several_solutions_one_inside_what_was_recorded_is_taken(arm):
     q = middle + rng.uniform(-0.3, 0.3, (4, 6))
     box = np.stack([middle - 0.35, middle + 0.35], 1)
     recorded = RecordedRange(box, q, 0.0, {})
-    known = Uncertainty((), np.zeros((0, 0)), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (), recorded)
+    known = Uncertainty((), np.zeros((0, 0)), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), recorded)
     found = compensate(replace(model, uncertainty=known), predict(model, q))
     assert found.reached.all()
     np.testing.assert_allclose(found.joint_position, q, rtol=0, atol=1e-6)

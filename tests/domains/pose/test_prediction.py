@@ -344,7 +344,7 @@ def test_a_pose_that_lacks_what_an_effect_needs(arm, text, says):
 def test_play_needs_a_sequence(arm):
     content = document(arm, [])
     play = Unnamed("joint2", "position of joint 2", -3.0, 3.0, "play")
-    content["model"]["effects"] = [effect_as_dict(play, [1e-4, 2e-4, 0, 0, 0, 0])]
+    content["model"]["effects"] = [effect_as_dict(play, [1e-4, 2e-4, 0, 0, 0, 0, 0, 0, 0])]
     model = model_from_document(content)
     assert "depends on other samples" in refused(model.pose, np.zeros(6))
     bare = model.without("unnamed").pose(np.zeros(6))
