@@ -56,6 +56,8 @@ _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
+_STEPS = 3
+"""Linearisations of a name of several numbers that is not linear."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
 _AT_ONCE = 100
@@ -349,12 +351,20 @@ class _Weighed:
         for some in _of_bounded_size(terms, self._problem.rows * self._problem.samples):
             columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
             each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
+            each = [own if term.linear else self._at_estimate(term, own) for term, own in zip(some, each, strict=True)]
             for term, evidence in zip(some, self._marginal.of_names(each), strict=True):
                 cost = self._scan.cost_of_name(term)
                 one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
                 if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
                     best[term.label] = one
         return list(best.values())
+
+    def _at_estimate(self, term: Term, columns: Array) -> Array:
+        """The columns of a term that is not linear where it fits best: at zero they may miss most of it."""
+        model = self._test.fit.terms, self._test.fit.values
+        for _ in range(_STEPS if term.size > 1 else 0):
+            columns = self._problem.columns([term], self._test.score_columns([columns])[0].values, model)
+        return columns
 
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
