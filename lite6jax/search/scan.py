@@ -342,8 +342,11 @@ class _Weighed:
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this."""
-        term, number = one.make(), one.make().chosen
-        return self._of_terms([term, *(term.held(number * ratio) for ratio in _RATIOS if number)])
+        found = [one]
+        for ratios in (_RATIOS, _RATIOS ** (2 / (len(_RATIOS) - 1))):
+            term, number = found[0].make(), found[0].make().chosen
+            found = self._of_terms([term, *(term.held(number * ratio) for ratio in ratios if number)]) or found
+        return found
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""

@@ -77,9 +77,11 @@ class Selector:
         f = state.fit
         white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
         other, tried = replace(state, fit=white), set[object]()
-        for ranked in (self.scan.usual, self.scan.ranked):
-            worth = self._worth(ranked, other, tried)
-            other = self._added(other, worth) if worth else other
+        while worth := self._worth(self.scan.usual, other, tried):
+            tried |= {one.key for one in worth}
+            other = self._added(other, worth)
+        worth = self._worth(self.scan.ranked, other, tried)
+        other = self._added(other, worth) if worth else other
         return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:

@@ -72,7 +72,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
     require_joints(recording, arm)
-    found = list[DataFault]()
+    found, doubt = list[DataFault](), 0.0
     if not still:
         recording, turns = _without_turns(recording, arm, wraps_only=True)
         found += turns
@@ -85,7 +85,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
         recording, dead = _without_dead_zone(recording, arm)
         found += dead
-        recording, uneven = evenly_timed(recording)
+        recording, uneven, doubt = evenly_timed(recording)
         found += [] if uneven is None else [uneven]
     torque = recording.torques().T
     runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
@@ -117,7 +117,9 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         data = torque_rows(recording, arm, data.torque) if turns else data
         found += turns
     held = held_by_friction(data)
-    data = replace(data, slack=held.slack) if held.found else data
+    if held.found or np.any(doubt):
+        spread = np.sqrt(np.abs(data.filter.whole(np.square(doubt)))) if np.any(doubt) else 0.0
+        data = replace(data, slack=np.hypot(held.slack, spread))
     found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
