@@ -39,6 +39,8 @@ _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lb
 """Of torques, and how many are one N m."""
 _SAME_UNIT = 0.15
 """Relative deviation of all factors from a unit's, up to which it is that."""
+_ONE_UNIT = 1.5
+"""Of the largest factor over the least, above which no unit is that of all joints."""
 _FEWEST_AT_REST = 10
 """Rows from which a bias, or a dead zone, of a velocity is known."""
 _FEWEST_IN_ZONE = 5
@@ -175,6 +177,12 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
             remedy = (
                 "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
                 f"the sidecar) with torque_constant_Nm_per_A: about {constants} would fit, take the published ones"
+            )
+        elif factors.max() > _ONE_UNIT * factors.min():
+            ratings = ", ".join(f"{100 / factor:.2g}" for factor in factors)
+            remedy = (
+                f"are these per cent of each joint's rating, or counts? ratings of about {ratings} N m would fit: "
+                "multiply the published ones by the columns over 100"
             )
         else:
             remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"
