@@ -90,10 +90,9 @@ class Marginal:
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`; of all that nuisance couples."""
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""
         squares, freedom = self._by_group
-        coupled = len(self.test.problem.precision) > 0
-        groups = np.arange(len(squares)) if coupled else np.unique(self.test.problem.groups[rows])
+        groups = self.test.coupled[np.unique(self.test.problem.groups[rows])].any(0)
         return float(squares[groups].sum()), float(freedom[groups].sum())
 
     def sums(self, column: Array) -> Sums:

@@ -83,7 +83,8 @@ class Samples:
         if data.recording.settings.torque_noise_Nm is not None:
             noise = np.asarray(data.recording.settings.torque_noise_Nm) / np.sqrt(data.filter.every)
             self.floor = np.hypot(self.floor, 0.5 * noise)
-        slope = np.stack([np.gradient(row) for row in data.measured])
+        still = data.recording.motion == "static"  # postures are not neighbours
+        slope = np.stack([np.zeros_like(row) if still else np.gradient(row) for row in data.measured])
         self.slope = slope[:, kept] * data.filter.rate / data.filter.every
 
     def about(self, likeliest: Hypothesis) -> "Samples":

@@ -106,7 +106,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         elif computed_torque(data):
             found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     ruled_out: list[DataFault] = []
-    if recording.settings.inertial != "unknown" and not still:
+    if recording.settings.inertial != "unknown":
         corrected = correct_faults(data)
         _require_unit(recording, corrected.found)
         _require_axes(recording, corrected.found)
