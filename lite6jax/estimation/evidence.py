@@ -148,14 +148,17 @@ class Marginal:
         squares = np.sum(white * self.test.left[: white.size].reshape(white.shape), 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
-    def of_names(self, groups: Sequence[Array]) -> list[Evidence]:
+    def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
         """The evidence of named terms, whose numbers have no prior: all their directions count as equally determined.
 
         Args:
             groups: of each term its columns `(number, row, sample)`.
+            together: whether the noise of all rows on which any of them acts is one scale, as parts of one term need.
         """
         columns = np.concatenate(groups)
         acting = np.any(columns, 2)
+        if together:
+            acting = np.broadcast_to(acting.any(0), acting.shape)
         white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
         measured = white.shape[1]
         inside, pull = white @ self.test.basis[:, :measured].T, white @ self.test.left[:measured]

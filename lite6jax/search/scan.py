@@ -60,6 +60,8 @@ _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
+_KEPT = 1 << 26
+"""Of features of pairs that are kept: 512 MB. The likeliest pairs are weighed beside each model anew."""
 _AT_ONCE = 100
 """Processes that are weighed in one call."""
 _EXACT = 60
@@ -119,6 +121,7 @@ class Scan:
         self.quantities = list(problem.quantities)
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
+        self._products: dict[tuple[Any, ...], Array] = {}
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
@@ -164,10 +167,15 @@ class Scan:
         """The functions `(feature, sample)` of a kernel of some quantities, as they reach the samples."""
         key = which, kernel, rolloff
         if key not in self._features:
-            found = self._product(which, kernel) if len(which) == 2 else self.problem.seen(self._factor(*key))
-            if len(which) == 2:
-                return found  # of thousands of pairs each is looked at once or twice
-            self._features[key] = found
+            if len(which) == 1:
+                self._features[key] = self.problem.seen(self._factor(*key))
+                return self._features[key]
+            if key not in self._products:
+                found = self._product(which, kernel)
+                if found.size * (1 + len(self._products)) > _KEPT:
+                    self._products.clear()  # there are thousands of pairs
+                self._products[key] = found
+            return self._products[key]
         return self._features[key]
 
     def _product(self, which: tuple[int, ...], kernel: str) -> Array:

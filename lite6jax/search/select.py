@@ -266,7 +266,9 @@ class Selector:
         )
         groups = np.unique(self.problem.groups[np.any(columns, axis=(0, 2))])
         parts = [columns * (self.problem.groups == group)[:, None] for group in groups]
-        whole, *alone = (float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts]))
+        whole, *alone = (
+            float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts], together=True)
+        )
         return max(alone) > whole + self.options.close
 
     # -------------------------------------------------------------- exchange
@@ -326,7 +328,7 @@ class Selector:
             trial = self._estimated(more)
             choices = [trial, *self._with_less(trial, state.tested[k].term)]
             best_of = max(choices, key=lambda one: one.evidence)
-            if best_of.evidence > state.evidence:
+            if best_of.evidence > state.evidence - NEARLY:  # as of one that is to stay
                 return self._dropped(best_of)
         return None
 

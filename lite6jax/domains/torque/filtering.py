@@ -428,13 +428,26 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
         length = part.stop - part.start
         if length >= _FEWEST:
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
-            out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], axis=-1, padlen=pad)
+            out[..., part] = _both_ways(sections, rows[..., part], pad)
     return out
 
 
+def _both_ways(sections: tuple[Array, Array], rows: Array, pad: int) -> Array:
+    """As `scipy.signal.sosfiltfilt` with an odd extension, which computes the steady state anew in each call."""
+    sos, steady = sections
+    steady = steady.reshape(len(sos), *(1,) * (rows.ndim - 1), 2)
+    before, after = rows[..., pad:0:-1], rows[..., -2 : -pad - 2 : -1]
+    out = np.concatenate([2 * rows[..., :1] - before, rows, 2 * rows[..., -1:] - after], -1)
+    for _ in range(2):
+        out = scipy.signal.sosfilt(sos, out, zi=steady * out[..., :1])[0][..., ::-1]
+    return out[..., pad : out.shape[-1] - pad]
+
+
 @cache
-def _sections(cutoff: float, rate: float) -> Array:
-    return np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
+def _sections(cutoff: float, rate: float) -> tuple[Array, Array]:
+    """Second-order sections, and their steady state at a constant of 1."""
+    sos = np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
+    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
