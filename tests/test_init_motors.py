@@ -110,7 +110,7 @@ def test_of_more_motors_than_joints_it_asks_which(tmp_path, capsys, monkeypatch)
     q, dq = moved(12)
     path = table(tmp_path / "log.csv", blocks(q=q, dq=dq, tau_est=9 * dq))
     leg = f"{urdf(tmp_path / 'quad.urdf', *LEGS)}#FR_calf_link"
-    assert "say which with --tip FL_calf_link" in refused(
+    assert "say which as quad.urdf#FL_calf_link" in refused(
         capsys, "init", path, "--arm", tmp_path / "quad.urdf", "--yes"
     )
     said = refused(capsys, "init", path, "--arm", leg, "--yes")

@@ -187,15 +187,15 @@ def _ends(
     order = {best: (hands | ends)[best]} | hands | ends
     listed = [f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN]]
     text = (
-        f"the chain could end at {', '.join([*listed, *beside])}; say which with --tip {best}, or as {file}#{best}"
-        " where a file is named"
+        f"the chain could end at {', '.join([*listed, *beside])}; say which as {file}#{best}, or in convert with "
+        f"--tip {best}"
     )
     chain = _movable(_path(base, best, above) or [])
     starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
     if not starts:
         return text
     without, start = ", ".join(joint.name for joint in chain[: starts[-1]]), chain[starts[-1]].parent
-    return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
+    return f"{text}; without {without}: {file}#{start}:{best}, or --base {start} --tip {best}"
 
 
 def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:

@@ -32,7 +32,8 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     """The turning site whose deflections the residuals look like; None where noise or another site explains them.
 
     A deflection moves the rows of each sample in one known direction, whatever its size is there. The likeliest site
-    that turns must exceed the others that turn by `close`, and no other site may exceed it by th    one in several is looked at, and stands for those between.
+    that turns must exceed the others that turn by `close`, no other site may exceed it by that, and what it leaves may
+    act nowhere. Of many samples one in several is looked at, and stands for those between.
 
     Args:
         problem: the data.

@@ -91,16 +91,18 @@ class Marginal:
         return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
-        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`."""
-        squares, freedom = self._by_group
-        groups = np.unique(self.test.problem.groups[rows])
+        """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""
+        (squares, freedom), groups = self._by_group, self._coupled(rows)
         return float(squares[groups].sum()), float(freedom[groups].sum())
+
+    def _coupled(self, rows: NDArray[np.bool_]) -> NDArray[np.integer]:
+        """The groups of some rows `(row,)`, and those that the model couples with them."""
+        return np.flatnonzero(self.test.coupled[np.unique(self.test.problem.groups[rows])].any(0))
 
     @cached_property
     def _together(self) -> int:
-        """The most groups of noise on which one component acts: processes are weighed in their common scale."""
-        problem = self.test.problem
-        return max((len(set(problem.groups[np.any(one.column, 1)])) for one in problem.components), default=1)
+        """The most groups of noise in which one component is seen: processes are weighed in their common scale."""
+        return max((len(self._coupled(np.any(one.column, 1))) for one in self.test.problem.components), default=1)
 
     def sums(self, column: Array) -> Sums:
         """Of a site's column `(row, sample)`."""
@@ -155,7 +157,7 @@ class Marginal:
         squares = np.sum(white * self.test.left[: white.size].reshape(white.shape), 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
-    def of_names(self, groups: Sequence[Array]) -> list[Evidence]:
+    def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
         """The evidence of named terms, some of whose numbers may be zero.
 
         The numbers that are not have no prior: all their directions count as equally determined. How many there are,
@@ -163,9 +165,12 @@ class Marginal:
 
         Args:
             groups: of each term its columns `(number, row, sample)`.
+            together: whether the noise of all rows on which any of them acts is one scale, as parts of one term need.
         """
         columns, problem = np.concatenate(groups), self.test.problem
         acting = np.any(columns, 2)
+        if together:
+            acting = np.broadcast_to(acting.any(0), acting.shape)
         white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
         measured = white.shape[1]
         inside = white @ self.test.basis[:, :measured].T
@@ -175,12 +180,12 @@ class Marginal:
         squares, freedom = self._by_group
         found, ends = [], np.cumsum([0, *map(len, groups)])
         for own in map(slice, ends[:-1], ends[1:]):
-            of = np.unique(problem.groups[acting[own].any(0)])
+            of = self._coupled(acting[own].any(0))
             if not of.size:
                 found.append(Evidence(*(np.zeros(()),) * 3))
                 continue
             size = lengths[own]
-            if len(of) <= self._together:
+            if together or len(of) <= self._together:
                 known = squares[of].sum()[None], freedom[of].sum()[None]
                 pull = (white[own] @ left.ravel() / size)[None]
                 information = ((white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size))[None]

@@ -76,6 +76,7 @@ class ScoreTest:
         freedom: residual degrees of freedom.
         time: autocorrelation time of the residual, in samples; 1 where it is white.
         scale: `(group,)`, of the noise over the declared one.
+        coupled: `(group, group)`, whether two groups of noise share a number of the model, directly or by others.
     """
 
     problem: Problem
@@ -87,6 +88,7 @@ class ScoreTest:
     freedom: float
     time: float
     scale: Array
+    coupled: NDArray[np.bool_]
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
@@ -379,6 +381,7 @@ def score_test(
         added = np.tensordot(values, problem.columns(more.terms, values, (best.terms, best.values)), 1)[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale).reshape(-1, training.size)
+    coupled = _coupled(np.any(columns.reshape(len(columns), problem.rows, problem.samples), 2), problem.groups)
     precision = np.concatenate([problem.precision, fit.terms.precision])
     given = precision > 0
     informative = np.concatenate([problem.informative, np.zeros(fit.terms.size, bool)])
@@ -394,7 +397,19 @@ def score_test(
     residual = np.concatenate([residual, off])
     basis = basis[:, : len(residual)]
     blocks = _blocks(problem.samples, time, options)
-    return ScoreTest(problem, fit, options, basis, residual, blocks, n - fit.parameters, time, scale)
+    return ScoreTest(problem, fit, options, basis, residual, blocks, n - fit.parameters, time, scale, coupled)
+
+
+def _coupled(acting: NDArray[np.bool_], groups: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """`(group, group)`, by which rows each number of a model acts on, `(number, row)`."""
+    members = np.arange(int(groups.max()) + 1)[:, None] == groups
+    of_group = (acting.astype(float) @ members.T) > 0
+    coupled = (of_group.T.astype(float) @ of_group + np.eye(len(members))) > 0
+    while True:
+        further = (coupled.astype(float) @ coupled) > 0
+        if (further == coupled).all():
+            return coupled
+        coupled = further
 
 
 def _has_prior(term: Term) -> bool:

@@ -43,6 +43,7 @@ class Term(Protocol):
         specificity: rank of its name among terms that the data do not distinguish; the least is reported.
         periodic: whether it is found by the spectrum of a periodic family.
         usual: whether nearly every problem has it, so that its choice costs ln 2.
+        linear: whether what it adds is proportional to its numbers.
         nonparametric: whether it is a Gaussian process rather than a named term.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
@@ -61,6 +62,8 @@ class Term(Protocol):
     def size(self) -> int: ...
     @property
     def coordinates(self) -> Sequence[Number]: ...
+    @property
+    def linear(self) -> bool: ...
     @property
     def periodic(self) -> bool: ...
     @property

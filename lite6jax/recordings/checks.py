@@ -111,7 +111,9 @@ def check_torque_scale(recording: Recording, arm: Arm) -> None:
         column = f"current{joint + 1}_A" if computed else joint_unit(f"tau{joint + 1}_Nm", slides)
         what, unit = ("force", "N") if slides else ("torque", "N m")
         remedy = "check the unit" if slides else "are these mN m? name the columns tau1_mNm ..."
-        remedy = "check torque_constant_Nm_per_A" if computed else remedy
+        remedy = (
+            "are these mA? name the columns current1_mA ..., or check torque_constant_Nm_per_A" if computed else remedy
+        )
         raise InputError(
             f"{recording.source}: column {column}: the {what} of joint {joint + 1} is {torque[joint]:.4g} {unit} "
             f"(median) while the weight of the arm exerts {most[joint]:.3g} {unit} at most; {remedy}"

@@ -34,7 +34,7 @@ _UNUSED = {
 _QUANTITIES = {
     "temp": {"temp", "temperature", "temperatures"},
     "current": {"current", "currents", "amps"},
-    "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments", "qfrc"},
+    "tau": {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "moments", "qfrc"},
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot", "qacc"},
     "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }

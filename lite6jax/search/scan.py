@@ -54,10 +54,14 @@ _TURNS = 1.5 * np.pi
 """rad, the range of an angle from which a wave says more of it than a cubic."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
-_RATIOS = np.unique(np.concatenate([np.geomspace(0.5, 2.0, 17), np.geomspace(0.93, 1 / 0.93, 7)]))
+_RATIOS = np.geomspace(0.5, 2.0, 17)
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
+_STEPS = 3
+"""Linearisations of a name of several numbers that is not linear."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
+_KEPT = 1 << 26
+"""Of features of pairs that are kept: 512 MB. The likeliest pairs are weighed beside each model anew."""
 _AT_ONCE = 100
 """Processes that are weighed in one call."""
 _EXACT = 60
@@ -117,6 +121,7 @@ class Scan:
         self.quantities = list(problem.quantities)
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
+        self._products: dict[tuple[Any, ...], Array] = {}
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
@@ -162,10 +167,15 @@ class Scan:
         """The functions `(feature, sample)` of a kernel of some quantities, as they reach the samples."""
         key = which, kernel, rolloff
         if key not in self._features:
-            found = self._product(which, kernel) if len(which) == 2 else self.problem.seen(self._factor(*key))
-            if len(which) == 2:
-                return found  # of thousands of pairs each is looked at once or twice
-            self._features[key] = found
+            if len(which) == 1:
+                self._features[key] = self.problem.seen(self._factor(*key))
+                return self._features[key]
+            if key not in self._products:
+                found = self._product(which, kernel)
+                if found.size * (1 + len(self._products)) > _KEPT:
+                    self._products.clear()  # there are thousands of pairs
+                self._products[key] = found
+            return self._products[key]
         return self._features[key]
 
     def _product(self, which: tuple[int, ...], kernel: str) -> Array:
@@ -339,14 +349,18 @@ class _Weighed:
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this."""
-        return self._of_terms([one.make(), *self._near(one.make())])
+        found = [one]
+        for ratios in (_RATIOS, _RATIOS ** (2 / (len(_RATIOS) - 1))):
+            term = found[0].make()
+            found = self._of_terms([term, *self._near(term, ratios)]) or found
+        return found
 
-    def _near(self, term: Term) -> list[Term]:
+    def _near(self, term: Term, ratios: Array = _RATIOS) -> list[Term]:
         """A name with the numbers near its own, within those of the list."""
         listed = [one.chosen for one in self._scan.names if one.label == term.label and one.chosen]
         if not term.chosen or not listed:
             return []
-        near = np.clip(term.chosen * _RATIOS, min(listed), max(listed))
+        near = np.clip(term.chosen * ratios, min(listed), max(listed))
         return [term.held(float(number)) for number in np.unique(near)]
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
@@ -355,12 +369,20 @@ class _Weighed:
         for some in _of_bounded_size(terms, self._problem.rows * self._problem.samples):
             columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
             each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
+            each = [own if term.linear else self._at_estimate(term, own) for term, own in zip(some, each, strict=True)]
             for term, evidence in zip(some, self._marginal.of_names(each), strict=True):
                 cost = self._scan.cost_of_name(term)
                 one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
                 if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
                     best[term.label] = one
         return list(best.values())
+
+    def _at_estimate(self, term: Term, columns: Array) -> Array:
+        """The columns of a term that is not linear where it fits best: at zero they may miss most of it."""
+        model = self._test.fit.terms, self._test.fit.values
+        for _ in range(_STEPS if term.size > 1 else 0):
+            columns = self._problem.columns([term], self._test.score_columns([columns])[0].values, model)
+        return columns
 
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""

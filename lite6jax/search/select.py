@@ -11,7 +11,7 @@ may act there. Nor is anything
 found elsewhere that explains less than noise would at the component of a process.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -76,12 +76,13 @@ class Selector:
         """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
         f = state.fit
         white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
-        test, other = score_test(self.problem, white, self.options), replace(state, fit=white)
-        worth = self._next(test, other, set())
-        if not worth:
-            return None
-        more = self._within_bounds(self._estimated(self._with(other, *worth)))
-        return self._dropped(replace(more, fit=self.in_own_noise(more.fit)))
+        other, tried = replace(state, fit=white), set[object]()
+        while worth := self._next(other, tried):
+            tried |= {one.key for one in worth}
+            other = self._added(other, worth)
+            if not all(one.make().usual for one in worth):
+                break
+        return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
         exchanged = 0
@@ -96,42 +97,46 @@ class Selector:
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
-        while True:
-            test = score_test(self.problem, state.fit, self.options)
-            worth = self._next(test, state, tried)
-            if not worth:
-                return state
+        while worth := self._next(state, tried):
             tried |= {one.key for one in worth}
-            more = self._estimated(self._with(state, *worth))
-            for new in (one for one in worth if one.process):
-                places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
-                more = next((named for k in places if (named := self._named(more, k)) is not None), more)
-            state = self._settled(more)
+            state = self._settled(self._added(state, worth))
+        return state
 
-    def _next(self, test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
+    def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added: a name that nearly every problem has, before a process is asked for."""
-        worth = self._worth(self.scan.ranked(test), test, state, tried)
+        worth = self._worth(self.scan.ranked, state, tried)
         if any(one.process for one in worth):
-            return self._worth(self.scan.usual(test), test, state, tried) or worth
+            return self._worth(self.scan.usual, state, tried) or worth
         return worth
 
-    def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
-        """The terms that are worth their cost, of each row the likeliest alone.
+    def _added(self, state: State, worth: Sequence[Ranked]) -> State:
+        """The state with more terms, names in the place of those processes for which they are likelier."""
+        more = self._estimated(self._with(state, *worth))
+        for new in (one for one in worth if one.process):
+            places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
+            more = next((named for k in places if (named := self._named(more, k)) is not None), more)
+        return self._within_bounds(more)
+
+    def _worth(self, ranked: Callable[[ScoreTest], list[Ranked]], state: State, tried: set[object]) -> list[Ranked]:
+        """The terms of a ranking that are worth their cost and within their bounds, of each row the likeliest alone.
 
         A further term that explains less than noise of its own would at the component of one that is there may be a
         part of what that does not describe.
         """
+        test = score_test(self.problem, state.fit, self.options)
         model, marginal = state.fit.terms.terms, Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
         there = {term.site for term in model if term.nonparametric}
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
-        weighed = [self._continued(one, model) for one in self._possible(ranked, test, state)]
+        weighed = [self._continued(one, model) for one in self._possible(ranked(test), test, state)]
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
             if one.key in tried or (one.site in there and not self._continues(one, model)):
+                continue
+            if not self._is_possible(test, one):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
@@ -293,10 +298,14 @@ class Selector:
         if term.nonparametric or term in self._preset or len(set(self.problem.groups[self._rows(term, state)])) < 2:
             return False
         test = self.beside(state, k)
-        columns = self.problem.columns([term], beside=(test.fit.terms, test.fit.values))
+        columns = self.problem.columns(
+            [term], state.fit.values[state.fit.terms.slices[k]], (test.fit.terms, test.fit.values)
+        )
         groups = np.unique(self.problem.groups[np.any(columns, axis=(0, 2))])
         parts = [columns * (self.problem.groups == group)[:, None] for group in groups]
-        whole, *alone = (float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts]))
+        whole, *alone = (
+            float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts], together=True)
+        )
         return max(alone) > whole + self.options.close
 
     # -------------------------------------------------------------- exchange
@@ -353,8 +362,8 @@ class Selector:
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
             names = [one for one in names if one.net >= self.options.margin]
-            names.sort(key=lambda one: not one.make().usual)
-            best = next((one for one in names if (self._rows(one.make(), trial) & rows).any()), None)
+            names = [one for one in names if (self._rows(one.make(), trial) & rows).any()]
+            best = next((one for one in names if one.make().usual), names[0] if names else None)
             if best is None:
                 break
             more = self._within_bounds(self._with(trial, best))

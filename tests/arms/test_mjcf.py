@@ -160,7 +160,7 @@ ARM = f'<body name="a">{HINGE}{INERTIAL}'
         (
             f'{ARM}<site name="s"/><body name="x"/><body name="y" pos="1 0 0"/></body>',
             None,
-            "the chain could end at x (1 joint), y (1 joint), s; say which with --tip x, or as arm.xml#x where",
+            "the chain could end at x (1 joint), y (1 joint), s; say which as arm.xml#x, or in convert with --tip x",
         ),
     ],
 )

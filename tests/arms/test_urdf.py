@@ -155,8 +155,8 @@ def test_frames_at_one_place_are_one_tip(tmp_path):
 def test_the_tip_can_be_named_in_the_path(tmp_path):
     path = branched(tmp_path, "3.14159 0 0")
     message = (
-        f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); say which with --tip ft_frame, or as "
-        "arm.urdf#ft_frame where a file is named"
+        f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); say which as arm.urdf#ft_frame, or "
+        "in convert with --tip ft_frame"
     )
     assert refusal(read_urdf, path) == message
     np.testing.assert_array_equal(read_arm(f"{path}#tool0").T_joint_flange, np.eye(4))
@@ -242,7 +242,7 @@ def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
     path = write(tmp_path, *panda(), name="panda.urdf")
     assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at panda_hand (7 joints), panda_leftfinger (8 joints), panda_rightfinger (8 "
-        "joints); say which with --tip panda_hand, or as panda.urdf#panda_hand where a file is named"
+        "joints); say which as panda.urdf#panda_hand, or in convert with --tip panda_hand"
     )
     assert read_arm(f"{path}#panda_hand").dof == 7
     assert main(["convert", str(path), str(tmp_path / "panda.yaml"), "--tip", "panda_hand"]) == 0
@@ -259,8 +259,8 @@ def test_a_tree_with_a_torso_names_the_arm_with_and_without_it(tmp_path):
     assert refusal(read_urdf, path) == (
         f"{path}: the chain could end at gripper_link (8 joints), wheel_left_link (1 joint), wheel_right_link (1 "
         "joint), xtion_link (3 joints), gripper_left_finger_link (9 joints), gripper_right_finger_link (9 joints); "
-        "say which with --tip gripper_link, or as tiago.urdf#gripper_link where a file is named; without "
-        "torso_lift_joint: --base torso_lift_link --tip gripper_link, or tiago.urdf#torso_lift_link:gripper_link"
+        "say which as tiago.urdf#gripper_link, or in convert with --tip gripper_link; without torso_lift_joint: "
+        "tiago.urdf#torso_lift_link:gripper_link, or --base torso_lift_link --tip gripper_link"
     )
     whole, arm = read_arm(f"{path}#gripper_link"), read_arm(f"{path}#torso_lift_link:gripper_link")
     assert (whole.dof, whole.sliding, arm.dof, arm.sliding) == (8, (0,), 7, ())

@@ -28,6 +28,7 @@ class Column:
     site: str = "x"
     periodic: bool = False
     usual: bool = False
+    linear: bool = True
     nonparametric: bool = False
     chosen: float | None = None
     coordinates: tuple = (Number(),)
@@ -50,6 +51,7 @@ class Wave:
     specificity: int = 2
     periodic: bool = True
     usual: bool = False
+    linear: bool = True
     nonparametric: bool = False
     includes: tuple = ()
 
@@ -86,6 +88,7 @@ class Decay:
     specificity: int = 4
     periodic: bool = False
     usual: bool = False
+    linear: bool = True
     nonparametric: bool = False
     includes: tuple = ()
 
@@ -139,6 +142,7 @@ class Process:
     specificity: int = 17
     periodic: bool = False
     usual: bool = False
+    linear: bool = True
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()

@@ -191,7 +191,7 @@ def test_torques_in_another_unit_are_asked_about():
         "recording: column tau2_Nm: the torque of joint 2 is 5400 N m (median) while the weight of"
     )
     assert message.endswith("N m at most; are these mN m? name the columns tau1_mNm ...")
-    with pytest.raises(InputError, match=r"column current1_A: .* N m at most; check torque_constant_Nm_per_A"):
+    with pytest.raises(InputError, match=r"column current1_A: .* at most; are these mA\? .* torque_constant_Nm_per_A"):
         check_torque_scale(swinging(torque_constant_Nm_per_A=[1e4, 1, 1, 1, 1, 1]), arm)
     with pytest.raises(InputError, match="has no joint torques; add tau1_Nm"):
         check_torque_scale(Recording.from_arrays(np.zeros((3, 6))), arm)

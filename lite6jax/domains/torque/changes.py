@@ -21,6 +21,8 @@ CODES = (*GRAVITY, *POSITIONS, *TORQUES)
 
 STEP = np.deg2rad(15.0)
 """rad between zeros that are tried; the best are refined."""
+_SAME_ZERO = 1.5 * STEP
+"""rad between zeros of a joint that are one: of neighbours on the grid the likelier is taken."""
 _SAME_GRAVITY = 0.1
 """Relative difference of two gravities that are one."""
 
@@ -147,7 +149,7 @@ def alike(a: Hypothesis, b: Hypothesis) -> bool:
         return False
     for one in a:
         other = next(c for c in b if (c.code, c.joints) == (one.code, one.joints))
-        if one.code == "joint_zero" and abs(turned_back(one.value - other.value)) >= STEP:
+        if one.code == "joint_zero" and abs(turned_back(one.value - other.value)) > _SAME_ZERO:
             return False
         if one.code == "coupled_joint" and one.value != other.value:
             return False

@@ -52,6 +52,8 @@ _BRIDGED = 0.125
 """Of the shortest period of the motion, over which samples are interpolated at most."""
 _SMOOTHER = 0.5
 """Of the squares that are left, from which the one of two time scales is clearly the right one."""
+_BENDS = 4.0
+"""Times the usual deviation of a step of torque from the steps around it, from which torques bend in it."""
 _SPIKE = 8.0
 """Standard deviations from the median of neighbouring samples from which a torque is a spike."""
 _TURNING = 0.01
@@ -142,8 +144,23 @@ def _steps(recording: Recording) -> Array:
     return steps
 
 
-def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
-    """A recording at even times, and what was wrong with its own; itself where they are even.
+class Even(NamedTuple):
+    """A recording at even times.
+
+    Attributes:
+        recording: itself where its times are even.
+        fault: what was wrong with its times; None where they are even.
+        doubt: `(joint, sample)` Nm, one sigma of torques that were interpolated where they bend, as friction does where
+            a joint turns back; 0 where nothing was interpolated.
+    """
+
+    recording: Recording
+    fault: DataFault | None = None
+    doubt: Array | float = 0.0
+
+
+def evenly_timed(recording: Recording) -> Even:
+    """A recording at even times, and what was wrong with its own.
 
     Where positions are smooth over the number of the row and not over the time stamped, the stamps jitter, and are made
     even. Otherwise the samples do, and are interpolated, up to a gap of an eighth of the motion's shortest period.
@@ -156,14 +173,14 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
     """
     steps = _steps(recording)
     if not _vary(steps):
-        return recording, None
+        return Even(recording)
     assert recording.time is not None
     time, runs, step = recording.time, run_segments(recording.run), float(np.median(steps))
     low, high = np.percentile(steps, (5, 95))
     said = {"from_s": float(low), "to_s": float(high), "rate_Hz": 1 / step}
     if _stamps_jitter(recording.joint_position, time, runs, step):
         even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
-        return replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said)
+        return Even(replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said))
     longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
     grid = np.arange(float(time[longest.start]), float(time[longest.stop - 1]), step)
     alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
@@ -177,12 +194,14 @@ def evenly_timed(recording: Recording) -> tuple[Recording, DataFault | None]:
             "to interpolate this motion; record at a constant rate, or move slower"
         )
     at = [np.arange(float(time[r.start]), float(time[r.stop - 1]), step) for r in parts]
-    numbers = said | {"gaps": int(gaps.sum())}
+    numbers, doubt = said | {"gaps": int(gaps.sum())}, 0.0
     if recording.has_torques:
-        doubt = np.concatenate([_from_neighbours(recording.torques()[r], time[r]) for r in parts])
-        numbers["rms_Nm"] = np.sqrt(np.mean(doubt**2, 0)).tolist()
+        torques = [recording.torques()[r] for r in parts]
+        off = np.concatenate([_from_neighbours(rows, time[r]) for rows, r in zip(torques, parts, strict=True)])
+        numbers["rms_Nm"] = np.sqrt(np.mean(off**2, 0)).tolist()
+        doubt = np.concatenate([_doubt(rows, time[r], t) for rows, r, t in zip(torques, parts, at, strict=True)]).T
     fault = DataFault("uneven_times", (), {"reason": "samples"} | numbers)
-    return _interpolated(recording, parts, at), fault
+    return Even(_interpolated(recording, parts, at), fault, doubt)
 
 
 def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float) -> bool:
@@ -215,6 +234,18 @@ def _from_neighbours(torque: Array, time: Array) -> Array:
     """Torques `(sample, joint)` of every other sample less what its neighbours give."""
     inner = slice(1, (len(time) - 1) // 2 * 2, 2)
     return torque[inner] - scipy.interpolate.PchipInterpolator(time[::2], torque[::2])(time[inner])
+
+
+def _doubt(torque: Array, time: Array, at: Array) -> Array:
+    """`(sample, joint)` Nm, one sigma of torques that are interpolated at other times, where they bend in between.
+
+    A jump of J somewhere between two samples is J / 2 of doubt; J is a step less what the steps around it lead to.
+    """
+    step = np.diff(time)[:, None]
+    slope = np.pad(np.diff(torque, axis=0) / step, ((1, 1), (0, 0)), mode="edge")
+    jump = np.abs(step * (slope[1:-1] - 0.5 * (slope[:-2] + slope[2:])))
+    jump[jump < _BENDS * 1.4826 * np.median(jump, axis=0)] = 0.0
+    return 0.5 * jump[np.clip(np.searchsorted(time, at, "right") - 1, 0, len(step) - 1)]
 
 
 def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Array]) -> Recording:
@@ -397,13 +428,26 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
         length = part.stop - part.start
         if length >= _FEWEST:
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
-            out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], axis=-1, padlen=pad)
+            out[..., part] = _both_ways(sections, rows[..., part], pad)
     return out
 
 
+def _both_ways(sections: tuple[Array, Array], rows: Array, pad: int) -> Array:
+    """As `scipy.signal.sosfiltfilt` with an odd extension, which computes the steady state anew in each call."""
+    sos, steady = sections
+    steady = steady.reshape(len(sos), *(1,) * (rows.ndim - 1), 2)
+    before, after = rows[..., pad:0:-1], rows[..., -2 : -pad - 2 : -1]
+    out = np.concatenate([2 * rows[..., :1] - before, rows, 2 * rows[..., -1:] - after], -1)
+    for _ in range(2):
+        out = scipy.signal.sosfilt(sos, out, zi=steady * out[..., :1])[0][..., ::-1]
+    return out[..., pad : out.shape[-1] - pad]
+
+
 @cache
-def _sections(cutoff: float, rate: float) -> Array:
-    return np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
+def _sections(cutoff: float, rate: float) -> tuple[Array, Array]:
+    """Second-order sections, and their steady state at a constant of 1."""
+    sos = np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
+    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ few are listed. It has to exceed the recording as it is declared by as much.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain, combinations
+from itertools import chain, combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -37,12 +37,12 @@ from lite6jax.recordings.fault import DataFault
 
 Array = NDArray[np.floating]
 
-_EXPLAINED = 0.15
+_EXPLAINED = 0.1
 """Of a joint's torque, RMS, from which a second change is sought: what most arms have beside leaves as much."""
 _CLEARLY = 1.5
 """Times by which a hypothesis leaves less of the torque of a joint, RMS."""
-_BEAM = 4
-"""Hypotheses that are joined with further changes."""
+_BEAM = 6
+"""Hypotheses that are joined with further changes; of those that differ in numbers alone the likeliest."""
 _COMPARED = 8
 """Hypotheses of which the evidence is computed."""
 _NOISELESS = 1e-3
@@ -76,8 +76,7 @@ class ScreenedTorques(NamedTuple):
 
 def correct_faults(data: TorqueRows) -> ScreenedTorques:
     """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
-    rows = Samples(data)
-    compared = _compare(rows)
+    rows, compared = _compare(Samples(data))
     found: list[DataFault] = []
     # several faults at once may be one of the description
     doubtful = rows.suspicious(rows.declared) and (len(compared.alternatives) > 0 or faults_in(compared.found) != 1)
@@ -166,6 +165,14 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
         yield from ((Change("joint_zero", (i,), turned_back(step)),) for step in steps)
 
 
+def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
+    """Zeros of two joints that are off by quarters of a turn, as those of two conventions are."""
+    quarters = [k * np.pi / 2 for k in (-1, 1, 2)]
+    for pair in combinations([i for i in range(data.arm.dof) if i not in data.arm.sliding], 2):
+        for values in product(quarters, repeat=2):
+            yield tuple(Change("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
+
+
 class _Comparison(NamedTuple):
     """How the hypotheses of a recording compare.
 
@@ -180,30 +187,31 @@ class _Comparison(NamedTuple):
     evidence: float = -np.inf
 
 
-def _compare(rows: Samples) -> _Comparison:
+def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
+    """The samples with the noise that the likeliest hypothesis leaves, and how the hypotheses compare in it."""
     declared = rows.declared
     if not rows.suspicious(declared):
-        return _Comparison()
-    best = _search(rows)
-    best = [one for one in best if one.hypothesis and (one.left < declared.left / _CLEARLY).any()]
+        return rows, _Comparison()
+    best = [one for one in _search(rows) if one.hypothesis and (one.left < declared.left / _CLEARLY).any()]
     if not best:
-        return _Comparison()
+        return rows, _Comparison()
+    rows = rows.about(best[0].hypothesis)
     evidence = {one.hypothesis: rows.evidence(one.hypothesis) - rows.price(one.hypothesis) for one in best}
     ranked = sorted(evidence, key=lambda h: -evidence[h])
     least = rows.evidence(()) + TRUSTED
     if evidence[ranked[0]] < least:
-        return _Comparison()
+        return rows, _Comparison()
     likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, least)]
     fewest = min(map(faults_in, likely))
     simple = [h for h in likely if faults_in(h) == fewest]
     simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
     distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
     if len(distinct) > 1:
-        return _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
+        return rows, _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
     (found,) = distinct
     common = _with_one_constant(found)
     together = rows.evidence(common) - rows.price(common)
-    return _Comparison(common if together > evidence[found] else found, evidence=max(together, evidence[found]))
+    return rows, _Comparison(common if together > evidence[found] else found, evidence=max(together, evidence[found]))
 
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
@@ -220,8 +228,9 @@ def _search(rows: Samples) -> list[Scored]:
     simple = list(single_changes(rows.data))
     scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
     beam: list[Hypothesis] = [()]
-    for _ in range(2):
+    for first in (True, False):
         tried = dict.fromkeys(joined(h, more) for h in beam for more in simple if compatible(h, more))
+        tried |= dict.fromkeys(_conventions(rows.data)) if first else {}
         new = {h: rows.scored(h) for h in tried if h not in scored}
         zeros: dict[Hypothesis, Hypothesis] = {}  # of those that differ in zeros alone the best
         for h in sorted(new, key=lambda h: new[h].cost):
@@ -236,7 +245,10 @@ def _search(rows: Samples) -> list[Scored]:
                 new[more] = rows.scored(more)
         before = min(one.cost for one in scored.values())
         scored |= new
-        beam = sorted(scored, key=lambda h: scored[h].cost)[:_BEAM]
+        distinct: dict[frozenset[tuple[str, tuple[int, ...]]], Hypothesis] = {}
+        for h in sorted(scored, key=lambda h: scored[h].cost):
+            distinct.setdefault(frozenset(kinds(h)), h)
+        beam = [*distinct.values()][:_BEAM]
         least = scored[beam[0]]
         if not rows.suspicious(least, _EXPLAINED) or least.cost > before - TRUSTED:
             break

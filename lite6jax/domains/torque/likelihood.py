@@ -29,7 +29,7 @@ _FACTORS = (0.45, 1.8)
 """Of the measured torque over the true one, beyond which it is no error of calibration but another constant: those of
 motors of one series vary by some per cent, and gear ratios by factors."""
 _UNIT = (1 / 3, 3.0)
-"""The same of all joints together: within, the arm has rather other masses; beyond, torques are in another unit."""
+"""Of the mean of all joints: within, the arm has rather other masses; beyond, torques are in another unit."""
 _LEAST_ZERO = 0.05
 """rad below which a zero is no fault of the data: other centres of mass do the same."""
 _SNAP = 0.04
@@ -71,6 +71,7 @@ class Samples:
 
     def __init__(self, data: TorqueRows) -> None:
         self.data = data
+        self.likeliest: Hypothesis = ()  # what it leaves is the noise of them all
         kept = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
         at, motion = data.filter.kept[kept], data.motion
         moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
@@ -82,8 +83,16 @@ class Samples:
         if data.recording.settings.torque_noise_Nm is not None:
             noise = np.asarray(data.recording.settings.torque_noise_Nm) / np.sqrt(data.filter.every)
             self.floor = np.hypot(self.floor, 0.5 * noise)
-        slope = np.stack([np.gradient(row) for row in data.measured])
+        still = data.recording.motion == "static"  # postures are not neighbours
+        slope = np.stack([np.zeros_like(row) if still else np.gradient(row) for row in data.measured])
         self.slope = slope[:, kept] * data.filter.rate / data.filter.every
+
+    def about(self, likeliest: Hypothesis) -> "Samples":
+        """The same with a hypothesis that leaves less: what one leaves that is wrong is no noise."""
+        other = copy(self)
+        other.likeliest = likeliest
+        vars(other).pop("counted", None)
+        return other if other.counted > self.counted else self
 
     def with_axis(self, joint: int, R: Array) -> "Samples":
         """The same of an arm whose joint, from 0, turns about the axis of its frame that `R` turns z into."""
@@ -107,9 +116,9 @@ class Samples:
 
     @cached_property
     def counted(self) -> float:
-        """How many samples that remember each other count as independent ones, by what the arm as declared leaves."""
+        """How many samples that remember each other count as independent ones, by what the likeliest leaves."""
         times = []
-        for row in self._rest(()):
+        for row in self._rest(self.likeliest):
             row = row - row.mean()
             spectrum = np.abs(np.fft.rfft(row, 2 * len(row))) ** 2
             correlation = np.fft.irfft(spectrum)[: len(row)]
@@ -246,11 +255,12 @@ class Samples:
         if seen is not None:
             k, every = np.argmin(loaded, 0), np.arange(self.dof)
             found = factor[k, every]
-            low, high = _UNIT
             shown = found[seen]
             if 2 * seen.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
                 return None
             usual = float(np.exp(np.mean(np.log(shown))))
+            if _UNIT[0] < usual < _UNIT[1]:
+                return None
             return np.where(seen, found, usual), loaded[k, every], k == 1
         beyond = ((factor > 0) & (factor < low)) | (factor > high)
         cost = np.minimum(as_it_is, np.where(beyond, loaded, np.inf))

@@ -171,7 +171,7 @@ def _motion_of(model: DiagnosedMotors, recording: Recording | str | Path) -> tup
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
-    return recording, recording if recording.motion == "static" else evenly_timed(recording)[0]
+    return recording, recording if recording.motion == "static" else evenly_timed(recording).recording
 
 
 def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:

@@ -33,7 +33,7 @@ lazy = property if TYPE_CHECKING else cached_property
 
 FITTED = (LinkMass, LinkCom, PayloadBody)
 """Effects that are confounded with inertial numbers that are fitted."""
-_HEAVY = (LinkMass, LinkCom, PayloadTorque)
+_HEAVY = (LinkMass, LinkCom, PayloadTorque, PayloadBody)
 """Effects that weigh something at rest too."""
 _MOVING = ("velocity", "speed", "direction of motion", "acceleration", "travel since reversal")
 """Drivers that postures at rest do not have."""

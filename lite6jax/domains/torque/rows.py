@@ -135,7 +135,8 @@ class TorqueRows:
         torque: `(joint, sample)` Nm, measured, without spikes.
         filter: which torques, measured and modelled, pass.
         motion_cutoff: Hz, of the low pass of the motion.
-        slack: `(joint, sample)` Nm, one sigma of what friction holds at rest; None where that is not known.
+        slack: `(joint, sample)` Nm, one sigma of what friction holds at rest and of what was interpolated across a
+            bend; None where there is neither.
     """
 
     recording: Recording

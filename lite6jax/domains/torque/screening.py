@@ -39,6 +39,8 @@ _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lb
 """Of torques, and how many are one N m."""
 _SAME_UNIT = 0.15
 """Relative deviation of all factors from a unit's, up to which it is that."""
+_ONE_UNIT = 1.5
+"""Of the largest factor over the least, above which no unit is that of all joints."""
 _FEWEST_AT_REST = 10
 """Rows from which a bias, or a dead zone, of a velocity is known."""
 _FEWEST_IN_ZONE = 5
@@ -72,7 +74,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
     require_joints(recording, arm)
-    found = list[DataFault]()
+    found, doubt = list[DataFault](), 0.0
     if not still:
         recording, turns = _without_turns(recording, arm, wraps_only=True)
         found += turns
@@ -85,7 +87,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
         recording, dead = _without_dead_zone(recording, arm)
         found += dead
-        recording, uneven = evenly_timed(recording)
+        recording, uneven, doubt = evenly_timed(recording)
         found += [] if uneven is None else [uneven]
     torque = recording.torques().T
     runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
@@ -104,7 +106,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         elif computed_torque(data):
             found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     ruled_out: list[DataFault] = []
-    if recording.settings.inertial != "unknown" and not still:
+    if recording.settings.inertial != "unknown":
         corrected = correct_faults(data)
         _require_unit(recording, corrected.found)
         _require_axes(recording, corrected.found)
@@ -117,7 +119,9 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         data = torque_rows(recording, arm, data.torque) if turns else data
         found += turns
     held = held_by_friction(data)
-    data = replace(data, slack=held.slack) if held.found else data
+    if held.found or np.any(doubt):
+        spread = np.sqrt(np.abs(data.filter.whole(np.square(doubt)))) if np.any(doubt) else 0.0
+        data = replace(data, slack=np.hypot(held.slack, spread))
     found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
@@ -173,6 +177,12 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
             remedy = (
                 "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
                 f"the sidecar) with torque_constant_Nm_per_A: about {constants} would fit, take the published ones"
+            )
+        elif factors.max() > _ONE_UNIT * factors.min():
+            ratings = ", ".join(f"{100 / factor:.2g}" for factor in factors)
+            remedy = (
+                f"are these per cent of each joint's rating, or counts? ratings of about {ratings} N m would fit: "
+                "multiply the published ones by the columns over 100"
             )
         else:
             remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"

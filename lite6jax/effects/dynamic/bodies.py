@@ -153,6 +153,7 @@ class PayloadBody(TorqueEffect):
     name: ClassVar[str] = "payload"
     specificity: ClassVar[int] = 3
     reporting: ClassVar[Reporting] = Reporting(lambda effect: _PAYLOAD_NAMES, _reported_payload, _payload_values)
+    special_cases = staticmethod(lambda effect: (PayloadTorque(),))
 
     @property
     def site(self) -> str:

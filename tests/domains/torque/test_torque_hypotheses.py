@@ -219,6 +219,43 @@ def test_what_a_column_has_wrong_is_said_and_undone(columns, code, numbers):
         assert str(joint) in fault_statement(fault)
 
 
+def test_zeros_of_two_joints_of_another_convention_are_both_found():
+    found = screen_torques(*changed(q=lambda q: added(3, 90)(added(2, -90)(q)))).found
+    assert [(fault.code, fault.numbers["joint"]) for fault in found] == [("joint_zero", 2), ("joint_zero", 3)]
+    assert [fault.numbers["added_rad"] for fault in found] == pytest.approx([np.pi / 2, -np.pi / 2], abs=0.02)
+
+
+def at_rest(effects=(), seed=7, shift=(0.0, 0.0, 0.0)):
+    """Forty postures of an arm; its payload is declared by `shift` from where it is, in m."""
+    setup, arm = setup_of(seed)
+    motion = motion_of(setup, seed + 100)
+    still = replace(motion, dq=0 * motion.dq, ddq=0 * motion.ddq)
+    kept = np.linspace(0, len(motion.time) - 1, 40).astype(int)
+    tau = torques(setup, effects, still)[kept]
+    tau += np.random.default_rng(seed).normal(0, 1, tau.shape) * setup.arm.noise
+    return Recording.from_arrays(
+        motion.q[kept], joint_torque=tau, motion="static", payload_com_m=tuple(at_flange(arm) - np.array(shift))
+    ), arm
+
+
+def test_a_sign_and_a_zero_show_in_postures_at_rest():
+    recording, arm = at_rest()
+    assert not screen_torques(recording, arm).found
+    turned = replace(recording, joint_torque=reversed_at(2)(recording.joint_torque))
+    assert faults_of(turned, arm) == [("reversed_torque", {"joints": [2]})]
+    ((code, numbers),) = faults_of(replace(recording, joint_position=added(3, 15)(recording.joint_position)), arm)
+    assert (code, numbers["joint"]) == ("joint_zero", 3)
+    assert numbers["added_rad"] == pytest.approx(np.deg2rad(-15), abs=0.03)
+
+
+def test_a_payload_at_rest_is_one_body_with_its_centre():
+    effects = [hidden("payload_error", "payload", mass_kg=0.62)]
+    (finding,) = diagnose_torques(*at_rest(effects, shift=(0.03, 0.0, 0.07)), options=Options(folds=2)).findings
+    assert finding.effect.name == "payload"
+    assert finding.parameters["mass_kg"].value == pytest.approx(0.62, abs=0.05)
+    assert finding.parameters["z_m"].value == pytest.approx(0.07, abs=0.02)
+
+
 def test_one_factor_in_three_joints_is_one_factor():
     (fault,) = screen_torques(*changed(tau=lambda tau: tau * [4, 4, 4, 1, 1, 1])).found
     assert fault.code == "wrong_torque_constant"
@@ -237,6 +274,7 @@ def test_one_factor_in_three_joints_is_one_factor():
         ),
         ([100.0] * 6, "are these N cm\\? divide them by 100"),
         ([1e-3] * 6, "are these kN m\\?"),
+        ([2.0, 2.0, 3.3, 10.0, 10.0, 12.5], "per cent of each joint's rating.*ratings of about 5"),
     ],
 )
 def test_torques_in_another_unit_are_asked_for(factors, remedy):

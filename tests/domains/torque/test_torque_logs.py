@@ -153,15 +153,7 @@ def test_a_dead_zone_of_the_velocity_is_filled_from_the_positions_and_said(arm):
     assert "velocity_dead_zone" not in {one.code for one in screen_torques(whole, arm).found}
 
 
-@pytest.mark.parametrize(
-    "reason",
-    [
-        pytest.param(
-            "samples", marks=pytest.mark.xfail(reason="reversals that are interpolated resemble friction", strict=True)
-        ),
-        "stamps",
-    ],
-)
+@pytest.mark.parametrize("reason", ["samples", "stamps"])
 def test_uneven_times_are_made_even_and_said(arm, reason):
     even = np.arange(1200) / 50
     jitter = np.sort(even + np.random.default_rng(2).uniform(-0.008, 0.008, len(even)))
