@@ -152,6 +152,6 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     """
     problem, residuals = selection.problem, selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
-    least = ROUNDING if (declared := problem.recording.settings.position_noise_m) is None else declared
+    least = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
     return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid

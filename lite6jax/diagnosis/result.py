@@ -35,6 +35,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 P = TypeVar("P", PoseProblem, TorqueProblem)
@@ -423,7 +424,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         problem, fit, kept = self.problem, self.fit, ~self.outliers
         position, orientation = None, None
         if problem.declared_noise[0] is not None and kept.any():
-            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / 3) / problem.declared_noise[0])
+            rows = min(problem.rows, 3)
+            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
         if problem.declared_noise[1] is not None and kept.any():
             freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
             orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
@@ -433,8 +435,11 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     def quality(self) -> Quality:
         """Whether the model with the findings describes the poses, on rows that were not used."""
         problem, fit, kept = self.problem, self.fit, self.problem.valid
-        measured = np.asarray(problem.measured.position).T
-        predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
+        predicted = problem.rigid.tool[:, :3, 3]
+        measured = predicted  # touches have no positions of their own: the joints must move what is read
+        if isinstance(problem.measured, Measured):
+            measured = np.asarray(problem.measured.position).T
+            predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
         left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
         reach, over_noise = problem.arm.reach, max(left, default=None)
         noise = problem.declared_noise[0]
