@@ -160,6 +160,8 @@ class Problem(LinearisedProblem, Protocol):
         informative: `(number,)` bool, of the nuisance, whether a prior states knowledge, so that it counts as evidence;
             otherwise it only fixes a gauge.
         declared: whether the noise that residuals are divided by is declared, and not assumed.
+        floored: whether it is never less than declared, so that nothing is looked for below it: how a ball seats in its
+            socket varies with the pose, like physics.
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         shaped: named terms with a number in which they are not linear, each at a few of its values.
@@ -176,6 +178,8 @@ class Problem(LinearisedProblem, Protocol):
     def informative(self) -> Mask: ...
     @property
     def declared(self) -> bool: ...
+    @property
+    def floored(self) -> bool: ...
     @property
     def candidates(self) -> tuple[Term, ...]: ...
     @property

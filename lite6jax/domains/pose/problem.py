@@ -141,6 +141,11 @@ class PoseProblem:
         """Whether the noise of all that is measured is declared."""
         return None not in self.declared_noise[: -(-self.rows // 3)]
 
+    @property
+    def floored(self) -> bool:
+        """Of touches whose noise is declared."""
+        return self.declared and not isinstance(self.measured, Measured)
+
     @lazy
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`, the first sample of each sample's run."""
