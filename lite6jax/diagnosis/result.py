@@ -435,8 +435,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     def quality(self) -> Quality:
         """Whether the model with the findings describes the poses, on rows that were not used."""
         problem, fit, kept = self.problem, self.fit, self.problem.valid
-        predicted = problem.rigid.tool[:, :3, 3]
-        measured = predicted  # touches have no positions of their own: the joints must move what is read
+        predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T

@@ -11,6 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.errors import wrong_type
 from lite6jax.fitting import fit as plain
 from lite6jax.fitting.fit import Loss, calibration_from_array, fit_calibration
@@ -119,6 +120,8 @@ def fit_recording(
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     recording = recording if nominal is not None else with_arm(recording)
+    if recording.touches is not None:
+        return fit_touches(screen(recording, nominal, geometry, options).rigid_arm)
     # without the rigid arm, whose residuals take as much memory as the recording
     screened = replace(screen(recording, nominal, geometry, options), rigid=None)
     solution = plain.fit_recording(

@@ -33,7 +33,7 @@ from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
 from lite6jax.fitting.start import calibration_poses
-from lite6jax.model import ArmModel
+from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.sensors.pose import Measured
 from lite6jax.sensors.sensor import Sensor
@@ -95,6 +95,7 @@ class RigidArm(NuisanceProblem):
         whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
         touch: the sensor of touches, with its own unknowns, the last of `unknown`; None of poses.
         exact: whether the sidecar declares the chain.
+        form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
 
     recording: Recording
@@ -109,6 +110,7 @@ class RigidArm(NuisanceProblem):
     whitener: Array
     touch: Sensor | None
     exact: bool
+    form: ModelForm
 
     @property
     def samples(self) -> int:
@@ -312,4 +314,5 @@ def rigid_arm(
         whitener=whitener,
         touch=touch,
         exact=exact,
+        form=form,
     )
