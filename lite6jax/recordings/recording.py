@@ -7,11 +7,12 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
+from lite6jax.recordings.columns import MATRIX
+from lite6jax.recordings.orientations import quaternions
 from lite6jax.recordings.plausible import without_implausible
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
@@ -238,9 +239,8 @@ class Recording(PublicResult):
             assert readings.seen is not None
             T = readings.seen.T
             position = T[:, :3, 3]
-            quaternion = np.full((samples, 4), np.nan)
+            quaternion = quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))
             there = np.isfinite(position[:, 0])
-            quaternion[there] = Rotation.from_matrix(T[there, :3, :3]).as_quat(scalar_first=True)
             if there.sum() < samples:
                 few = f"{samples - int(there.sum())} of {samples} images show fewer than {FEWEST_CORNERS} corners"
                 notes += (f"{few}, and are left out",)

@@ -113,8 +113,9 @@ class RecordingSettings:
     `torque_constant_Nm_per_A` have a number per joint. `date`, of the measurement (YYYY-MM-DD), and `instrument`, a
     line, stand on a certificate. Of these two, of torque constants, of `arm`, `motion` and of each noise of a sensor,
     None is what is not declared.
-    Of readings that are no poses: a noise of each kind, and what is known of the points, planes, anchors and axes, in the
-    arm's base frame. Points of contacts may be in another frame, where `pose_frame` is unknown and all of them are given.
+    Of readings that are no poses: a noise of each kind, and what is known of the points, planes, anchors and axes, in
+    the arm's base frame. Points of contacts are in a frame of their own where all are given and `pose_frame` is
+    unknown.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
     Raises:

@@ -1,20 +1,20 @@
 """A camera and a board: the corners of each image become one pose with its covariance.
 
-A corner b of the board at the pose (R, t) in the camera is seen where OpenCV's model projects R b + t. To first order an
-image's residuals are r = J ξ + C ν of a displacement ξ of its pose and of constant errors ν, those of the board's corners
-and of the intrinsics. With J = Q U, the rows of Qᵀ r are a pose with the whitener U and the columns Qᵀ C of ν; what is
-orthogonal to Q says something of ν alone, and is its prior. So hundreds of images cost as much as so many poses.
+A corner b of the board at the pose (R, t) in the camera is seen where OpenCV's model projects R b + t. To first order
+an image's residuals are r = J ξ + C ν of a displacement ξ of its pose and of constant errors ν, those of the board's
+corners and of the intrinsics. With J = Q U, the rows of Qᵀ r are a pose with the whitener U and the columns Qᵀ C of ν;
+what is orthogonal to Q says something of ν alone, and is its prior. Hundreds of images cost as much as so many poses.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import rotation_exp
+from lite6jax.deferred import Array as DeviceArray
+from lite6jax.deferred import jax, jit, jnp
 
 Array = NDArray[np.floating]
 Mounted = Literal["fixed", "on_flange"]
@@ -63,7 +63,7 @@ class BoardPoses(NamedTuple):
         return self._replace(T=self.T[rows], whitener=self.whitener[rows], by_numbers=self.by_numbers[rows])  # type: ignore[index]
 
 
-def project(lens: Lens, points: jax.Array) -> jax.Array:
+def project(lens: Lens, points: Any) -> DeviceArray:
     """The pixels `(…, 2)` of points `(…, 3)` in the camera's frame (OpenCV, calib3d, projectPoints)."""
     x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     k1, k2, p1, p2, k3 = lens.distortion
@@ -75,19 +75,17 @@ def project(lens: Lens, points: jax.Array) -> jax.Array:
     return jnp.stack([fx * u + cx, fy * v + cy], -1)
 
 
-def seen_corners(mounted: Mounted, lens: Lens, corners: jax.Array, T: jax.Array, twist: jax.Array) -> jax.Array:
+def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any) -> DeviceArray:
     """The pixels `(corner, 2)` of corners `(corner, 3)` at the pose `T` `(4, 4)` displaced by `twist` `(6,)`."""
     p, R = T[:3, 3] + twist[:3], T[:3, :3] @ rotation_exp(twist[3:])
     return project(lens, corners @ R.T + p if mounted == "fixed" else (corners - p) @ R)
 
 
-@partial(jax.jit, static_argnums=0)
-def _linearised(
-    mounted: Mounted, lens: Lens, corners: jax.Array, pixels: jax.Array, T: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+@partial(jit, static_argnums=0)
+def _linearised(mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
     """Residuals `(image, corner, 2)`, zero where a corner was not seen, and their slopes `(image, corner, 2, 6)`."""
 
-    def one(T: jax.Array, pixels: jax.Array, twist: jax.Array) -> jax.Array:
+    def one(T: Any, pixels: Any, twist: Any) -> DeviceArray:
         missed = seen_corners(mounted, lens, corners, T, twist) - pixels
         return jnp.where(jnp.isfinite(pixels), missed, 0.0)
 
@@ -96,17 +94,17 @@ def _linearised(
     return jax.vmap(lambda T, pixels: one(T, pixels, still))(T, pixels), slopes
 
 
-@partial(jax.jit, static_argnums=0)
-def _by_constants(mounted: Mounted, lens: Lens, corners: jax.Array, T: jax.Array) -> tuple[jax.Array, jax.Array]:
+@partial(jit, static_argnums=0)
+def _by_constants(mounted: Mounted, lens: Lens, corners: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
     """How pixels change with the pinhole `(image, corner, 2, 4)` and with each corner's place `(…, 2, 3)`."""
     still = jnp.zeros(6)
 
-    def by_pinhole(T: jax.Array) -> jax.Array:
+    def by_pinhole(T: Any) -> DeviceArray:
         return jax.jacfwd(lambda pinhole: seen_corners(mounted, Lens(pinhole, lens.distortion), corners, T, still))(
             lens.pinhole
         )
 
-    def by_place(T: jax.Array) -> jax.Array:
+    def by_place(T: Any) -> DeviceArray:
         shift = lambda d: seen_corners(mounted, lens, corners + d, T, still)  # noqa: E731 (of a corner by its own)
         return jax.jacfwd(shift)(jnp.zeros(3))
 
@@ -169,7 +167,7 @@ def board_poses(
 def _constants(
     mounted: Mounted, lens: Lens, corners: Array, T: Array, root: Array, corner_noise: float, refined: bool
 ) -> tuple[Array, Array]:
-    """The whitened columns `(image, pixel, number)` of constant errors, and the precision `(number,)` of their prior."""
+    """The whitened columns `(image, pixel, number)` of constant errors, and their prior's precision `(number,)`."""
     images, count = len(T), len(corners)
     pinhole, place = map(np.asarray, _by_constants(mounted, lens, corners, T))
     columns, prior = [np.zeros((images, count * 2, 0))], [np.zeros(0)]
@@ -228,7 +226,7 @@ def _displaced(T: Array, twist: Array) -> Array:
 
 
 def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list[Array]:
-    """The pose `(image, 4, 4)` by the homography of each image, and the other that a flat board hardly tells from it."""
+    """The pose `(image, 4, 4)` by each image's homography, and the other that a flat board hardly tells from it."""
     centre = corners.mean(0)
     _, spread, axes = np.linalg.svd(corners - centre)
     axes[2] = np.cross(axes[0], axes[1])

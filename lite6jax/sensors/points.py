@@ -121,7 +121,9 @@ class Plane(Sensor):
     free: tuple[bool, ...]
 
     def readings(self, tool: Frame) -> jax.Array:
-        normal, centre, height = (jnp.asarray(part)[..., self.group] for part in (self.normal, self.centre, self.height))
+        normal, centre, height = (
+            jnp.asarray(part)[..., self.group] for part in (self.normal, self.centre, self.height)
+        )
         return (jnp.sum(normal * (tool.origin - centre), 0) - height)[None]
 
     @property

@@ -41,8 +41,8 @@ def whiten(whitener: Any, rows: Any) -> Any:
 class Sensor(ABC):
     """A sensor that reads a function of the tool's pose; a pytree, whose last array axis is the sample.
 
-    What derives from it is a frozen dataclass with `group` `(sample,)` int, which point, plane or anchor a sample is of,
-    and `whitener`, `(2,)` of one over the noise (1/m) twice, or `(row, row, sample)`.
+    What derives from it is a frozen dataclass with `group` `(sample,)` int, which point, plane or anchor a sample is
+    of, and `whitener`, `(2,)` of one over the noise (1/m) twice, or `(row, row, sample)`.
     """
 
     rows: ClassVar[int]
@@ -91,7 +91,7 @@ class Sensor(ABC):
         return np.asarray(_slopes(self, host_frame(tool)))
 
     def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
-        """How readings `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in the base's axes."""
+        """How readings `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in base axes."""
         S = self.slopes(tool)
         found = np.einsum("ris,...is->...rs", S[:, :3], shift)
         return found if turn is None or not S[:, 3:].any() else found + np.einsum("ris,...is->...rs", S[:, 3:], turn)

@@ -278,9 +278,7 @@ def _require_known(recording: Recording, sensor: Sensor, information: Array, too
         return
     worst = [names[k][0] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3]
     said = " and ".join(dict.fromkeys(worst))
-    raise InputError(
-        f"{recording.source}: its {recording.samples} readings say nothing of {said}; {_REMEDIES[kind]}"
-    )
+    raise InputError(f"{recording.source}: its {recording.samples} readings say nothing of {said}; {_REMEDIES[kind]}")
 
 
 def _require_scale(recording: Recording, sensor: Sensor) -> None:
