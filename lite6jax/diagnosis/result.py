@@ -19,9 +19,11 @@ from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.uncertainty import freed
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.concentration import Concentration, concentration
@@ -465,11 +467,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
         if inertia is not None and errors is not None:
             inertia = with_mass_errors(inertia, errors.links, errors.payload)
-        physics = Physics(tuple(finding.effect for finding in self.findings))
+        effects, values = self._modelled
+        physics = Physics(effects)
         against = None if self.against is None else self.against.to_dict()
         model = DiagnosedArm(
             model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
-            values=physics.join([finding.values for finding in self.findings]),
+            values=physics.join(values),
             inertia=inertia,
             joint_limits=problem.arm.joint_limits,
             arm=problem.arm.name,
@@ -484,6 +487,30 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
         return replace(model, uncertainty=known)
+
+    @cached_property
+    def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:
+        """The effects of the model: the findings, and what joints do once a turn within their tolerance."""
+        effects, values = [f.effect for f in self.findings], [f.values for f in self.findings]
+        for j, wave in enumerate(self.problem.once_per_turn(self.fit.nuisance)):
+            own = JointHarmonic(j + 1, 1.0)
+            if own in effects:
+                values[effects.index(own)] = values[effects.index(own)] + wave
+            elif wave.any():
+                effects.append(own)
+                values.append(wave)
+        return tuple(effects), values
+
+    @property
+    def _covariances(self) -> list[Array]:
+        """Of the numbers of each effect of the model."""
+        known, ends = self.model.uncertainty, np.cumsum([freed(e).size for e in self.model.physics.effects])
+        more = []
+        for effect, end in list(zip(self.model.physics.effects, ends, strict=True))[len(self.findings) :]:
+            assert known is not None
+            own = len(known.sites) + end - effect.size + np.arange(effect.size)
+            more.append(known.covariance[np.ix_(own, own)])
+        return [finding.covariance for finding in self.findings] + more
 
     def peak_to_peak(self, k: int) -> Estimate:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
@@ -575,7 +602,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
                 "numbers": len(problem.frames),
                 "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
             },
-            "model": pose_model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": pose_model_entry(self.model, self._covariances),
         }
 
     def _finding(self, k: int, heldout: dict[str, float]) -> dict[str, Any]:

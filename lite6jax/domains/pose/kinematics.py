@@ -24,7 +24,8 @@ Site = tuple[str, int, int]
 
 As a nuisance also `mass`, its link from 0, and which of the errors of `with_mass_errors`; `payload`, 0, 0, in kg; and
 `moved base` or `moved tool`, which of a recording's frame jumps from 0, and the component of a twist;
-and `reading`, which of a sensor's own unknowns from 0, and 0.
+`reading`, which of a sensor's own unknowns from 0, and 0; and `wave`, which joint's error once a turn, and 0 of its
+sine or 1 of its cosine, in rad.
 """
 FRAMES = ("base", "link", "tool")
 """Names of the sites that displace a frame of the arm in all samples."""
