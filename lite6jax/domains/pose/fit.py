@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.touch_fit import fit_touches
@@ -123,7 +124,9 @@ def fit_recording(
     if recording.touches is not None:
         return fit_touches(screen(recording, nominal, geometry, options).rigid_arm)
     # without the rigid arm, whose residuals take as much memory as the recording
-    screened = replace(screen(recording, nominal, geometry, options), rigid=None)
+    screened = screen(recording, nominal, geometry, options)
+    require_determined(screened.rigid_arm)
+    screened = replace(screened, rigid=None)
     solution = plain.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )

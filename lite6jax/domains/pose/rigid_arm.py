@@ -27,6 +27,7 @@ from lite6jax.domains.pose.kinematics import (
     whitened,
 )
 from lite6jax.domains.pose.touching import touched
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
@@ -248,6 +249,53 @@ class RigidArm(NuisanceProblem):
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
+
+
+LEAST_KNOWN = {"m": 0.1, "rad": 0.5}
+"""One sigma of a number beyond which readings say nothing of it: no sensor stands so far off unnoticed."""
+_REMEDIES = {
+    "contact": "touch each socket at ten or more wrist orientations, and more than one socket",
+    "plane": "touch each plane at three or more places far apart, at several wrist orientations",
+    "distance": "record it at poses over the whole workspace",
+    "axis": "record heights at poses over the whole workspace",
+    "camera": "take images at wrist orientations that differ by 30 degrees and more, about two axes",
+}
+
+
+def require_determined(arm: RigidArm) -> None:
+    """Refuses readings that say nothing of the tool, of the sensor's frame or of a place, were the chain exact.
+
+    Args:
+        arm: near the true one. Of recorded poses nothing is refused: a fit says what they leave open.
+
+    Raises:
+        InputError: as said, in one line with the remedy.
+    """
+    readings = arm.recording.readings
+    if readings is None:
+        return
+    own = iter(arm.sensor.own)
+    numbers = []
+    for k, (name, _, axis) in enumerate(arm.unknown):
+        if name == "reading":
+            one = next(own)
+            if not one.precision:
+                numbers.append((k, one.name, LEAST_KNOWN[one.unit]))
+        elif name == "tool" or (name == "base" and arm.form.frame):
+            what = "the tool" if name == "tool" else "the sensor's frame"
+            numbers.append((k, what, LEAST_KNOWN["m" if axis < 3 else "rad"]))
+    if not numbers:
+        return
+    at, names, sizes = zip(*numbers, strict=True)
+    J = (arm.nuisance[list(at)] * np.array(sizes)[:, None, None]).reshape(len(at), -1)
+    eigenvalues, V = np.linalg.eigh(J @ J.T)
+    if eigenvalues[0] >= 1.0:
+        return
+    strong = [names[k] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3]
+    raise InputError(
+        f"{arm.recording.source}: its {arm.samples} readings say nothing of {' and '.join(dict.fromkeys(strong))}; "
+        f"{_REMEDIES[readings.kind]}"
+    )
 
 
 def rigid_arm(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.kinematics import Site, displaced
-from lite6jax.domains.pose.rigid_arm import RigidArm
+from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.least_squares import fit as fit_numbers
 from lite6jax.estimation.options import DEFAULTS
@@ -41,6 +41,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     """
     recording, sensor = begun.recording, begun.touch
     assert sensor is not None
+    require_determined(begun)
     unknowns = int(np.sum(begun.precision == 0)) + 1
     require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
     arm, steps, converged = begun, 0, False

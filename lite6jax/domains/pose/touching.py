@@ -22,8 +22,6 @@ Array = NDArray[np.floating]
 
 UNDECLARED_TOUCH = 1e-4
 """m, one sigma of readings whose noise is not declared."""
-LEAST_KNOWN = {"m": 0.1, "rad": 0.5}
-"""One sigma of a number beyond which readings say nothing of it: no sensor stands so far off unnoticed."""
 _TOOLS = (0.0, 0.15)
 """m along each axis of the flange, where the tool's point is sought."""
 _STEPS = 40
@@ -84,8 +82,7 @@ def touched(recording: Recording, flange: Array, frame_unknown: bool, scale_know
     T = np.eye(4) if tool is None else tool
     starts = list(_tools()) if tool is None else [tool[:3, 3]]
     solved = [_solved(_shown(sensor, _moved_tool(flange, T, t)), flange, T, t, tool is None) for t in starts]
-    sensor, t, H, _ = min(solved, key=lambda one: one[3])
-    _require_known(recording, sensor, H / noise**2, tool is None)
+    sensor, t, _ = min(solved, key=lambda one: one[2])
     return Touched(sensor, T_sensor_base, _with_point(T, t), noise, declared)
 
 
@@ -207,10 +204,8 @@ def _shown(sensor: Sensor, tool: Array) -> Sensor:
     return replace(sensor, direction=direction, constant=np.array([np.median(value - p @ direction)]))
 
 
-def _solved(
-    sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bool
-) -> tuple[Sensor, Array, Array, float]:
-    """The sensor, the tool's point, the curvature of half the squares, and their robust size, from a start."""
+def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bool) -> tuple[Sensor, Array, float]:
+    """The sensor, the tool's point, and the size of what is left, from a start."""
     prior = np.array([one.precision for one in sensor.own] or [0.0])[: sensor.numbers] * 1e-8
     R, damping = flange[:, :3, :3], 1e-3
 
@@ -251,40 +246,22 @@ def _solved(
             damping *= 10
             if damping > 1e8:
                 break
-    return sensor, point, H, float(np.median(size))
+    return sensor, point, float(np.median(size))
 
 
-# ------------------------------------------------------------------ what they do not determine
-
-_REMEDIES = {
-    "contact": "touch each socket at ten or more wrist orientations, and more than one socket",
-    "plane": "touch it at three or more places far apart, at several wrist orientations",
-    "distance": "record the wire at poses over the whole workspace",
-    "axis": "record heights at poses over the whole workspace",
-}
-
-
-def _require_known(recording: Recording, sensor: Sensor, information: Array, tool_free: bool) -> None:
-    """Refuses readings that say nothing of a number."""
-    kind = recording.touches.kind  # type: ignore[union-attr]
-    names = [("the tool's point", "m")] * (3 * tool_free) + [(one.name, one.unit) for one in sensor.own]
-    if not names:
-        return
-    eigenvalues, V = np.linalg.eigh(information)
-    units = np.array([LEAST_KNOWN[unit] for _, unit in names])
-    weighed = information * np.outer(units, units)
-    eigenvalues, V = np.linalg.eigh(weighed)
-    if eigenvalues[0] >= 1.0:
-        return
-    worst = [names[k][0] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3]
-    said = " and ".join(dict.fromkeys(worst))
-    raise InputError(f"{recording.source}: its {recording.samples} readings say nothing of {said}; {_REMEDIES[kind]}")
+# ------------------------------------------------------------------ what has no length
 
 
 def _require_scale(recording: Recording, sensor: Sensor) -> None:
     """Refuses touches that any chain of another size would have as well."""
     if isinstance(sensor, Contact):
         known = bool(sensor.rods) or len(sensor.free) - sum(sensor.free) > 1
+        if not known and (given := recording.settings.contact_distances):
+            a, b = given[0].between
+            raise InputError(
+                f"{recording.source}: contact_distances is between {a} and {b}, which are not both among its contacts "
+                f"{', '.join(sensor.names[:6])}; correct the names"
+            )
         remedy = "declare a known distance as contact_distances: [{between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}]"
     elif isinstance(sensor, Plane):
         known, remedy = not all(sensor.free), "declare one plane's place as planes: {a: {normal, offset_m}}"
