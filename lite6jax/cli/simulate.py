@@ -103,8 +103,17 @@ class Simulate:
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that --effect may name. Runs the file."""
     sensor: Literal[
-        *("tracker", "tracker_6d", "motion_capture", "camera", "controller_fk"),
-        *("contact", "plane", "distance", "axis", "fixed_camera", "flange_camera"),
+        "tracker",
+        "tracker_6d",
+        "motion_capture",
+        "camera",
+        "controller_fk",
+        "contact",
+        "plane",
+        "distance",
+        "axis",
+        "fixed_camera",
+        "flange_camera",
     ] = "tracker"
     """Positions: tracker; poses: the next four; touches of sockets or plates, distances from an anchor, heights, and
     corners of a board in images: the others, of which tool and places are unknown."""
@@ -268,7 +277,8 @@ class Simulate:
         said = [f"{1e3 * (settings.position_noise_m or 0):.3g} mm"]
         if recording.readings is not None:
             pixels = recording.readings.kind == "camera"
-            noise = settings.pixel_noise_px if pixels else getattr(settings, f"{recording.readings.kind}_noise_m")
+            key = "pixel_noise_px" if pixels else f"{recording.readings.kind}_noise_m"
+            noise = float(getattr(settings, key))
             said = [f"{noise:.3g} px" if pixels else f"{1e3 * noise:.3g} mm"]
         if settings.orientation_noise_rad is not None:
             said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")

@@ -30,6 +30,7 @@ from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import RecordingSettings
@@ -390,7 +391,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     @property
     def estimated_noise(self) -> float:
         """Standard deviation per axis of position, m, estimated from the residuals."""
-        return float(self.fit.scale[0] * self.problem.noise[0])
+        scale = float(self.fit.scale[0])
+        if self.problem.floored:  # by less the residuals are not weighed, and what they have is said all the same
+            fit, rows = self.fit, self.problem.rows
+            squares = fit.residuals.squares[fit.training] * scale**2
+            scale = t_scale(squares, rows, FREEDOM) / gaussian_t_scale(rows, FREEDOM)
+        return scale * self.problem.noise[0]
 
     @cached_property
     def moves(self) -> tuple[Contribution, ...]:

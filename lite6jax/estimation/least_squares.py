@@ -248,7 +248,7 @@ def _fitted(
             return _parts(where, terms, numbers[k:])
         return [noise.whitened(linear_columns(where, terms, numbers[k:]))]
 
-    least = float(getattr(problem, "floored", False))
+    least = float(problem.floored)
     state = weighed(residual(problem, at), noise, training, least)
     converged, H, damped = False, np.eye(0), 0.0
     columns: Sequence[Array | Factored] | None = None

@@ -130,7 +130,7 @@ def board_poses(
         corner_noise: m, one sigma of each coordinate of a corner.
         refined: whether focal lengths and centre are to be estimated.
     """
-    there = np.isfinite(pixels).all(2)
+    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
     good = there.sum(1) >= FEWEST_CORNERS
     count = len(pixels)
     empty = BoardPoses(
@@ -140,9 +140,11 @@ def board_poses(
         return empty
     seen = pixels[good]
     starts = _starts(mounted, lens, corners, seen)
-    solved = [_solved(mounted, lens, corners, seen, T) for T in starts]
+    solved = [_solved(mounted, lens, corners, seen, T, 1.0) for T in starts]
     better = np.argmin([cost for _, cost in solved], 0)
     T = np.stack([T for T, _ in solved])[better, np.arange(len(seen))]
+    r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
+    T, _ = _solved(mounted, lens, corners, seen, T, _weights(r, there[good])[1])
     r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
     weight, shown = _weights(r, there[good])
     sigma = noise or shown
@@ -170,7 +172,8 @@ def _constants(
     """The whitened columns `(image, pixel, number)` of constant errors, and their prior's precision `(number,)`."""
     images, count = len(T), len(corners)
     pinhole, place = map(np.asarray, _by_constants(mounted, lens, corners, T))
-    columns, prior = [np.zeros((images, count * 2, 0))], [np.zeros(0)]
+    columns: list[Array] = [np.zeros((images, count * 2, 0))]
+    prior: list[Array] = [np.zeros(0)]
     if refined:
         columns.append((root[..., None] * pinhole).reshape(images, -1, 4))
         prior.append((_FOCAL * np.asarray(lens.pinhole)) ** -2.0)
@@ -189,19 +192,22 @@ def _weights(r: Array, there: NDArray[np.bool_]) -> tuple[Array, float]:
     return np.where(there, (_FREEDOM + 2) / (_FREEDOM + squares / shown**2), 0.0), shown
 
 
-def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Array) -> tuple[Array, Array]:
-    """The likeliest pose of each image from a start `(image, 4, 4)`, and its cost, by damped Gauss–Newton steps."""
+def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Array, scale: float) -> tuple[Array, Array]:
+    """The likeliest pose of each image from a start `(image, 4, 4)`, and its cost, by damped Gauss–Newton steps.
+
+    Corners count by Student's t of a scale in pixels.
+    """
     T, there = T.copy(), np.isfinite(pixels).all(2)
     damping = np.full(len(T), 1e-3)
 
     def cost_at(T: Array) -> tuple[Array, Array, Array]:
         r, J = map(np.asarray, _linearised(mounted, lens, corners, pixels, T))
         squares = np.nan_to_num(np.sum(r**2, 2), nan=1e12, posinf=1e12)
-        return r, J, np.sum(np.where(there, np.log1p(squares / 4.0), 0.0), 1)
+        return r, J, np.sum(np.where(there, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
 
     r, J, cost = cost_at(T)
     for _ in range(_STEPS):
-        weight = np.where(there, 1 / (4.0 + np.sum(r**2, 2)), 0.0)[..., None, None]
+        weight = np.where(there, 1 / (_FREEDOM * scale**2 + np.sum(r**2, 2)), 0.0)[..., None, None]
         H = np.einsum("icak,ical->ikl", weight * J, J)
         g = np.einsum("icak,ica->ik", weight * J, r)
         scaled = H + damping[:, None, None] * np.einsum("ikl,kl->ikl", H, np.eye(6)) + 1e-12 * np.eye(6)
@@ -233,7 +239,8 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
     if spread[2] > _FLAT * spread[0]:
         raise ValueError("corners are not in one plane")
     flat = (corners - centre) @ axes[:2].T / spread[0]
-    rays, there = _undistorted(lens, pixels), np.isfinite(pixels).all(2)
+    rays = _undistorted(lens, pixels)
+    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
     found = np.tile(np.eye(4), (2, len(pixels), 1, 1))
     for k in range(len(pixels)):
         x, y = flat[there[k]].T

@@ -192,7 +192,7 @@ class Distance(Sensor):
         return replace(self, anchors=jnp.asarray(self.anchors).at[:, free].add(shift), constant=constant)
 
     def select(self, samples: Any) -> "Distance":
-        return replace(Sensor.select(self, samples), value=self.value[samples])
+        return replace(super().select(samples), value=self.value[samples])
 
     def place(self, k: int) -> dict[str, list[float]]:
         offset = {"constant_m": np.asarray(self.constant).tolist()} if self.offset_free else {}
@@ -239,7 +239,7 @@ class Axis(Sensor):
         return replace(self, constant=self.constant + numbers[:1], direction=direction)
 
     def select(self, samples: Any) -> "Axis":
-        return replace(Sensor.select(self, samples), value=self.value[samples])
+        return replace(super().select(samples), value=self.value[samples])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -119,7 +119,8 @@ def _slopes(sensor: Sensor, tool: Frame) -> jax.Array:
     def at(twist: jax.Array) -> jax.Array:
         turn = twist[3:, None]
         axes = (axis + cross(jnp.broadcast_to(turn, axis.shape), axis) for axis in tool[:3])
-        return sensor.readings(Frame(*axes, tool.origin + twist[:3, None]))
+        x, y, z = axes
+        return sensor.readings(Frame(x, y, z, tool.origin + twist[:3, None]))
 
     return jnp.swapaxes(jax.jacfwd(at)(jnp.zeros(6)), 1, 2)
 

@@ -6,7 +6,7 @@ sight. The rigid chain leads there, and a few steps more the arm with its effect
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, final
+from typing import NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +23,6 @@ from lite6jax.sensors.camera import Lens, project
 
 Array = NDArray[np.floating]
 Poses = Callable[[Recording], Array]
-Reading = Literal["contact", "plane", "distance", "axis", "fixed_camera", "flange_camera"]
 
 _ROUNDS, _TRIES, _CORRECTIONS = 60, 12, 6
 _STEP = 1e-6
@@ -34,7 +33,7 @@ SOCKETS_APART = 0.05
 _BOARD = BoardSettings(7, 5, 0.02, 2e-5)
 _CAMERA = {"fx": 1450.0, "fy": 1452.0, "cx": 958.0, "cy": 603.0, "width": 1920.0, "height": 1200.0}
 _DISTORTION = (-0.11, 0.09, 4e-4, -3e-4, -0.02)
-TOOLS: Mapping[Reading, tuple[float, float, float]] = {
+TOOLS: Mapping[str, tuple[float, float, float]] = {
     "contact": (0.02, 0.0, 0.09),
     "plane": (0.0, 0.03, 0.06),
     "distance": (0.01, -0.02, 0.05),
@@ -59,7 +58,7 @@ class Reader(NamedTuple):
     source: PoseSource
 
 
-READERS: Mapping[Reading, Reader] = {
+READERS: Mapping[str, Reader] = {
     "contact": Reader("contact", 1e-4, "touch"),
     "plane": Reader("plane", 2e-5, "touch"),
     "distance": Reader("distance", 5e-5, "draw_wire"),
@@ -87,7 +86,7 @@ class _Scene:
 
 
 def read(
-    reading: Reading, motion: Recording, arm: Arm, poses: Poses, rigid: Poses, noise: float | None, seed: int
+    reading: str, motion: Recording, arm: Arm, poses: Poses, rigid: Poses, noise: float | None, seed: int
 ) -> Recording:
     """A recording of readings; rows whose place the arm does not reach are dropped.
 
@@ -140,7 +139,7 @@ def _step(motion: Recording, rigid: Poses, off: Callable[[Array], Array], now: A
     for j in range(motion.dof):
         moved = motion.made_anew(joint_position=q + _STEP * np.eye(motion.dof)[j])
         J[..., j] = (off(rigid(moved)) - base) / _STEP
-    H = J @ np.swapaxes(J, 1, 2) + 1e-8 * np.eye(J.shape[1])
+    H = J @ np.swapaxes(J, 1, 2) + 1e-8 * np.eye(now.shape[1])
     return np.einsum("skj,sk->sj", J, np.linalg.solve(H, now[..., None])[..., 0])
 
 
@@ -186,7 +185,8 @@ def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, dec
     points, names, distances = [], [], []
     for k, angle in enumerate((-0.6, 0.7)):
         one = _place(rng, arm, angle)
-        along = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()[:, 0]
+        along = rng.standard_normal(3)
+        along = along / np.linalg.norm(along)
         points += [one, one + SOCKETS_APART * along]
         names += [f"plate{k + 1}_a", f"plate{k + 1}_b"]
         distances.append(KnownDistance((names[-2], names[-1]), SOCKETS_APART, 5e-5))
@@ -270,13 +270,14 @@ def _camera(fixed: bool) -> Callable[[np.random.Generator, int, Arm, float, floa
             return readings_from_arrays("camera", pixels=pixels)
 
         mounted = "fixed" if fixed else "on_flange"
-        camera = CameraSettings(mounted=mounted, distortion=_DISTORTION, **_CAMERA)
+        fx, fy, cx, cy, width, height = _CAMERA.values()
+        camera = CameraSettings(mounted, fx, fy, cx, cy, _DISTORTION, width, height)
         return _Scene(off, readings, {"pixel_noise_px": declared, "camera": camera, "board": _BOARD})
 
     return scene
 
 
-_SCENES: Mapping[Reading, Callable[[np.random.Generator, int, Arm, float, float], _Scene]] = {
+_SCENES: Mapping[str, Callable[[np.random.Generator, int, Arm, float, float], _Scene]] = {
     "contact": _contact,
     "plane": _plane,
     "distance": _distance,
@@ -286,6 +287,6 @@ _SCENES: Mapping[Reading, Callable[[np.random.Generator, int, Arm, float, float]
 }
 
 
-def tool_of(reading: Reading) -> Array:
+def tool_of(reading: str) -> Array:
     """`T_flange_tool` `(4, 4)` of a reading's point, board or camera."""
     return frames.transform_from_row([*TOOLS[reading], 0.0, 0.0, 0.0])

@@ -58,6 +58,11 @@ class NuisanceProblem:
         """No terms."""
         return Terms(), np.zeros(0)
 
+    @property
+    def floored(self) -> bool:
+        """Not: the noise is what is left."""
+        return False
+
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`nuisance`, whatever terms are beside it."""
         return self.nuisance
@@ -242,7 +247,7 @@ class RigidArm(NuisanceProblem):
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
-        touch = None if self.touch is None else few.touch and replace(few.touch, group=self.touch.group)
+        touch = None if self.touch is None else few.touch and replace(few.touch, group=self.touch.group)  # type: ignore[type-var]
         return replace(self, start=few.start, touch=touch, offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
