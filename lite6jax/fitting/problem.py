@@ -181,7 +181,9 @@ def declared_geometry(
     frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
     if touches is not None:
         points = settings.contact_points or {}
-        frame = frame and touches.kind == "contact" and all(name in points for name in touches.names)
+        frame = (
+            frame and touches.kind == "contact" and all(touches.names[k] in points for k in np.unique(touches.group))
+        )
     known = factory or nominal_calibration(arm)
     if geometry == "free" and touches is None:
         form = ModelForm(arm.form, frame, tool)

@@ -28,9 +28,7 @@ def sensors():
     value, names = rng.uniform(0.2, 0.9, SAMPLES), ("a", "b", "c")
     return {
         "contact": Contact(group, W, points, names, (True, False, True)),
-        "contact with rods": Contact(
-            group, W, points, names, (True,) * 3, (Rod(0, 1, 0.05, 1e-5), Rod(1, 2, 0.1, 1e-4))
-        ),
+        "contact with rods": Contact(group, W, points, names, (True,) * 3, rods),
         "plane": Plane(group, W, unit(points), points, np.zeros(3), names, (True, True, False)),
         "distance": Distance(group, W, value, points, np.array([0.01]), names, (True, False, True), True),
         "axis": Axis(0 * group, W, value, unit(points[:, 0]), np.array([0.1]), True),

@@ -76,7 +76,7 @@ def touched(recording: Recording, flange: Array, frame_unknown: bool, scale_know
     T_sensor_base = np.eye(4)
     if frame_unknown:
         assert isinstance(sensor, Contact)
-        seen = np.asarray(sensor.points).T[readings.group]
+        seen = np.asarray(sensor.points).T[sensor.group]
         T_sensor_base, found = frames_from_poses(flange, seen, None, None, tool)
         return Touched(sensor, T_sensor_base, found, noise, declared)
     T = np.eye(4) if tool is None else tool
@@ -91,7 +91,9 @@ def touched(recording: Recording, flange: Array, frame_unknown: bool, scale_know
 
 def _sensor(recording: Recording, readings: Readings, whitener: Array) -> Sensor:
     """Of the readings, with what is known of its points, planes, anchors or axis; zero elsewhere."""
-    settings, names, group = recording.settings, readings.names, readings.group
+    settings = recording.settings
+    there, group = np.unique(readings.group, return_inverse=True)
+    names = tuple(readings.names[k] for k in there)
     if readings.kind == "contact":
         known = settings.contact_points or {}
         points = np.array([known.get(name, (0.0, 0.0, 0.0)) for name in names]).T
