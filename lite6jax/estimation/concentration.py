@@ -4,7 +4,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from lite6jax.estimation.evidence import Marginal
+from lite6jax.estimation.evidence import Marginal, best_amplitude
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
@@ -13,7 +13,7 @@ from lite6jax.estimation.score_test import score_test
 
 @final
 class Concentration(NamedTuple):
-    """A site along whose component most of the residuals lie.
+    """A site that turns, along whose component most of the residuals lie.
 
     Attributes:
         site: which.
@@ -29,10 +29,10 @@ class Concentration(NamedTuple):
 
 
 def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concentration | None:
-    """The site whose deflections the residuals look like; None where noise alone, or several sites, explain as much.
+    """The turning site whose deflections the residuals look like; None where noise or another site explains them.
 
-    A deflection moves the rows of each sample in one known direction, whatever its size is there. Of many samples one
-    in several is looked at, and stands for those between.
+    A deflection moves the rows of each sample in one known direction, whatever its size is there. The likeliest site
+    that turns must exceed the others that turn by `close`, and no other site may exceed it by th    one in several is looked at, and stands for those between.
 
     Args:
         problem: the data.
@@ -42,19 +42,31 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     every = max(fit.training.size // options.first_samples, 1) if fit.noise.white else 1
     if every > 1:
         problem, fit = problem.thinned(every), fit.thinned(every)
-    several = [one for one in problem.components if np.count_nonzero(one.column.any(1)) > 1]
-    if not several:
+    turning = {quantity.driver.turns for quantity in problem.quantities}
+    own = [one for one in problem.components if one.site in turning and np.count_nonzero(one.column.any(1)) > 1]
+    if not own:
         return None
     test = score_test(problem, fit, options)
     marginal = Marginal(test)
-    gains = [float(marginal.of_noise(one.column).gain) for one in several]
-    best = int(np.argmax(gains))
-    elsewhere = max((g for g, one in zip(gains, several, strict=True) if one.site != several[best].site), default=0.0)
-    if gains[best] < options.margin + np.log(len(several)) or gains[best] < elsewhere + options.close:
+    gains = {id(one): float(marginal.of_noise(one.column).gain) for one in problem.components}
+    best = max(own, key=lambda one: gains[id(one)])
+    gain = gains[id(best)]
+    beside = max((gains[id(one)] for one in own if one.site != best.site), default=0.0)
+    if gain < options.margin + np.log(len(gains)) or gain < beside + options.close:
+        return None
+    if gain < max(gains.values()) - options.close:
         return None
     left = test.left[: problem.rows * problem.samples].reshape(problem.rows, problem.samples)
-    column = test.whitened(several[best].column)
-    length = np.sqrt(np.sum(column**2, 0))
-    along = np.sum(column * left, 0) / np.where(length > 0, length, 1.0)
+    column = test.whitened(best.column)
+    direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
+    along = np.sum(direction * left, 0)
+    across = left - direction * along
+    for other in problem.components:  # what is left beside the site must be noise
+        moved = test.whitened(other.column)
+        moved = moved - direction * np.sum(direction * moved, 0)
+        squares, freedom = np.sum(moved * across, 0) ** 2, float(test.fit.freedom) - problem.samples
+        further = best_amplitude(np.sum(moved**2, 0), squares, float(np.sum(across**2)), max(freedom, 1.0))
+        if float(further.gain) > options.margin + np.log(len(gains)):
+            return None
     share = float(np.sum(along**2) / max(float(np.sum(left**2)), 1e-300))
-    return Concentration(several[best].site, share, 1 / problem.rows, every * gains[best])
+    return Concentration(best.site, share, 1 / problem.rows, every * gain)

@@ -14,6 +14,7 @@ their χ² statistic. The scale of the noise is not known: integrated over, it m
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import comb
 from typing import NamedTuple, final
 
 import numpy as np
@@ -153,32 +154,87 @@ class Marginal:
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
     def of_names(self, groups: Sequence[Array]) -> list[Evidence]:
-        """The evidence of named terms, whose numbers have no prior: all their directions count as equally determined.
+        """The evidence of named terms, some of whose numbers may be zero.
+
+        The numbers that are not have no prior: all their directions count as equally determined. How many there are,
+        and which, are equally probable; they are chosen forward.
 
         Args:
             groups: of each term its columns `(number, row, sample)`.
         """
-        columns = np.concatenate(groups)
+        columns, problem = np.concatenate(groups), self.test.problem
         acting = np.any(columns, 2)
         white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
         measured = white.shape[1]
-        inside, pull = white @ self.test.basis[:, :measured].T, white @ self.test.left[:measured]
+        inside = white @ self.test.basis[:, :measured].T
+        outside = (white - inside @ self.test.basis[:, :measured]).reshape(len(columns), problem.rows, -1)
+        left = self.test.left[:measured].reshape(problem.rows, -1)
         lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
+        squares, freedom = self._by_group
         found, ends = [], np.cumsum([0, *map(len, groups)])
         for own in map(slice, ends[:-1], ends[1:]):
-            size = lengths[own]
-            C = (white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size)
-            eigenvalues, V = np.linalg.eigh(C)
-            kept = eigenvalues > self.test.options.confounded
-            if not kept.any():
+            coupled = len(problem.precision) > 0
+            of = np.unique(problem.groups if coupled else problem.groups[acting[own].any(0)])
+            if not of.size:
                 found.append(Evidence(*(np.zeros(()),) * 3))
                 continue
-            squares = (V[:, kept].T @ (pull[own] / size)) ** 2 / eigenvalues[kept]
-            left, freedom = self._of_groups(acting[own].any(0))
-            one = best_amplitude(np.ones(int(kept.sum())), squares, left, freedom)
-            likelihood = -0.5 * freedom * np.log1p(-min(squares.sum() / left, 1 - 1e-12))
-            found.append(one._replace(volume=np.maximum(likelihood - one.gain, 0.0)))
+            rows = [problem.groups == group for group in of]
+            parts = [(outside[own, one] / lengths[own, None, None]).reshape(own.stop - own.start, -1) for one in rows]
+            pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
+            information = np.stack([part @ part.T for part in parts])
+            found.append(_of_numbers(pull, information, squares[of], freedom[of], self.test.options.confounded))
         return found
+
+
+def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, confounded: float) -> Evidence:
+    """As `of_names`, of one term whose columns have unit length.
+
+    Args:
+        pull: `(group, number)`, of each group of noise.
+        information: `(group, number, number)`.
+        left: `(group,)` S.
+        freedom: `(group,)` ν.
+        confounded: as of `of_process`.
+    """
+    count, chosen = pull.shape[1], list[int]()
+    best = likelihood = Evidence(*(np.zeros(()),) * 3)
+    while len(chosen) < count:
+        rest = [k for k in range(count) if k not in chosen]
+        each = [_of_groups(pull, information, [*chosen, k], left, freedom, confounded) for k in rest]
+        at = int(np.argmax([one.gain + one.volume for one in each]))
+        likelihood, chosen = each[at], [*chosen, rest[at]]
+        gain = likelihood.gain - np.log(count * comb(count, len(chosen)))
+        if gain > best.gain:
+            best = likelihood._replace(gain=gain)
+    return best._replace(volume=np.maximum(likelihood.gain + likelihood.volume - best.gain, 0.0))
+
+
+_REWEIGHTED = 5
+"""Solutions for the coefficients, each at the scales of the one before: these differ by less than 1 % then."""
+
+
+def _of_groups(
+    pull: Array, information: Array, which: list[int], left: Array, freedom: Array, confounded: float
+) -> Evidence:
+    """The evidence of some numbers, all of which are not zero, where each group of rows has a scale of its own."""
+    pull, information, rest = pull[:, which], information[:, which][:, :, which], left
+    for _ in range(_REWEIGHTED if len(left) > 1 else 1):
+        weight = freedom / rest
+        eigenvalues, V = np.linalg.eigh(np.tensordot(weight, information, 1) / weight.max())
+        kept = eigenvalues > confounded
+        if not kept.any():
+            return Evidence(*(np.zeros(()),) * 3)
+        V = V[:, kept]
+        x = V @ ((V.T @ (weight @ pull)) / (weight.max() * eigenvalues[kept]))
+        rest = np.clip(left - 2 * pull @ x + x @ information @ x, 1e-12 * left, None)
+    likelihood, numbers = -0.5 * float(freedom @ np.log(rest / left)), int(kept.sum())
+    if len(left) == 1:
+        q = float(pull[0] @ x)
+        one = best_amplitude(np.ones(numbers), np.full(numbers, q / numbers), float(left[0]), float(freedom[0]))
+        return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
+    each = max(float((freedom / rest) @ (x @ information @ x)) / numbers, 1.0)
+    volume = numbers / 2 * (1 + np.log(each))
+    return Evidence(np.asarray(likelihood - volume), np.asarray(each), np.asarray(volume))
 
 
 def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, freedom: Array | float) -> Evidence:

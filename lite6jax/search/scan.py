@@ -54,7 +54,7 @@ _TURNS = 1.5 * np.pi
 """rad, the range of an angle from which a wave says more of it than a cubic."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
-_RATIOS = np.geomspace(0.5, 2.0, 17)
+_RATIOS = np.unique(np.concatenate([np.geomspace(0.5, 2.0, 17), np.geomspace(0.93, 1 / 0.93, 7)]))
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
@@ -261,9 +261,9 @@ class Scan:
         return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
 
     def named(self, test: ScoreTest) -> list[Ranked]:
-        """Names and waves alone."""
+        """Names and waves alone, the likeliest first."""
         weighed = _Weighed(self, test)
-        return [*weighed.named(), *weighed.waves()]
+        return _in_order([*weighed.named(), *weighed.waves()])
 
     def has_numbers(self, term: Term) -> bool:
         """Whether a name is one of several that differ in a number that is tried."""
@@ -317,8 +317,7 @@ class _Weighed:
     def together(self, term: Term) -> list[tuple[Ranked, Ranked]]:
         """As `Scan.together`; the second of each pair has what the two are worth."""
         same = [one for one in self._scan.names if one.label == term.label]
-        if term.chosen:
-            same = [*same, *(term.held(term.chosen * ratio) for ratio in _RATIOS)]
+        same = [*same, *self._near(term)]
         others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
         others = [one for one in others if one.chosen is None and not one.periodic]
         if not same or not others:
@@ -340,8 +339,15 @@ class _Weighed:
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this."""
-        term, number = one.make(), one.make().chosen
-        return self._of_terms([term, *(term.held(number * ratio) for ratio in _RATIOS if number)])
+        return self._of_terms([one.make(), *self._near(one.make())])
+
+    def _near(self, term: Term) -> list[Term]:
+        """A name with the numbers near its own, within those of the list."""
+        listed = [one.chosen for one in self._scan.names if one.label == term.label and one.chosen]
+        if not term.chosen or not listed:
+            return []
+        near = np.clip(term.chosen * _RATIOS, min(listed), max(listed))
+        return [term.held(float(number)) for number in np.unique(near)]
 
     def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
@@ -554,12 +560,15 @@ class _Weighed:
 
 
 def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
-    """The likeliest first; of names that are nearly as likely as a first name, the one of the highest priority."""
+    """The likeliest first; of names that are nearly as likely as a first name, that of the highest priority.
+
+    Of the same priority it is that of the fewest numbers.
+    """
     ordered = sorted(found, key=lambda one: -one.net)
     if not ordered or ordered[0].process:
         return ordered
     near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
-    first = min(near, key=lambda one: (one.make().specificity, -one.net))
+    first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
     return [first, *(one for one in ordered if one is not first)]
 
 

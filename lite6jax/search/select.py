@@ -52,7 +52,7 @@ class Selector:
             state, grown = self._grown(instead if instead is not None and better else state, thorough), True
         while (simpler := self._noise_instead(state)) is not None:
             state = simpler
-        return state
+        return self._above_rest(state)
 
     def _odds(self, state: State) -> float:
         """Log evidence, less what autocorrelated noise has to gain in each group."""
@@ -77,7 +77,7 @@ class Selector:
         f = state.fit
         white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
         test, other = score_test(self.problem, white, self.options), replace(state, fit=white)
-        worth = self._worth(self.scan.ranked(test), test, other, set())
+        worth = self._next(test, other, set())
         if not worth:
             return None
         more = self._within_bounds(self._estimated(self._with(other, *worth)))
@@ -98,38 +98,40 @@ class Selector:
         tried = set[object]()
         while True:
             test = score_test(self.problem, state.fit, self.options)
-            # what nearly every problem has is there before anything rare is asked for
-            for found in (self.scan.usual, self.scan.ranked):
-                worth = self._worth(found(test), test, state, tried)
-                if worth:
-                    break
-            else:
+            worth = self._next(test, state, tried)
+            if not worth:
                 return state
             tried |= {one.key for one in worth}
             more = self._estimated(self._with(state, *worth))
             for new in (one for one in worth if one.process):
                 places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
                 more = next((named for k in places if (named := self._named(more, k)) is not None), more)
-            more = self._dropped(self._within_bounds(more))
-            if not more.fit.noise.white:
-                more = replace(more, fit=self.in_own_noise(more.fit))
-            state = more
+            state = self._settled(more)
+
+    def _next(self, test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
+        """What is to be added: a name that nearly every problem has, before a process is asked for."""
+        worth = self._worth(self.scan.ranked(test), test, state, tried)
+        if any(one.process for one in worth):
+            return self._worth(self.scan.usual(test), test, state, tried) or worth
+        return worth
 
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms that are worth their cost, of each row the likeliest alone.
 
-        A further term at the rows of a process that explains less than noise of its own would at the component of that
-        process may be a part of what it does not describe.
+        A further term that explains less than noise of its own would at the component of one that is there may be a
+        part of what that does not describe.
         """
         model, marginal = state.fit.terms.terms, Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
-        there = {term.site: self._process_of(term)[0].column for term in model if term.nonparametric}
-        noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in there.values()]
+        there = {term.site for term in model if term.nonparametric}
+        columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
+        noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
-        for one in self._possible(ranked, test, state):
+        weighed = [self._continued(one, model) for one in self._possible(ranked, test, state)]
+        for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or (one.site in there and not self._goes_on(one, model)):
+            if one.key in tried or (one.site in there and not self._continues(one, model)):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
@@ -138,8 +140,20 @@ class Selector:
                     found.append(one)
         return found
 
+    def _component_of(self, term: Term) -> Component | None:
+        """The component of a process, or of a name at a site that has but one; None where a name may move several."""
+        if term.nonparametric:
+            return self._process_of(term)[0]
+        own = [one for one in self.problem.components if one.site == term.site]
+        return own[0] if len(own) == 1 and term not in self._preset else None
+
+    def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
+        """Of a process that continues one, only the choice of the component costs."""
+        own = sum(component.site == one.site for component in self.problem.components)
+        return replace(one, cost=min(one.cost, float(np.log(own)))) if self._continues(one, model) else one
+
     @staticmethod
-    def _goes_on(one: Ranked, model: Sequence[Term]) -> bool:
+    def _continues(one: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         there = [term for term in model if term.nonparametric and term.site == one.site]
         phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
@@ -197,7 +211,7 @@ class Selector:
         best = self.scan.alike(test, *self._process_of(term)) if term.nonparametric else self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
-        return replace(one, term=best.make(), gain=best.gain, cost=best.cost, volume=best.volume)
+        return replace(one, term=best.make(), gain=best.gain, cost=min(one.cost, best.cost), volume=best.volume)
 
     def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
         component = next(
@@ -228,6 +242,22 @@ class Selector:
                 return state
             rest = [one for k, one in enumerate(tested) if k not in least]
             state = refitted(self.problem, state, rest, self.options)
+
+    def _above_rest(self, state: State) -> State:
+        """Without a term that explains less than noise would at its component: what that leaves there is more."""
+        while state.tested:
+            marginal = Marginal(score_test(self.problem, state.fit, self.options))
+            components = [self._component_of(one.term) for one in state.tested]
+            excess = [
+                -np.inf if component is None else float(marginal.of_noise(component.column).gain) - one.gain
+                for component, one in zip(components, state.tested, strict=True)
+            ]
+            k = int(np.argmax(excess))
+            if excess[k] <= 0:
+                break
+            rest = [*state.tested[:k], *state.tested[k + 1 :]]
+            state = self._dropped(refitted(self.problem, state, rest, self.options))
+        return state
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         found = self._weighed(test, one)
@@ -278,15 +308,22 @@ class Selector:
             if not one.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
             best = next(iter(self._in_place(state, k)), None)
-            # a name need not be the likeliest to stay
-            needed = self.options.better if one.term.nonparametric or not best or not best.process else NEARLY
-            if best is None or best.net < one.net + needed or self._is(best, one.term):
+            if best is None or self._is(best, one.term):
+                continue
+            needed = self._needed(one.term, bool(best.process))
+            if best.net < one.net + needed:
                 continue
             rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
-            trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, best))))
-            if trial.evidence > state.evidence + self.options.better:
+            trial = self._settled(self._estimated(self._with(rest, best)))
+            if trial.evidence > state.evidence + needed:
                 return trial
         return None
+
+    def _needed(self, old: Term, nonparametric: bool) -> float:
+        """Log odds that another term must have over this one to take its place: names may be slightly less likely."""
+        if old.nonparametric == nonparametric:
+            return self.options.better
+        return NEARLY if nonparametric else -NEARLY
 
     def _paired(self, state: State, k: int) -> State | None:
         """The state with another name beside one whose number is tried, where both together are likelier; else None."""
@@ -299,7 +336,7 @@ class Selector:
         if best is None or best[1].net < one.net + self.options.margin:
             return None
         rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
-        trial = self._dropped(self._within_bounds(self._estimated(self._with(rest, *best))))
+        trial = self._settled(self._estimated(self._with(rest, *best)))
         return trial if trial.evidence > state.evidence + self.options.better else None
 
     def _named(self, state: State, k: int) -> State | None:
@@ -311,7 +348,8 @@ class Selector:
             test = score_test(self.problem, trial.fit, self.options, within=None)
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
-            names = sorted((one for one in names if one.net >= self.options.margin), key=lambda one: -one.net)
+            names = [one for one in names if one.net >= self.options.margin]
+            names.sort(key=lambda one: not one.make().usual)
             best = next((one for one in names if (self._rows(one.make(), trial) & rows).any()), None)
             if best is None:
                 break
@@ -319,9 +357,10 @@ class Selector:
             if len(more.tested) <= len(trial.tested):
                 break
             trial = self._estimated(more)
-            choices = [trial, *self._with_less(trial, state.tested[k].term)]
+            trial = self._paired(trial, len(trial.tested) - 1) or trial
+            choices = [self._in_own_noise(one) for one in (trial, *self._with_less(trial, state.tested[k].term))]
             best_of = max(choices, key=lambda one: one.evidence)
-            if best_of.evidence > state.evidence:
+            if best_of.evidence > state.evidence + self._needed(state.tested[k].term, best_of is not choices[0]):
                 return self._dropped(best_of)
         return None
 
@@ -340,7 +379,10 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            self._known[key] = self._possible(self.scan.ranked(test, rows=rows), test, state)
+            rest = [one.term for one in state.tested if one is not state.tested[k]]
+            found = self._possible(self.scan.ranked(test, rows=rows), test, state)
+            continued = [self._continued(one, rest) for one in found]
+            self._known[key] = continued if continued == found else sorted(continued, key=lambda one: -one.net)
         return self._known[key]
 
     def with_alternatives(self, state: State) -> State:
@@ -393,6 +435,14 @@ class Selector:
         return not ranked.process and ranked.make() == term
 
     # -------------------------------------------------------------- noise
+
+    def _settled(self, state: State) -> State:
+        """Without what is not possible or not worth its cost, in the noise that is then left."""
+        return self._in_own_noise(self._dropped(self._within_bounds(state)))
+
+    def _in_own_noise(self, state: State) -> State:
+        """In noise that was white it stays so: `selected` asks for another."""
+        return state if state.fit.noise.white else replace(state, fit=self.in_own_noise(state.fit))
 
     def in_own_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""

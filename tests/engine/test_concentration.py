@@ -59,10 +59,6 @@ def test_noise_acts_nowhere(arm):
     """In so few poses noise often has four times the mean square along one direction: the test has to allow for it."""
     found = [concentration(*restless(arm, np.zeros((6, 6)), seed, 6), OPTIONS) for seed in range(40)]
     assert sum(one is not None for one in found) <= 1
-    careless = [
-        concentration(*restless(arm, np.zeros((6, 6)), s, 6), replace(OPTIONS, level=1, close=0)) for s in range(40)
-    ]
-    assert sum(one is not None for one in careless) > 4
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-3])

@@ -67,7 +67,7 @@ def test_what_a_frame_takes_up_stays_where_it_was(tmp_path):
     made = Made(tmp_path, (text,), seed=4, geometry="prior", frame=True, tool=True, orientation=False, inertial=0.1)
     case = pose_problem(made.recording(static_motion(5, 150)))
     moment = np.asarray(case.loads.base_moment[1])
-    turn = Unnamed("base", "base moment y", float(moment.min()), float(moment.max()), 8, "ry")
+    turn = Unnamed("base", "base moment y", float(moment.min()), float(moment.max()), component="ry", spread=1e-3)
     fitted = fitted_to(case, Terms((turn,)))
     exact = fitted_to(case, Terms((turn,)), fitted.values, fitted.nuisance, exact=True)
     assert np.abs(fitted.values).max() < 2e-3

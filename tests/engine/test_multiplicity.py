@@ -92,10 +92,10 @@ def test_the_prior_probabilities_of_all_terms_add_up_to_one_at_most(scan):
     assert 0.3 < names + waves + sum(weights_of_processes(scan)) <= 1 + 1e-9
 
 
-def test_each_kind_of_process_has_a_third_at_most(scan):
+def test_each_kind_of_process_has_a_quarter_at_most(scan):
     one, two = weights_of_processes(scan)
-    assert 0.1 < one <= 1 / 3 + 1e-9
-    assert 0.1 < two <= 1 / 3 + 1e-9
+    assert 0.05 < one <= 1 / 4 + 1e-9
+    assert 0.05 < two <= 1 / 4 + 1e-9
 
 
 def test_a_quantity_is_likelier_at_its_own_site(scan):

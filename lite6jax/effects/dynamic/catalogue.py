@@ -73,15 +73,21 @@ def _coupled(joint: int, source: int, sliding: tuple[int, ...]) -> CoupledFricti
 
 
 def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
-    """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them."""
+    """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them.
+
+    A speed that a joint passes within one sample where it reverses is not seen.
+    """
     assert motion.joint_velocity is not None
-    fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
+    velocity = np.asarray(motion.joint_velocity)
+    fastest = np.abs(velocity).max(1)
+    step, reverses = np.abs(np.diff(velocity)), velocity[:, 1:] * velocity[:, :-1] < 0
+    passed = [float(np.median(own[at])) if at.any() else 0.0 for own, at in zip(step, reverses, strict=True)]
     tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
     found: list[TorqueEffect] = []
     for (kind, limits), (joint, speed) in product(_OF_SPEED.items(), tried):
         slides = joint - 1 in motion.sliding.joints
         low, high = (joint_size(bound, "rad/s", slides) for bound in limits)
-        if low <= speed <= high:
+        if max(low, passed[joint - 1]) <= speed <= high:
             found.append(kind(joint, speed, of_slide=slides))
     return tuple(found)
 
