@@ -51,6 +51,14 @@ _SCALAR = {
     "v": {"px": 1.0},
     **{label: {"": 1.0} for label in ("contact", "plane", "anchor", "image")},
 }
+READINGS = {
+    "contact": ("contact",),
+    "plane": ("plane",),
+    "distance": ("distance", "anchor"),
+    "axis": ("axis",),
+    "camera": ("u", "v", "image", "corner"),
+}
+"""The quantities of each kind of reading; the first tells of the kind."""
 LABELS = ("contact", "plane", "anchor", "image")
 """Columns of words that tell rows of one point, plane, anchor or image from the others."""
 _TEXTS = ("gap",)
@@ -353,6 +361,12 @@ def is_standard(name: str) -> bool:
 def known_column(name: str) -> Column | None:
     """What a name of a recording's column says; None where it is none."""
     return _column(name, name, 0, _Problems())
+
+
+def reading_of(name: str) -> str:
+    """The kind of reading that a column of this name belongs to; empty of any other."""
+    column = known_column(name)
+    return next((kind for kind, parts in READINGS.items() if column and column.quantity in parts), "")
 
 
 def is_refused(name: str) -> bool:

@@ -15,7 +15,6 @@ from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
-from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
 TEXTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=8e-4")
