@@ -14,6 +14,7 @@ from typed import flat, refused, run
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.cli import init
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings
+from lite6jax.recordings.settings import OF_READINGS
 from lite6jax.report import inspection
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
@@ -80,7 +81,7 @@ def test_the_sidecar_explains_every_key(recorded, capsys):
     commented = re.findall(r"^  # (\w+): (.*)$", text, re.MULTILINE)
     examples = {key: value for key, value in commented if key in inspection.KEYS}
     of_torques = {"torque_source", "torque_noise_Nm", "inertial", "torque_constant_Nm_per_A"}
-    assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - of_torques
+    assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - of_torques - set(OF_READINGS)
     assert max(map(len, text.splitlines())) <= 120
     # each example is accepted in its place
     keys = "|".join(examples)
@@ -90,6 +91,18 @@ def test_the_sidecar_explains_every_key(recorded, capsys):
     for key, (_, example) in inspection.KEYS.items():
         paired = {"factory_calibration": "arm.yaml"} if key == "factory_uncertainty" else {}
         RecordingSettings(**{key: yaml.safe_load(example)}, **paired)
+
+
+def test_touches_and_corners_are_recognised(tmp_path, capsys):
+    joints = ",".join(f"q{k}_rad" for k in range(1, 7))
+    for columns, row, key in (("contact", "left", "contact_noise_m"), ("image,corner,u_px,v_px", "0,1,2,3", "camera")):
+        table = tmp_path / f"{key}.csv"
+        table.write_text(f"{joints},{columns}\n" + f"0.1,0.2,0.3,0.4,0.5,0.6,{row}\n")
+        code, out, _ = run(capsys, "init", table, "--arm", "lite6")
+        assert code == 0
+        assert "lite6jax diagnose" in out
+        assert f"  # {key}: " in table.with_suffix(".yaml").read_text()
+        assert "ignore" not in table.with_suffix(".yaml").read_text()
 
 
 def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
     *("interruption", "errors", "checksum", "schema", "storage", "results", "progress", "threads"),
-    *("deferred", "arms", "effects", "model", "recordings", "estimation", "search", "controller", "fitting"),
+    *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search", "controller", "fitting"),
     *("distribution", "design", "domains", "diagnosis", "populations", "folders", "simulation", "emulator"),
     *("report", "cli"),
 ]

@@ -447,7 +447,8 @@ def test_measurements_that_cannot_be():
     motion = draw_motion(LITE6, samples=10)
     compliance, value, _ = physics_of("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
     assert refused(measure, motion, LITE6, sensor="laser") == (
-        "simulation: sensor 'laser': is none of tracker, tracker_6d, motion_capture, camera, controller_fk"
+        "simulation: sensor 'laser': is none of tracker, tracker_6d, motion_capture, camera, controller_fk, "
+        "contact, plane, distance, axis, fixed_camera, flange_camera"
     )
     gauge = Instrument(Sensor("axis", 1e-6), "unknown")
     assert "a sensor of axis has no place in a recording; give one of positions" in refused(

@@ -64,6 +64,7 @@ class Diagnose:
         lite6jax diagnose run7.csv
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
+        lite6jax diagnose touched_left.csv touched_right.csv --out diagnosis.json
         lite6jax diagnose recordings --out results
         lite6jax diagnose --fleet recordings --out results
     """
@@ -72,6 +73,9 @@ class Diagnose:
     """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
     rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
     recordings, or a URL that fsspec reads: each recording is diagnosed."""
+    more: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")] = ()
+    """Further recordings of the same arm with the same tool, touched at other places: geometry and effects are shared,
+    and each file has points, planes or anchors of its own."""
     out: command.OutFile = None
     """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without. Of a folder
     of recordings: a folder, for a document of each and the table summary.parquet."""
@@ -120,12 +124,14 @@ class Diagnose:
         if self.over is not None and not self.fleet:
             raise InputError("--over: is of recordings that are pooled; add --fleet")
         if _is_folder(self.source):
+            if self.more:
+                raise InputError(f"{self.source}: is a folder; name a folder, or files of one arm")
             return self._diagnose_folder()
         for option in ("fleet", "scheduler"):
             if getattr(self, option):
                 raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
         command.check_processes(self.processes, None)
-        read = [self.source, self.reference, self.arm, self.effects]
+        read = [self.source, *self.more, self.reference, self.arm, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         self._check_figures("poses")
         # other processes cannot import classes that this one reads from a file
@@ -160,6 +166,9 @@ class Diagnose:
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
         arm = source.load_nominal(self.arm)
         recording = source.load_recording(self.source, arm, **assumed)
+        if self.more:
+            further = [source.load_recording(file, arm, **assumed) for file in self.more]
+            recording = recordings.join_recordings([recording, *further])
         effects = command.load_own_effects(self.effects)
         kinematic, dynamic = user_effects.by_domain(effects)
         domain: Domain = "poses"
@@ -186,7 +195,10 @@ class Diagnose:
     def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
         document = found.to_dict() if domain == "both" else found.document()
-        document |= {"inputs": command.list_inputs(self.source, self.arm, self.reference, self.effects)}
+        inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
+        for file in self.more:
+            inputs += [one for one in command.list_inputs(file) if one not in inputs]
+        document |= {"inputs": inputs}
         if domain != "both" and found.against is not None:
             document["against"] = found.against.to_dict()
         return statements.with_statements(document)

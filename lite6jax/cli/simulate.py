@@ -19,6 +19,7 @@ with import_lazily():
     from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.report import screen, words
+    from lite6jax.simulation import readings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -101,8 +102,21 @@ class Simulate:
     repeated."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that --effect may name. Runs the file."""
-    sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk"] = "tracker"
-    """Positions: tracker; poses: the others."""
+    sensor: Literal[
+        "tracker",
+        "tracker_6d",
+        "motion_capture",
+        "camera",
+        "controller_fk",
+        "contact",
+        "plane",
+        "distance",
+        "axis",
+        "fixed_camera",
+        "flange_camera",
+    ] = "tracker"
+    """Positions: tracker; poses: the next four; touches of sockets or plates, distances from an anchor, heights, and
+    corners of a board in images: the others, of which tool and places are unknown."""
     motion: Literal["static", "trajectory"] = "static"
     """static: poses over the joints' whole ranges, at which the arm stands still; trajectory: a smooth motion."""
     samples: int | None = None
@@ -166,7 +180,9 @@ class Simulate:
             physics,
             values,
             kinematics=kinematics,
-            sensor=self.noise.instrument(self.sensor),
+            sensor=self.sensor if self.sensor in readings.READERS else self.noise.instrument(self.sensor),
+            position_noise=None if self.noise.position_noise is None else self.noise.position_noise / 1e3,
+            joint_noise=math.radians(self.noise.joint_noise),
             undeclared=self.noise.undeclared(),
             T_sensor_base=simulation.draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
             tool=[*command.metres(self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
@@ -244,6 +260,7 @@ class Simulate:
 
         recording, settings = measured.recording, measured.recording.settings
         kind = "positions" if recording.quaternion is None else "poses"
+        kind = words.what_is_measured(recording) if recording.readings is not None else kind
         by = settings.pose_source.replace("_", " ")
         runs = f" in {self.runs} runs" if self.runs > 1 else ""
         yield Text(f"Simulated {recording.samples} {kind} of a {arm.name} by {by}, {recording.motion}{runs}.")
@@ -258,6 +275,11 @@ class Simulate:
         tool = settings.tool if isinstance(settings.tool, str) else "declared"
         yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
         said = [f"{1e3 * (settings.position_noise_m or 0):.3g} mm"]
+        if recording.readings is not None:
+            pixels = recording.readings.kind == "camera"
+            key = "pixel_noise_px" if pixels else f"{recording.readings.kind}_noise_m"
+            noise = float(getattr(settings, key))
+            said = [f"{noise:.3g} px" if pixels else f"{1e3 * noise:.3g} mm"]
         if settings.orientation_noise_rad is not None:
             said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
         said += [f"joints {self.noise.joint_noise:.3g} deg"] if self.noise.joint_noise else []

@@ -24,6 +24,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
+from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import require_effects
@@ -79,7 +80,8 @@ def diagnose(
         recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening)
         # what cannot be read at all ends here, before any process has begun
-        screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
+        begun = screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
+        require_determined(begun.rigid_arm)
         case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
             found = explain(case)
@@ -152,6 +154,6 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     """
     problem, residuals = selection.problem, selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
-    least = ROUNDING if (declared := problem.recording.settings.position_noise_m) is None else declared
+    least = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
     return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid

@@ -45,6 +45,8 @@ def separating_poses(
     """
     state, problem = selection.state, selection.problem
     assert isinstance(problem, PoseProblem)
+    if problem.recording.touches is not None:  # which poses a socket or a plate can be touched at is not known
+        return ()
     pairs = [
         (k, alternative.term)
         for k, tested in enumerate(state.tested)

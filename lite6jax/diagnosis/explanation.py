@@ -304,7 +304,7 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     chain = case.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
-    known = chain.precision[: len(chain.frame_columns)] > 0
+    known = np.flatnonzero(chain.precision[: len(chain.frames)])
     groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
     G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
@@ -340,7 +340,7 @@ def _occam_factor(explanation: Explanation) -> float:
     problem, fit = explanation.problem, explanation.selection.state.fit
     columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)
-    known = np.flatnonzero(problem.precision[: len(problem.frame_columns)])
+    known = np.flatnonzero(problem.precision[: len(problem.frames)])
     S = schur_complement(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
     root = np.sqrt(problem.precision[known])
     return 0.5 * float(np.linalg.slogdet(np.eye(len(known)) + S / np.outer(root, root))[1])

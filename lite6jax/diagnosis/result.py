@@ -19,15 +19,18 @@ from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.uncertainty import freed
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import RecordingSettings
@@ -35,6 +38,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 P = TypeVar("P", PoseProblem, TorqueProblem)
@@ -387,7 +391,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     @property
     def estimated_noise(self) -> float:
         """Standard deviation per axis of position, m, estimated from the residuals."""
-        return float(self.fit.scale[0] * self.problem.noise[0])
+        scale = float(self.fit.scale[0])
+        if self.problem.floored:  # by less the residuals are not weighed, and what they have is said all the same
+            fit, rows = self.fit, self.problem.rows
+            squares = fit.residuals.squares[fit.training] * scale**2
+            scale = t_scale(squares, rows, FREEDOM) / gaussian_t_scale(rows, FREEDOM)
+        return scale * self.problem.noise[0]
 
     @cached_property
     def moves(self) -> tuple[Contribution, ...]:
@@ -423,7 +432,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         problem, fit, kept = self.problem, self.fit, ~self.outliers
         position, orientation = None, None
         if problem.declared_noise[0] is not None and kept.any():
-            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / 3) / problem.declared_noise[0])
+            rows = min(problem.rows, 3)
+            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
         if problem.declared_noise[1] is not None and kept.any():
             freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
             orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
@@ -433,8 +443,10 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     def quality(self) -> Quality:
         """Whether the model with the findings describes the poses, on rows that were not used."""
         problem, fit, kept = self.problem, self.fit, self.problem.valid
-        measured = np.asarray(problem.measured.position).T
-        predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
+        predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
+        if isinstance(problem.measured, Measured):
+            measured = np.asarray(problem.measured.position).T
+            predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
         left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
         reach, over_noise = problem.arm.reach, max(left, default=None)
         noise = problem.declared_noise[0]
@@ -461,11 +473,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
         if inertia is not None and errors is not None:
             inertia = with_mass_errors(inertia, errors.links, errors.payload)
-        physics = Physics(tuple(finding.effect for finding in self.findings))
+        effects, values = self._modelled
+        physics = Physics(effects)
         against = None if self.against is None else self.against.to_dict()
         model = DiagnosedArm(
             model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
-            values=physics.join([finding.values for finding in self.findings]),
+            values=physics.join(values),
             inertia=inertia,
             joint_limits=problem.arm.joint_limits,
             arm=problem.arm.name,
@@ -480,6 +493,30 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
         return replace(model, uncertainty=known)
+
+    @cached_property
+    def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:
+        """The effects of the model: the findings, and what joints do once a turn within their tolerance."""
+        effects, values = [f.effect for f in self.findings], [f.values for f in self.findings]
+        for j, wave in enumerate(self.problem.once_per_turn(self.fit.nuisance)):
+            own = JointHarmonic(j + 1, 1.0)
+            if own in effects:
+                values[effects.index(own)] = values[effects.index(own)] + wave
+            elif wave.any():
+                effects.append(own)
+                values.append(wave)
+        return tuple(effects), values
+
+    @property
+    def _covariances(self) -> list[Array]:
+        """Of the numbers of each effect of the model."""
+        known, ends = self.model.uncertainty, np.cumsum([freed(e).size for e in self.model.physics.effects])
+        more = []
+        for effect, end in list(zip(self.model.physics.effects, ends, strict=True))[len(self.findings) :]:
+            assert known is not None
+            own = len(known.sites) + end - effect.size + np.arange(effect.size)
+            more.append(known.covariance[np.ix_(own, own)])
+        return [finding.covariance for finding in self.findings] + more
 
     def peak_to_peak(self, k: int) -> Estimate:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
@@ -571,7 +608,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
                 "numbers": len(problem.frames),
                 "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
             },
-            "model": pose_model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": pose_model_entry(self.model, self._covariances),
         }
 
     def _finding(self, k: int, heldout: dict[str, float]) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from lite6jax.arms.joint_units import as_revolute
-from lite6jax.domains.pose.kinematics import whitened
+from lite6jax.domains.pose.kinematics import FRAMES, whitened
 from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm
-from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.pose.problem import ONCE_PER_TURN, PoseProblem
 from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, states_of, with_free_numbers
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
@@ -57,11 +57,17 @@ def uncertainty_of_poses(
     C = np.zeros((0, 0))
     if len(J):
         frames, masses = len(problem.frames), len(problem.masses)
-        moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
-        columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
+        # by the sensor's own unknowns and by frame jumps: no prediction has them, but they are fitted beside
+        beside = np.array([site[0] not in (*FRAMES, "wave", "mass", "payload") for site in problem.unknown], bool)
+        moved = problem.frame_columns[beside[: len(problem.frame_columns)]]
+        tool = problem.rigid.tool
+        turned = np.einsum("sab,nbs->nas", tool[:, :3, :3], J[:, 3:])
+        read = problem.measured.columns(tool, J[:, :3], turned)
+        columns = np.concatenate([whitened(read, problem.measured.whitener), moved])
         prior = Terms(tuple(freed(effect) for effect in model.physics.effects), fit.terms.bounded).precision
         known = problem.precision
-        precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]])
+        prior[_are_tolerances(model, fit)] = ONCE_PER_TURN**-2.0
+        precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, known[beside]])
         C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
     blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
     estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
@@ -84,6 +90,13 @@ def uncertainty_of_poses(
     return Uncertainty(sites, C, left, unseen, noise, recorded, usual)
 
 
+def _are_tolerances(model: DiagnosedArm, fit: Fit) -> Mask:
+    """`(number,)`, which numbers of the model's effects are no findings, but have the tolerance of a joint."""
+    found = fit.terms.terms
+    sizes = [freed(effect).size for effect in model.physics.effects]
+    return np.repeat([effect not in found for effect in model.physics.effects], sizes).astype(bool)
+
+
 def _left_of_poses(
     problem: PoseProblem, fit: Fit, estimated: Array, kept: Mask, after: Array, folds: int
 ) -> tuple[Array, Array, Array]:
@@ -95,8 +108,9 @@ def _left_of_poses(
     scales = fit.scale[problem.groups[[0, -1]]]
     declared = [known is not None for known in problem.declared_noise]
     noise = np.where(declared, np.minimum(scales, 1.0), scales) * [problem.noise[0], problem.noise[1] or 0.0]
-    squares = after[kept] ** 2 / _SQUARES[3]
-    position = _excess(squares - _fewer(folds) * estimated[:3, kept].mean(0), noise[0], 3 * count)
+    rows = min(problem.rows, 3)
+    squares = after[kept] ** 2 / _SQUARES[rows]
+    position = _excess(squares - _fewer(folds) * estimated[:3, kept].mean(0), noise[0], rows * count)
     orientation = 0.0
     if problem.rows == 6 and problem.noise[1]:
         lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)

@@ -87,8 +87,11 @@ class Marginal:
         # after the measurements come the readings of priors, which all groups share
         squares = np.maximum(np.bincount(problem.groups, by_row) + products[measured:].sum(), 1e-300)
         freedom = counts * fit.training.sum() * self.test.freedom / max(problem.rows * fit.training.sum(), 1)
+        freedom = np.maximum(freedom, 1.0)
+        if problem.floored:
+            squares = np.maximum(squares, freedom / self.test.scale**2)
         known = _DECLARED * problem.declared
-        return squares + known / self.test.scale**2, np.maximum(freedom, 1.0) + known
+        return squares + known / self.test.scale**2, freedom + known
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""

@@ -248,7 +248,8 @@ def _fitted(
             return _parts(where, terms, numbers[k:])
         return [noise.whitened(linear_columns(where, terms, numbers[k:]))]
 
-    state = weighed(residual(problem, at), noise, training)
+    least = float(problem.floored)
+    state = weighed(residual(problem, at), noise, training, least)
     converged, H, damped = False, np.eye(0), 0.0
     columns: Sequence[Array | Factored] | None = None
     taken = at[k:]
@@ -283,7 +284,7 @@ def _fitted(
                 break  # derivatives at the point of linearisation lead no further
             columns = None
             continue
-        at, problem, state = trial, there, weighed(rows, noise, training)
+        at, problem, state = trial, there, weighed(rows, noise, training, least)
         if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
@@ -324,14 +325,22 @@ def _steps(
             yield -scaled_solve(more, gradient, rounding), damping
 
 
-def weighed(rows: Array, noise: NoiseModel, training: Mask) -> Residuals:
-    """Residuals with the scale of each group, from the training samples, and the weights of Student's t."""
+def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) -> Residuals:
+    """Residuals with the scale of each group, from the training samples, and the weights of Student's t.
+
+    Args:
+        rows: `(row, sample)`, over the declared noise.
+        noise: their model.
+        training: `(sample,)`.
+        least: that a scale is: 1 where the noise is not less than declared.
+    """
     innovations, groups = noise.whitened(rows), noise.groups
     scale, weight = np.empty(len(noise.models)), np.empty((len(noise.models), rows.shape[1]))
     for group in range(len(scale)):
         part = innovations[groups == group]
         squares = np.sum(part**2, 0)
-        scale[group] = t_scale(squares[training], len(part), FREEDOM) / gaussian_t_scale(len(part), FREEDOM)
+        shown = t_scale(squares[training], len(part), FREEDOM) / gaussian_t_scale(len(part), FREEDOM)
+        scale[group] = max(shown, least)
         weight[group] = (FREEDOM + len(part)) / (FREEDOM + squares / scale[group] ** 2)
     return Residuals(rows, innovations, scale, weight, groups)
 

@@ -101,6 +101,8 @@ class LinearisedProblem(Protocol):
         offset: `(number,)`, how far the point of linearisation is from the prior's mean.
         preset: terms that the domain has estimated before the search, because they are too far from zero for the
             linearisation of a score test, and their numbers.
+        floored: whether the noise is never less than declared, so that nothing is looked for below it: how a ball seats
+            in its socket varies with the pose, like physics.
     """
 
     @property
@@ -115,6 +117,8 @@ class LinearisedProblem(Protocol):
     def offset(self) -> Array: ...
     @property
     def preset(self) -> tuple[Terms, Array]: ...
+    @property
+    def floored(self) -> bool: ...
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)`, predicted minus measured, exact."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from lite6jax.fitting.start import (
     nominal_calibration,
 )
 from lite6jax.model import LEVER, ArmModel, ModelForm
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
@@ -34,6 +34,9 @@ UNDECLARED_NOISE = (1e-4, 1e-3)
 TOLERANCE = {"m": 0.02, "rad": 0.05}
 """Standard deviation of the prior of each number of an unknown chain about nominal. It is wide enough for any arm: real
 ones are up to 10 mm and 1° off. What the data do not determine stays near nominal by it."""
+TOUCHED_TOLERANCE = (1e-3, 5e-3)
+"""The same (m, rad) where touches are all that is measured: they are few, and bend a chain where nothing holds it. What
+factories grant is 1 mm and 0.3°."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
 """Prior standard deviation of a factory number (m, rad) where geometry is `prior` and none is declared."""
 
@@ -54,6 +57,7 @@ class Problem:
         declared_noise: the noise as declared, each None where it is not, or not measured.
         by_joints: `(sample, row, row)`, what the noise of the joints' read-out adds to the covariance of a sample's
             residual; None where there is none.
+        spread: `(sample, row, row)`, the covariance of each measured pose; None where `noise` says it.
         notes: what was assumed.
     """
 
@@ -67,6 +71,7 @@ class Problem:
     movable: NDArray[np.bool_]
     declared_noise: tuple[float | None, float | None] = (None, None)
     by_joints: Array | None = None
+    spread: Array | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -78,7 +83,11 @@ class Problem:
     def covariance(self) -> Array:
         """Of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints."""
         position, orientation = self.noise
-        sensor = np.diag(np.repeat(np.square((position, orientation or position)), 3)[: self.rows])
+        variance = np.square((position, orientation or position))
+        if self.spread is not None:  # what the noise is more than declared was added to it
+            variance = np.maximum(variance - np.square(np.array(self.declared_noise, float)), 0.0)
+        sensor = np.diag(np.repeat(variance, 3)[: self.rows])
+        sensor = sensor if self.spread is None else sensor + self.spread
         return sensor if self.by_joints is None else sensor + self.by_joints
 
     @cached_property
@@ -91,8 +100,9 @@ class Problem:
 
     def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "Problem":
         """With some of the samples."""
-        by_joints = None if self.by_joints is None else self.by_joints[samples]
-        return replace(self, joint_position=self.joint_position[samples], pose=self.pose[samples], by_joints=by_joints)
+        by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
+        q, pose = self.joint_position[samples], self.pose[samples]
+        return replace(self, joint_position=q, pose=pose, by_joints=by_joints, spread=spread)
 
 
 def calibration_problem(calibration: FactoryCalibration, joint_position: Array, pose: Array) -> Problem:
@@ -104,19 +114,42 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
     return Problem(arm, form, start, joint_position, pose, (1.0, 1 / LEVER), nothing, np.ones(form.size, bool))
 
 
-def recording_problem(
+class DeclaredGeometry(NamedTuple):
+    """What a recording and its sidecar say of the arm before anything is measured.
+
+    Attributes:
+        arm: the nominal arm.
+        known: its calibration, or the nominal chain.
+        form: what may move.
+        values: of the chain.
+        movable: `(size,)` bool.
+        precision: `(size,)`, of the declared prior.
+        uncertainty: of the calibration; None where none is declared.
+        calibrated: whether there is one.
+    """
+
+    arm: Arm
+    known: FactoryCalibration
+    form: ModelForm
+    values: Array
+    movable: NDArray[np.bool_]
+    precision: Array
+    uncertainty: FactoryUncertainty | None
+    calibrated: bool
+
+
+def declared_geometry(
     recording: Recording, arm: Arm | None, geometry: Geometry, factory: FactoryCalibration | None = None
-) -> Problem:
-    """What a recording and its sidecar say is to be fitted.
+) -> DeclaredGeometry:
+    """The chain of a recording, and what of it, of the sensor's frame and of the tool is unknown.
 
     Geometry: with a factory calibration it is that (`exact`), with `factory_uncertainty` near it (`prior`: the
     six-parameter chain, each number with its standard deviation), without one it is unknown (`free`: the Hayati chain
-    from nominal). Frames that the sidecar calls unknown start where a closed form puts them. A `factory` calibration
-    that is given replaces the sidecar's, its uncertainty included.
+    from nominal; of touches the six-parameter chain, near nominal). A `factory` calibration that is given replaces the
+    sidecar's, its uncertainty included.
 
     Raises:
-        InputError: no measured poses, too few of them, joints that the arm does not have, a `geometry` that needs a
-            factory calibration where there is none.
+        InputError: as `recording_problem`.
     """
     settings, folder = recording.settings, Path(recording.source).parent
     arm = arm or arm_of(recording)
@@ -127,7 +160,6 @@ def recording_problem(
     if recording.sliding != arm.sliding:
         raise InputError(f"{recording.source}: {other_joints(recording.sliding, arm.sliding, arm.name)}")
     require_samples(recording, 1)
-    notes: list[str] = []
     factory_path, uncertainty = settings.factory_path(folder), settings.factory_uncertainty
     if factory is not None:
         factory_path, uncertainty = factory.source, None
@@ -144,10 +176,16 @@ def recording_problem(
         raise InputError(
             f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use --geometry free"
         )
-
+    touches = recording.touches
+    # touches tell nothing of a frame but where all points are known in it
     frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
+    if touches is not None:
+        points = settings.contact_points or {}
+        frame = (
+            frame and touches.kind == "contact" and all(touches.names[k] in points for k in np.unique(touches.group))
+        )
     known = factory or nominal_calibration(arm)
-    if geometry == "free":
+    if geometry == "free" and touches is None:
         form = ModelForm(arm.form, frame, tool)
         values = arm.hayati if factory is None else hayati_of(factory)
     else:
@@ -159,7 +197,29 @@ def recording_problem(
         movable[: form.chain.size] = False
     if geometry == "prior":
         sigma = DEFAULT_UNCERTAINTY if uncertainty is None else (uncertainty.position_m, uncertainty.rotation_rad)
+    elif geometry == "free" and touches is not None:
+        sigma = TOUCHED_TOLERANCE
+    else:
+        sigma = None
+    if sigma is not None:
         precision[: form.chain.size] = [1 / sigma[unit == "rad"] ** 2 for unit in form.chain.units]
+    return DeclaredGeometry(arm, known, form, values, movable, precision, uncertainty, factory is not None)
+
+
+def recording_problem(
+    recording: Recording, arm: Arm | None, geometry: Geometry, factory: FactoryCalibration | None = None
+) -> Problem:
+    """What a recording of poses and its sidecar say is to be fitted.
+
+    Frames that the sidecar calls unknown start where a closed form puts them.
+
+    Raises:
+        InputError: no measured poses, too few of them, joints that the arm does not have, a `geometry` that needs a
+            factory calibration where there is none.
+    """
+    arm, known, form, values, movable, precision, *_ = declared_geometry(recording, arm, geometry, factory)
+    settings, tool = recording.settings, form.tool
+    notes: list[str] = []
 
     flange = calibration_poses(known, recording.joint_position)
     T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, None if tool else declared_tool(recording))
@@ -171,6 +231,13 @@ def recording_problem(
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation, pose, 1.0
         pose = T
     declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
+    seen = None if recording.readings is None else recording.readings.seen
+    spread = None
+    if seen is not None:
+        U = np.linalg.inv(seen.whitener)
+        spread = U @ np.swapaxes(U, 1, 2)
+        variance = np.diagonal(spread, axis1=1, axis2=2)
+        declared = float(np.sqrt(variance[:, :3].mean())), float(np.sqrt(variance[:, 3:].mean()))
     noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
     lacking = [declared[0] is None, rotation is not None and declared[1] is None]
     if any(lacking):
@@ -200,6 +267,7 @@ def recording_problem(
         movable=movable,
         declared_noise=declared,
         by_joints=by_joints,
+        spread=spread,
         notes=(*recording.notes, *notes),
     )
 

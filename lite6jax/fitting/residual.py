@@ -14,8 +14,10 @@ import numpy as np
 from jax import Array, lax
 
 from lite6jax.arms.chains import sweep, sweep_order
-from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, joint_turn, rotation_log_components, rotation_twist
+from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, joint_turn, rotation_twist
 from lite6jax.model import ArmModel, ModelForm
+from lite6jax.sensors import pose
+from lite6jax.sensors.sensor import whiten
 
 POSITION, POSE = 3, 6
 """Rows a sample has: a position, or a position and an orientation."""
@@ -115,21 +117,7 @@ def predict_frames(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame
 
 def differences(observed: Observations, tool: Frame) -> Array:
     """Residuals before whitening, `(row, sample)`, m and rad."""
-    shift = tool.origin - observed.position
-    if observed.rotation.shape[-1] == 0:
-        return shift
-    R, axes = observed.rotation, tool[:3]
-    relative = [
-        [R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)
-    ]
-    return jnp.concatenate([shift, jnp.stack(rotation_log_components(relative))])
-
-
-def whiten(whitener: Array, rows: Array) -> Array:
-    """Whitened rows `(row, sample)`."""
-    if whitener.ndim == 1:
-        return jnp.repeat(whitener, 3)[: rows.shape[0], None] * rows
-    return jnp.sum(whitener * rows, 1)
+    return pose.differences(observed.position, observed.rotation, tool)
 
 
 def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array:

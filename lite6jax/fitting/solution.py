@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,20 @@ class Errors:
     def position_rms(self) -> float:
         """Root of the mean squared 3-D distance, m."""
         return float(np.sqrt(np.mean(self.position**2)))
+
+
+class Place(NamedTuple):
+    """A point, plane, anchor or axis, in the arm's base frame.
+
+    Attributes:
+        name: such as `contact a`.
+        values: by name with unit: `point_m`, `normal`, `offset_m`, `anchor_m`, `direction`, `constant_m`.
+        std: of each of them, likewise.
+    """
+
+    name: str
+    values: dict[str, list[float]]
+    std: dict[str, list[float]]
 
 
 FROM_PRIOR = 0.01
@@ -156,6 +170,7 @@ class Solution(PublicResult):
         notes: assumptions of the fit, each one sentence.
         recording: the recording that was fitted; None for a calibration.
         faults: of its data, in the order in which they were corrected.
+        places: what touches determine of their points, planes, anchors or axis.
     """
 
     arm: Arm
@@ -175,6 +190,7 @@ class Solution(PublicResult):
     notes: tuple[str, ...] = field(default=())
     recording: Recording | None = None
     faults: tuple[DataFault, ...] = ()
+    places: tuple[Place, ...] = ()
 
     @property
     def parameters(self) -> Array:
@@ -209,8 +225,9 @@ class Solution(PublicResult):
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
         measured, q = self.recording.position, self.recording.joint_position
-        assert measured is not None
-        (predicted,) = _by_slices(self.form, self.model, q, lambda some, poses: (poses[:, :3, 3],))
+        flange = self.model if measured is not None else self.model._replace(T_flange_tool=np.eye(4))  # type: ignore[arg-type]
+        (predicted,) = _by_slices(self.form, flange, q, lambda some, poses: (poses[:, :3, 3],))
+        measured = predicted if measured is None else measured  # touches have no positions of their own
         noise = None if self.noise.declared is None else self.noise.declared[0]
         return quality_of_poses(
             self.checked.position, measured, predicted, self.arm.reach, noise, self.noise.over_declared

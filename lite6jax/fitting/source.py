@@ -111,7 +111,7 @@ def read_source(
     if known:  # a wrong unit is no reason to find no arm
         check_joint_scale(recording, _widest_limits(known), assumed=assume_degrees)
         check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
-    return recording if recording.position is None else with_arm(recording, warn=True)
+    return recording if not recording.numbers_per_sample else with_arm(recording, warn=True)
 
 
 class Match(NamedTuple):
@@ -192,6 +192,11 @@ def with_arm(recording: Recording, warn: bool = False) -> Recording:
     """
     if recording.settings.arm is not None or recording.settings.factory_calibration is not None:
         return recording
+    if recording.touches is not None:
+        raise InputError(
+            f"{recording.source}: declares no arm, which touches do not tell; name it with --arm NAME, or `arm:` in "
+            "the sidecar"
+        )
     tried = matches(recording)
     name = _choose(recording, tried).name
     recording = replace(recording, settings=replace(recording.settings, arm=name))

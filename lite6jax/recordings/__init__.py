@@ -14,6 +14,8 @@ from lite6jax.recordings.checks import (
     time_disorder,
 )
 from lite6jax.recordings.formats import Targets, read_recording, read_targets, write_recording
+from lite6jax.recordings.joined import join_recordings
+from lite6jax.recordings.readings import Readings, readings_from_arrays
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import FactoryUncertainty, RecordingSettings
@@ -26,6 +28,7 @@ __all__ = [
     "ArmJoints",
     "FactoryUncertainty",
     "OutsideLimits",
+    "Readings",
     "Recording",
     "RecordingSettings",
     "RepeatedRows",
@@ -37,10 +40,12 @@ __all__ = [
     "check_velocity_scale",
     "drop_missing",
     "estimated_torque",
+    "join_recordings",
     "outside_limits",
     "read_recording",
     "read_settings",
     "read_targets",
+    "readings_from_arrays",
     "recording_file",
     "repeated_rows",
     "require_radians",

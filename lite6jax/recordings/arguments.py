@@ -39,7 +39,9 @@ def checked_arrays(
         InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
     """
     real: dict[str, Any] = {
-        name: value if value is None or name in ("run", "row", "sliding") else real_array(f"{source}: {name}", value)
+        name: value
+        if value is None or name in ("run", "row", "sliding", "readings")
+        else real_array(f"{source}: {name}", value)
         for name, value in arrays.items()
     }
     q, position = real["joint_position"], real["position"]

@@ -149,6 +149,8 @@ def require_samples(recording: Recording, unknowns: int) -> None:
             measured pose; or too few samples, and the message gives both counts.
     """
     for name, column in recording.columns().items():
+        if column.dtype == object:  # words
+            continue
         if np.iscomplexobj(column):
             raise InputError(f"{recording.source}: column {name} holds complex numbers; give real ones")
         missing = np.flatnonzero(~np.isfinite(column))

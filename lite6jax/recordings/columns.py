@@ -31,7 +31,7 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
 """The other forms of an orientation (`orientations.py`)."""
 _OF_ANGLES = tuple(part for form in ANGLES for part in form)
-_ONLY_WITH_UNIT = (*_OF_ANGLES, "cmd")
+_ONLY_WITH_UNIT = (*_OF_ANGLES, "cmd", "distance", "axis", "u", "v")
 """Quantities that without their unit are any column of the user's own."""
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
 """A rotation matrix, row by row."""
@@ -44,7 +44,23 @@ _SCALAR = {
     "payload": {"kg": 1.0},
     "run": {"": 1.0},
     "missing": {"": 1.0},
+    "distance": {"m": 1.0, "mm": 1e3},
+    "axis": {"m": 1.0, "mm": 1e3},
+    "corner": {"": 1.0},
+    "u": {"px": 1.0},
+    "v": {"px": 1.0},
+    **{label: {"": 1.0} for label in ("contact", "plane", "anchor", "image")},
 }
+READINGS = {
+    "contact": ("contact",),
+    "plane": ("plane",),
+    "distance": ("distance", "anchor"),
+    "axis": ("axis",),
+    "camera": ("u", "v", "image", "corner"),
+}
+"""The quantities of each kind of reading; the first tells of the kind."""
+LABELS = ("contact", "plane", "anchor", "image")
+"""Columns of words that tell rows of one point, plane, anchor or image from the others."""
 _TEXTS = ("gap",)
 """Columns of words, for people."""
 _STD = re.compile(r"[a-z]+\d*_std_[a-zA-Z]+")
@@ -345,6 +361,12 @@ def is_standard(name: str) -> bool:
 def known_column(name: str) -> Column | None:
     """What a name of a recording's column says; None where it is none."""
     return _column(name, name, 0, _Problems())
+
+
+def reading_of(name: str) -> str:
+    """The kind of reading that a column of this name belongs to; empty of any other."""
+    column = known_column(name)
+    return next((kind for kind, parts in READINGS.items() if column and column.quantity in parts), "")
 
 
 def is_refused(name: str) -> bool:

@@ -11,7 +11,7 @@ import pyarrow.csv as pa_csv
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.clock_times import like_a_clock
-from lite6jax.recordings.columns import Column
+from lite6jax.recordings.columns import LABELS, Column
 from lite6jax.recordings.layout import LINE_BREAK, SPACES, Layout, find_table, mark_lists
 from lite6jax.recordings.raw import RawTable, one_line
 from lite6jax.recordings.table import Loaded
@@ -56,7 +56,7 @@ def of_csv(path: Path, notes: list[str]) -> RawTable:
     def load(columns: Mapping[str, Column]) -> Loaded:
         wanted, wrong = [column.index for column in columns.values()], {}
         times = {column.index for column in columns.values() if column.quantity == "time"}
-        texts: set[int] = set()
+        texts = {column.index for column in columns.values() if column.quantity in LABELS}
         while True:
             try:
                 table = _read(path, layout, wanted, tail if plain else rewritten(), texts, plain)

@@ -63,7 +63,7 @@ def read_recording(
         declared = _declared_joints(path, sidecar)
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
-    columns, _, values, _ = table
+    columns, values = table.columns, table.values
     settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -127,7 +127,7 @@ def read_targets(
     sidecar = read_sidecar(sidecar_path(path))
     named = sidecar._replace(columns=columns or sidecar.columns)
     path, table = _read(path, (), named, ArmJoints(dof), notes, TABLES, joints_optional=True)
-    found, joints, values, _ = table
+    found, joints, values = table.columns, table.joints, table.values
     if "x_m" not in found:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
     given = "q1_rad" in found
@@ -160,7 +160,10 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     settings = recording.settings
     if exists(recording.source):
         settings = settings.moved(Path(recording.source).parent, path.parent)
-    return write_with_settings(pa.table(recording.columns()), settings, path, overwrite)
+    columns = recording.columns()
+    if recording.readings is not None and recording.readings.kind == "camera":
+        columns = recording.readings.corner_rows(columns)
+    return write_with_settings(pa.table(columns), settings, path, overwrite)
 
 
 def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:

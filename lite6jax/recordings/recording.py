@@ -11,12 +11,16 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
+from lite6jax.recordings.columns import MATRIX
+from lite6jax.recordings.orientations import quaternions
 from lite6jax.recordings.plausible import without_implausible
+from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
 from lite6jax.recordings.units import real_array
 from lite6jax.results import PublicResult
+from lite6jax.sensors.camera import FEWEST_CORNERS
 
 
 @final
@@ -47,6 +51,7 @@ class Recording(PublicResult):
         source: the file's name, or what made the recording; messages begin with it.
         notes: what was dropped, assumed or normalised, one sentence each.
         sliding: the prismatic joints, counted from 0.
+        readings: what was read where no poses were; of a camera beside the poses that they give.
     """
 
     joint_position: Float[np.ndarray, "sample joint"]
@@ -70,6 +75,7 @@ class Recording(PublicResult):
     source: str
     notes: tuple[str, ...]
     sliding: tuple[int, ...] = ()
+    readings: Readings | None = None
 
     @classmethod
     def from_arrays(
@@ -90,6 +96,7 @@ class Recording(PublicResult):
         ambient_temperature: ArrayLike | None = None,
         payload: ArrayLike | None = None,
         run: ArrayLike | None = None,
+        readings: Readings | None = None,
         settings: RecordingSettings | None = None,
         source: str = "recording",
         **declared: Any,
@@ -107,6 +114,7 @@ class Recording(PublicResult):
             commanded_position: `(sample, joint)` rad, what the controller asked for.
             time, ambient_temperature, payload: `(sample,)` s, °C, kg at the flange (zero where not given).
             run: `(sample,)` int, which changes where a new run starts.
+            readings: what was read where no poses were, by `readings_from_arrays`.
             settings: what a sidecar would declare; the defaults where not given.
             source: what messages begin with.
             declared: single keys of the sidecar, such as `pose_frame="base"`, `tool="none"`, `position_noise_m=2e-5`.
@@ -134,6 +142,7 @@ class Recording(PublicResult):
             "commanded_position": commanded_position,
             "ambient_temperature": ambient_temperature,
             "payload": payload,
+            "readings": readings,
         }
         settings = declared_settings(settings, arm, declared)
         notes: list[str] = []
@@ -194,6 +203,7 @@ class Recording(PublicResult):
         source: str = "recording",
         notes: tuple[str, ...] = (),
         sliding: tuple[int, ...] | None = None,
+        readings: Readings | None = None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
@@ -222,6 +232,18 @@ class Recording(PublicResult):
         def optional(name: str, value: ArrayLike | None, *rest: int) -> np.ndarray | None:
             return None if value is None else shaped(name, value, *rest)
 
+        if readings is not None and len(readings.group) != samples:
+            raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
+        if readings is not None and readings.kind == "camera" and position is None:
+            readings = readings.with_poses(settings, source)
+            assert readings.seen is not None
+            T = readings.seen.T
+            position = T[:, :3, 3]
+            quaternion = quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))
+            there = np.isfinite(position[:, 0])
+            if there.sum() < samples:
+                few = f"{samples - int(there.sum())} of {samples} images show fewer than {FEWEST_CORNERS} corners"
+                notes += (f"{few}, and are left out",)
         quaternion = optional("quaternion", quaternion, 4)
         if quaternion is not None and position is None:
             raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
@@ -265,6 +287,7 @@ class Recording(PublicResult):
             source=source,
             notes=notes,
             sliding=sliding or (),
+            readings=readings,
         )
 
     @property
@@ -277,7 +300,9 @@ class Recording(PublicResult):
 
     @property
     def numbers_per_sample(self) -> int:
-        """How many numbers a sample measures: 6 with orientation, 3 with position only, 0 without a pose."""
+        """How many numbers a sample measures: 6 with orientation, 3 with position only, 0 of a motion alone."""
+        if self.readings is not None:
+            return self.readings.numbers
         return 0 if self.position is None else 3 if self.quaternion is None else 6
 
     def velocities(self) -> Float[np.ndarray, "sample joint"]:
@@ -320,19 +345,37 @@ class Recording(PublicResult):
 
     def select(self, rows: Bool[np.ndarray, " sample"] | Int[np.ndarray, " chosen"]) -> "Recording":
         """The samples of a boolean mask or of indices; direction, velocity and row number stay those of the whole."""
-        return replace(self, **{name: array[rows] for name, array in _arrays(self).items()})
+        return replace(self, **self._chosen(rows))
+
+    def _chosen(self, rows: Any) -> dict[str, Any]:
+        """All that has a sample a row, of these rows."""
+        readings = {} if self.readings is None else {"readings": self.readings.select(rows)}
+        return {name: array[rows] for name, array in _arrays(self).items()} | readings
+
+    @property
+    def touches(self) -> Readings | None:
+        """Its readings where they are no poses; None of poses, those of a camera among them."""
+        return None if self.position is not None else self.readings
 
     def contiguous_folds(self, count: int) -> list[Bool[np.ndarray, " sample"]]:
         """`count` masks, each a block of neighbouring rows to hold out; together they cover every row once.
 
-        Neighbouring rows share drifts and dwells, so random folds would test a fit on what it has seen.
+        Neighbouring rows share drifts and dwells, so random folds would test a fit on what it has seen. Of touches, a
+        block is one of the rows of each point or plane: without any of them nothing is known of that.
 
         Raises:
             InputError: fewer than two folds or fewer samples than folds.
         """
         if not 2 <= count <= self.samples:
             raise InputError(f"{self.source}: {count} folds of {self.samples} samples; choose 2 to {self.samples}")
-        return contiguous_blocks(self.samples, count)
+        if self.touches is None:
+            return contiguous_blocks(self.samples, count)
+        order = np.argsort(self.touches.group, kind="stable")
+        place = np.empty(self.samples, np.int64)
+        for group in np.unique(self.touches.group):
+            rows = order[self.touches.group[order] == group]
+            place[rows] = np.arange(len(rows)) * count // len(rows)
+        return [mask for mask in (place == k for k in range(count)) if mask.any()]
 
     def sorted_by_time(self) -> "Recording":
         """The rows of each run in time order, directions and differentiated velocities anew; itself when in order."""
@@ -342,7 +385,7 @@ class Recording(PublicResult):
         order = np.lexsort((self.time, segment))
         if np.array_equal(order, np.arange(self.samples)):
             return self
-        arrays = {name: array[order] for name, array in _arrays(self).items()}
+        arrays = self._chosen(order)
         if self.velocity_differentiated:
             arrays["joint_velocity"] = differentiate(arrays["joint_position"], arrays["time"], segment)
         arrays["direction_of_motion"] = directions(
@@ -360,7 +403,7 @@ class Recording(PublicResult):
             InputError: as `assembled`.
         """
         kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
-        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding")
+        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding", "readings")
         velocity = None if self.velocity_differentiated else self.joint_velocity
         arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
         return Recording.assembled(**(arguments | changes))
@@ -386,8 +429,11 @@ class Recording(PublicResult):
         table["ambient_degC"] = self.ambient_temperature
         table["payload_kg"] = self.payload if self.payload.any() else None
         table["run"] = self.run if self.run.any() else None
-        for names, block in (("x_m y_m z_m", self.position), ("qw qx qy qz", self.quaternion)):
-            table |= dict(zip(names.split(), () if block is None else block.T, strict=False))
+        if self.readings is not None:
+            table |= self.readings.columns()
+        else:
+            for names, block in (("x_m y_m z_m", self.position), ("qw qx qy qz", self.quaternion)):
+                table |= dict(zip(names.split(), () if block is None else block.T, strict=False))
         return {name: column for name, column in table.items() if column is not None}
 
 
@@ -400,7 +446,12 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
     Raises:
         InputError: over half of the rows would go; the message names the column with most gaps.
     """
-    bad, note = missing_rows(recording.columns(), recording.row, recording.source, spelling or {})
+    columns = {name: column for name, column in recording.columns().items() if column.dtype != object}
+    if recording.readings is not None:
+        seen = recording.position
+        label = {"contact": "contact", "plane": "plane", "distance": "anchor"}.get(recording.readings.kind, "u_px")
+        columns[label] = recording.readings.value if seen is None else seen[:, 0]
+    bad, note = missing_rows(columns, recording.row, recording.source, spelling or {})
     return replace(recording.select(~bad), notes=(*recording.notes, note)) if note else recording
 
 

@@ -4,7 +4,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from datetime import date, datetime
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,12 +13,16 @@ from typing import Any, Literal, get_args
 from lite6jax.errors import InputError
 
 JointSource = Literal["measured", "commanded", "unknown"]
-PoseSource = Literal["laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"]
+PoseSource = Literal[
+    "laser_tracker", "motion_capture", "camera", "controller_fk", "touch", "draw_wire", "height_gauge", "unknown"
+]
 Motion = Literal["static", "trajectory"]
 TorqueSource = Literal["measured", "current", "estimated", "unknown"]
 Inertial = Literal["declared", "unknown"] | float
 PoseFrame = Literal["base", "unknown"]
 Tool = Literal["none", "unknown"] | tuple[float, float, float, float, float, float]
+Point = tuple[float, float, float]
+Unknown = Literal["unknown"]
 
 ARM_FILE_SUFFIXES = {".yaml", ".yml", ".json", ".urdf", ".xacro", ".xml"}
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
@@ -28,6 +32,8 @@ HIGHEST_TEMPERATURE = 1000.0
 SMALLEST_TORQUE_SIGMA, LARGEST_TORQUE_SIGMA = 1e-9, 1e4  # Nm; the motors of the largest arms exert 1e5
 LONGEST_LINE = 120  # of text that a certificate has room for
 LARGEST_TORQUE_CONSTANT = 1e5  # Nm/A at the joint, gear included
+LARGEST_PIXEL_NOISE = 100.0
+LARGEST_BOARD = 10_000  # corners
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,64 @@ class FactoryUncertainty:
 
     position_m: float
     rotation_rad: float
+
+
+OF_READINGS = (
+    *("contact_noise_m", "contact_distances", "contact_points", "plane_noise_m", "planes", "distance_noise_m"),
+    *("anchor_m", "distance_offset", "axis_noise_m", "axis", "pixel_noise_px", "camera", "board", "points_m"),
+)
+"""Keys of readings that are no poses."""
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """The distance of two contacts, by their names, in m, and one sigma of it."""
+
+    between: tuple[str, str]
+    distance_m: float
+    noise_m: float
+
+
+@dataclass(frozen=True)
+class KnownPlane:
+    """A plane n · p = offset in the arm's base frame, with the normal n of any length."""
+
+    normal: Point
+    offset_m: float
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """A camera by OpenCV's model; lengths in pixels, `distortion` as k1, k2, p1, p2, k3.
+
+    `mounted` is `fixed`, where it looks at a board on the flange, or `on_flange`, where it looks at a fixed board.
+    """
+
+    mounted: Literal["fixed", "on_flange"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    width: float = 0.0
+    height: float = 0.0
+    intrinsics: Literal["known", "refine"] = "known"
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """A board of inner corners: corner i is at column i mod `columns`, `square_m` apart; one sigma of its print."""
+
+    columns: int
+    rows: int
+    square_m: float
+    noise_m: float = 0.0
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Of each corner, m in the board's frame."""
+        count = self.columns * self.rows
+        return tuple((i % self.columns * self.square_m, i // self.columns * self.square_m, 0.0) for i in range(count))
 
 
 @dataclass(frozen=True)
@@ -49,6 +113,9 @@ class RecordingSettings:
     `torque_constant_Nm_per_A` have a number per joint. `date`, of the measurement (YYYY-MM-DD), and `instrument`, a
     line, stand on a certificate. Of these two, of torque constants, of `arm`, `motion` and of each noise of a sensor,
     None is what is not declared.
+    Of readings that are no poses: a noise of each kind, and what is known of the points, planes, anchors and axes, in
+    the arm's base frame. Points of contacts are in a frame of their own where all are given and `pose_frame` is
+    unknown.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
     Raises:
@@ -75,6 +142,20 @@ class RecordingSettings:
     torque_noise_Nm: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
     inertial: Inertial = "declared"
     torque_constant_Nm_per_A: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
+    contact_noise_m: float | None = None
+    contact_distances: tuple[KnownDistance, ...] = ()
+    contact_points: Mapping[str, Point] | None = None
+    plane_noise_m: float | None = None
+    planes: Mapping[str, KnownPlane] | None = None
+    distance_noise_m: float | None = None
+    anchor_m: Unknown | Point | Mapping[str, Point] = "unknown"
+    distance_offset: Literal["none", "unknown"] = "none"
+    axis_noise_m: float | None = None
+    axis: Unknown | Point = "unknown"
+    pixel_noise_px: float | None = None
+    camera: CameraSettings | None = None
+    board: BoardSettings | None = None
+    points_m: tuple[Point, ...] | None = None
     date: str | None = None
     instrument: str | None = None
 
@@ -339,6 +420,127 @@ def _torque_constant(value: Any) -> float:
     return number
 
 
+# ------------------------------------------------------------------ of readings that are no poses
+
+
+def _record(kind: type, **parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Reads a mapping with the fields of a dataclass; those without a default are needed."""
+
+    def read(value: Any) -> Any:
+        given = asdict(value) if isinstance(value, kind) else value
+        if not isinstance(given, Mapping):
+            raise ValueError
+        reject_unknown(f"{kind.__name__.removesuffix('Settings').lower()}: ", given, parse)
+        lacking = [f.name for f in fields(kind) if f.default is MISSING and f.name not in given]
+        if lacking:
+            raise ValueError(f" (without {lacking[0]})")
+        found = {}
+        for key, part in given.items():
+            try:
+                found[key] = parse[key](part)
+            except ValueError as error:
+                raise ValueError(f" (at {key}{error})") from None
+        return kind(**found)
+
+    return read
+
+
+def _by_name(parse: Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
+    def read(value: Any) -> dict[str, Any]:
+        if not isinstance(value, Mapping) or not value:
+            raise ValueError
+        return {str(name): parse(part) for name, part in value.items()}
+
+    return read
+
+
+def _each(parse: Callable[[Any], Any]) -> Callable[[Any], tuple[Any, ...]]:
+    def read(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple):
+            raise ValueError
+        return tuple(parse(part) for part in value)
+
+    return read
+
+
+def _unknown_or(parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda value: value if value == "unknown" else parse(value)
+
+
+def _choice(*accepted: str) -> Callable[[Any], str]:
+    def read(value: Any) -> str:
+        if value not in accepted:
+            raise ValueError
+        return value
+
+    return read
+
+
+def _direction(value: Any) -> Point:
+    x, y, z = _numbers(3)(value)
+    if not math.hypot(x, y, z) > 0:
+        raise ValueError(" (no direction)")
+    return x, y, z
+
+
+def _point(value: Any) -> Point:
+    x, y, z = _numbers(3)(value)
+    return x, y, z
+
+
+def _length(value: Any) -> float:
+    if not 0 < (number := _number(value)) <= LONGEST_OFFSET_M:
+        raise ValueError(f" (not above 0 and up to {LONGEST_OFFSET_M:g} m: millimetres?)")
+    return number
+
+
+def _pixels(value: Any) -> float:
+    if not 0 < (number := _number(value)) <= LARGEST_PIXEL_NOISE:
+        raise ValueError(f" (not above 0 and up to {LARGEST_PIXEL_NOISE:g})")
+    return number
+
+
+def _focal(value: Any) -> float:
+    if (number := _number(value)) <= 0:
+        raise ValueError(" (not positive)")
+    return number
+
+
+def _distortion(value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list | tuple) or len(value) not in (4, 5):
+        raise ValueError(" (give k1, k2, p1, p2 and perhaps k3)")
+    return tuple(_number(part) for part in value) + (0.0,) * (5 - len(value))
+
+
+def _corners(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST_BOARD:
+        raise ValueError
+    return value
+
+
+def _pair(value: Any) -> tuple[str, str]:
+    if not isinstance(value, list | tuple) or len({*map(str, value)}) != 2 or len(value) != 2:
+        raise ValueError(" (give the names of two contacts)")
+    return str(value[0]), str(value[1])
+
+
+_distances = _each(_record(KnownDistance, between=_pair, distance_m=_length, noise_m=_sigma))
+_camera = _record(
+    CameraSettings,
+    mounted=_choice("fixed", "on_flange"),
+    **dict.fromkeys(("fx", "fy"), _focal),
+    **dict.fromkeys(("cx", "cy"), _number),
+    **dict.fromkeys(("width", "height"), _not_negative),
+    distortion=_distortion,
+    intrinsics=_choice("known", "refine"),
+)
+_board = _record(BoardSettings, columns=_corners, rows=_corners, square_m=_length, noise_m=_up_to(LARGEST_SIGMA))
+
+
+def _anchor(value: Any) -> Any:
+    return _by_name(_point)(value) if isinstance(value, Mapping) else _unknown_or(_point)(value)
+
+
 def _inertial(value: Any) -> Inertial:
     if value in ("declared", "unknown"):
         return value
@@ -414,6 +616,25 @@ _KINDS: dict[str, _Kind] = {
     "torque_constant_Nm_per_A": _Kind(
         _per_joint(_torque_constant), "a list with one number in N m per A for each joint, none zero"
     ),
+    "contact_noise_m": _Kind(_sigma, "one sigma in m of the touched point about its contact, more than zero"),
+    "contact_distances": _Kind(_distances, "a list of {between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}"),
+    "contact_points": _Kind(_by_name(_point), "contacts by name, each with [x, y, z] in m"),
+    "plane_noise_m": _Kind(_sigma, "one sigma in m of the touched point from its plane, more than zero"),
+    "planes": _Kind(
+        _by_name(_record(KnownPlane, normal=_direction, offset_m=_number)),
+        "planes by name, each with {normal: [x, y, z], offset_m: 0.0}",
+    ),
+    "distance_noise_m": _Kind(_sigma, "one sigma in m, more than zero"),
+    "anchor_m": _Kind(_anchor, "unknown, [x, y, z] in m, or anchors by name with [x, y, z] each"),
+    "distance_offset": _Kind(_choice("none", "unknown"), "none or unknown"),
+    "axis_noise_m": _Kind(_sigma, "one sigma in m, more than zero"),
+    "axis": _Kind(_unknown_or(_direction), "unknown, or a direction [x, y, z]"),
+    "pixel_noise_px": _Kind(_pixels, "one sigma in pixels of a corner along each axis, such as 0.15"),
+    "camera": _Kind(
+        _camera, "{mounted: fixed or on_flange, fx, fy, cx, cy, distortion: [k1, k2, p1, p2, k3], width, height}"
+    ),
+    "board": _Kind(_board, "{columns: 7, rows: 5, square_m: 0.02, noise_m: 2.0e-5}"),
+    "points_m": _Kind(_each(_point), "a list of the corners' [x, y, z] in m"),
     "date": _Kind(_day, "a day as YYYY-MM-DD, such as 2026-11-21"),
     "instrument": _Kind(_line, f"one line of at most {LONGEST_LINE} characters"),
 }

@@ -11,7 +11,14 @@ import yaml
 from lite6jax.errors import InputError
 from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.settings import RecordingSettings, form_of, parse_setting, reject_unknown, shown
+from lite6jax.recordings.settings import (
+    OF_READINGS,
+    RecordingSettings,
+    form_of,
+    parse_setting,
+    reject_unknown,
+    shown,
+)
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 
@@ -121,7 +128,8 @@ def write_settings(
     tables: Mapping[str, str] | None = None,
     account: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
+    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too,
+    but for those of readings that are no poses.
 
     Args:
         settings: what it declares.
@@ -133,10 +141,11 @@ def write_settings(
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.
     """
+    defaults = {field.name: field.default for field in fields(settings)}
     declared = {
-        key: list(value) if isinstance(value, tuple) else value
+        key: _plain(value)
         for key, value in asdict(settings).items()
-        if value is not None
+        if value is not None and not (key in OF_READINGS and getattr(settings, key) == defaults[key])
     }
     # first: a file that is cut off keeps them, and lacks what they are of
     content = {KEY: {RECORDING: settings_checksum(declared), **(tables or {})}, "recording": declared}
@@ -146,3 +155,10 @@ def write_settings(
         yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),
         overwrite,
     )
+
+
+def _plain(value: Any) -> Any:
+    """With lists for tuples, at any depth, as YAML has them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value

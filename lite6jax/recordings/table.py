@@ -1,6 +1,7 @@
 """From the columns of a table to the arrays of a recording: the same for files and for data frames in memory."""
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +11,10 @@ from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import streams
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
-from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise, sliding_of
+from lite6jax.recordings.columns import LABELS, Column, Recognised, nearest_known, one_line, recognise, sliding_of
 from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.plausible import implausible
+from lite6jax.recordings.readings import with_readings
 from lite6jax.storage import exists
 
 LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
@@ -26,12 +28,14 @@ class Table(NamedTuple):
         joints: how many.
         values: `(sample,)` float64 in SI units, by the same names; NaN where absent.
         row: `(sample,)` of the table, counted from 1; None where every row is a sample.
+        labels: of columns of words, the words that their values count.
     """
 
     columns: dict[str, Column]
     joints: int
     values: dict[str, np.ndarray]
     row: np.ndarray | None = None
+    labels: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
     @property
     def spelling(self) -> dict[str, str]:
@@ -71,7 +75,7 @@ def tabulated(
     try:
         for name, array in (load(found.columns) if found.columns else {}).items():
             column = found.columns[name]
-            read = array if isinstance(array, str) else _numbers(array, column, notes)
+            read = array if isinstance(array, str) or column.quantity in LABELS else _numbers(array, column, notes)
             if isinstance(read, str):
                 problems.append(f"column {column.name}: {read}")
             else:
@@ -80,7 +84,11 @@ def tabulated(
         if not problems:
             raise
         problems.append(str(error).removeprefix(f"{source}: "))
-    values, row = si_values(found.columns, arrays), None
+    labels, row = {}, None
+    for name in LABELS:
+        if name in arrays:
+            arrays[name], labels[name] = _counted(arrays[name])
+    values = si_values(found.columns, arrays)
     lengths = {len(column) for column in values.values()}
     if len(lengths) > 1:
         problems.append(f"its columns have unequal lengths, {min(lengths)} to {max(lengths)}; give one each")
@@ -105,7 +113,7 @@ def tabulated(
         )
         rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
         notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return Table(found.columns, found.joints, values, row)
+    return Table(found.columns, found.joints, values, row, labels)
 
 
 def _with_joined_streams(values: Mapping[str, np.ndarray], joints: int) -> streams.Merged | None:
@@ -196,7 +204,17 @@ def no_numbers(kind: pa.DataType, quantity: str) -> str:
         return ""
     if quantity == "time" and holds_clock_times(kind):
         return ""
+    if quantity in LABELS and (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return ""
     return f"holds {kind}, not numbers; write it as float64"
+
+
+def _counted(array: pa.Array | pa.ChunkedArray) -> tuple[pa.Array, tuple[str, ...]]:
+    """Words as the number of each among all, in the order in which they first stand there; missing ones are null."""
+    words = [None if word is None or not word.strip() else word.strip() for word in array.cast(pa.string()).to_pylist()]
+    names = tuple(dict.fromkeys(word for word in words if word is not None))
+    place = {name: k for k, name in enumerate(names)}
+    return pa.array([None if word is None else float(place[word]) for word in words], pa.float64()), names
 
 
 def si_values(columns: Mapping[str, Column], table: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -245,7 +263,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         if LATEST_START_S < start < np.inf:
             time = time - start
             notes.append(f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s")
-    return {
+    arrays = {
         "sliding": sliding_of(columns),
         "joint_position": joint_position,
         "position": block("x_m", "y_m", "z_m"),
@@ -262,6 +280,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         "run": run,
         "row": table.row,
     }
+    return with_readings(arrays, values, table.labels, source, notes)
 
 
 def _arrow(values: Any, quantity: str) -> pa.Array | pa.ChunkedArray | str:

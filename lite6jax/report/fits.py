@@ -13,7 +13,7 @@ from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.fleet import Comparison
-from lite6jax.fitting.problem import TOLERANCE
+from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE
 from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Result, Solution
 from lite6jax.model import TWIST_NAMES
@@ -21,7 +21,18 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.data_faults import fault_statement
 from lite6jax.report.statements import quality_statement
-from lite6jax.report.words import SCREEN, SHOWS_AS_ZERO, STATISTICS, counted, fixed, listed, listing, number, plus_minus
+from lite6jax.report.words import (
+    SCREEN,
+    SHOWS_AS_ZERO,
+    STATISTICS,
+    counted,
+    fixed,
+    listed,
+    listing,
+    number,
+    plus_minus,
+    what_is_measured,
+)
 
 _MOST_ROWS = 5
 _MOST_ARMS = 12
@@ -39,14 +50,17 @@ def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
     """The recording, and which parameters the fit estimates according to its sidecar."""
     settings = recording.settings
-    kind = "positions and orientations" if recording.quaternion is not None else "positions"
+    kind = what_is_measured(recording)
     by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
     yield Text(recording.source, no_wrap=True, overflow="ignore")
     yield Text(
         f"Recording of {recording.samples} samples, {recording.dof} joints of a {solution.arm.name}: {kind}{by}."
     )
     chain = "nominal, fitted"
-    if not isinstance(solution.form.chain, HayatiForm):
+    if recording.touches is not None and settings.factory_calibration is None:
+        length, angle = TOUCHED_TOLERANCE
+        chain = f"nominal, fitted near it: each number within {1e3 * length:g} mm or {1e3 * angle:g} mrad (one sigma)"
+    elif not isinstance(solution.form.chain, HayatiForm):
         moved = bool(solution.free[: solution.form.chain.size].any())
         chain = "the factory calibration, fitted within its uncertainty" if moved else "the factory calibration, held"
     frame = "unknown, fitted" if solution.form.frame else "the arm's base"
@@ -87,6 +101,7 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield ""
     if recording is not None:
         yield from _frame_tables(solution)
+        yield from _place_tables(solution)
         yield from map(Text, _remarks(solution, recording))
         yield from screen.notes(note for note in solution.notes if note not in _notes_of_data(solution))
 
@@ -212,6 +227,57 @@ def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
         table.add_row(*cells)
         yield table
         yield ""
+
+
+_PLACES = {
+    "point_m": ("x", "y", "z"),
+    "normal": ("nx", "ny", "nz"),
+    "offset_m": ("offset",),
+    "anchor_m": ("x", "y", "z"),
+    "direction": ("nx", "ny", "nz"),
+    "constant_m": ("constant",),
+}
+"""The columns of what is known of a place."""
+
+
+def _place_tables(solution: Solution) -> Iterator[RenderableType]:
+    """What touches determine of points, planes, anchors or axes, and what they leave open."""
+    if not solution.places:
+        return
+    keys = list(solution.places[0].values)
+    yield Text("In the arm's base frame (mm; directions without unit); below each number its standard deviation")
+    table = listing("", *(name for key in keys for name in _PLACES[key]))
+    for place in solution.places:
+        cells = []
+        for key in keys:
+            scale = 1e3 if key.endswith("_m") else 1.0
+            for value, std in zip(place.values[key], place.std[key], strict=True):
+                below = f"±{plus_minus(scale * std)}" if std > 0 else "given"
+                cells.append(f"{fixed(scale * value, 3 if scale > 1 else 5)}\n{below}")
+        table.add_row(place.name, *cells)
+    yield table
+    yield ""
+    yield from map(Text, gauge_statements(solution.recording, solution.form.frame))  # type: ignore[arg-type]
+    yield ""
+
+
+def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
+    """What touches leave open, a sentence each.
+
+    Args:
+        recording: of touches.
+        frame: whether the frame of their points is another than the arm's base.
+    """
+    kind, settings = recording.touches.kind, recording.settings  # type: ignore[union-attr]
+    if not frame:
+        yield "Where the arm's base stands in the room is not determined: all coordinates are in the base's own frame."
+    yield "The tool's orientation, and with it the zero angle of the last joint, is not determined: one point is seen."
+    if settings.factory_calibration is not None:
+        yield "The scale is that of the factory calibration."
+    elif kind == "contact" and settings.contact_distances:
+        yield "The scale is that of the known distances between contacts."
+    elif kind in ("distance", "axis"):
+        yield "The scale is that of the readings."
 
 
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:

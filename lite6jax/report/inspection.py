@@ -122,6 +122,26 @@ KEYS: Mapping[str, tuple[str, str]] = {
         "Of currents: one number for each joint in N m per A (N per A of a slide), gear included.",
         "[12.0, 12.0, 9.0, 4.0, 4.0, 4.0]",
     ),
+    "contact_noise_m": ("Of touches: one standard deviation in m of the touched point about its contact.", "1.0e-4"),
+    "contact_distances": (
+        "Known distances between contacts; without one the arm's own calibration is to be given.",
+        "[{between: [left_0, left_1], distance_m: 0.05, noise_m: 5.0e-5}]",
+    ),
+    "contact_points": ("Contacts whose coordinates are known, in m.", "{left_0: [0.4, 0.0, 0.02]}"),
+    "plane_noise_m": ("Of touches: one standard deviation in m of the touched point from its plane.", "2.0e-5"),
+    "planes": ("Planes that are known in the arm's base frame.", "{table: {normal: [0, 0, 1], offset_m: 0.0}}"),
+    "distance_noise_m": ("Noise of the distances, one standard deviation in m.", "5.0e-5"),
+    "anchor_m": ("Where distances are measured from, in the arm's base frame, or unknown.", "unknown"),
+    "distance_offset": ("unknown where a constant is added to each distance, else none.", "none"),
+    "axis_noise_m": ("Noise of the heights, one standard deviation in m.", "2.0e-5"),
+    "axis": ("The direction of the heights in the arm's base frame, or unknown.", "[0, 0, 1]"),
+    "pixel_noise_px": ("Noise of a corner in an image, one standard deviation in pixels.", "0.15"),
+    "camera": (
+        "The camera by OpenCV's model; fixed, or on_flange.",
+        "{mounted: fixed, fx: 1450, fy: 1452, cx: 958, cy: 603, distortion: [0, 0, 0, 0, 0]}",
+    ),
+    "board": ("The board: corner i is at column i mod columns.", "{columns: 7, rows: 5, square_m: 0.02}"),
+    "points_m": ("The corners of a flat board of another form.", "[[0, 0, 0], [0.02, 0, 0], [0, 0.02, 0]]"),
     "date": ("The day of the measurement, for a certificate.", "2026-11-21"),
     "instrument": (
         "With what it was measured, such as type and serial number, for a certificate.",
@@ -134,6 +154,16 @@ _OF_POSES = (
     *("pose_source", "pose_frame", "tool", "position_noise_m", "orientation_noise_rad", "factory_calibration"),
     *("factory_uncertainty", "inertial_uncertainty"),
 )
+
+
+_OF_READINGS = {
+    "contact": ("contact_noise_m", "contact_distances", "contact_points"),
+    "plane": ("plane_noise_m", "planes"),
+    "distance": ("distance_noise_m", "anchor_m", "distance_offset"),
+    "axis": ("axis_noise_m", "axis"),
+    "camera": ("pixel_noise_px", "camera", "board", "points_m"),
+}
+_TOUCHED = ("pose_source", "tool", "factory_calibration", "factory_uncertainty", "inertial_uncertainty")
 
 
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
@@ -149,7 +179,7 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     for own, name in found.given.items():
         if recognised.get(own) == name:
             continue
-        yield Padding(Text(f"{own}: {name}, as given."), (0, 0, 0, 2))
+        yield Padding(Text(f"{own}: {name}, {'by name' if own == name else 'as given'}."), (0, 0, 0, 2))
     for own, why in found.denied.items():
         yield Padding(Text(f"{own}: {_DENIED[why]}, so it is not used."), (0, 0, 0, 2))
     rest = [name for name in (*found.unused, *found.texts) if name not in found.denied]
@@ -325,8 +355,11 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
     torques = found.of("tau") is not None or found.of("current") is not None
     poses = found.of("position") is not None or any(name.startswith("x_") for name in found.given.values())
     lines.append("recording:" if settings else "recording: {}  # nothing is declared yet")
+    shown = {*KEYS} - {*_OF_TORQUES, *_OF_POSES}.union(*_OF_READINGS.values())
+    shown |= {*(_OF_TORQUES if torques else ()), *(_OF_POSES if poses else ()), *settings}
+    shown |= {*(_TOUCHED if found.readings else ())}.union(*(_OF_READINGS[kind] for kind in found.readings))
     for key, (meaning, example) in KEYS.items():
-        if key not in settings and ((key in _OF_TORQUES and not torques) or (key in _OF_POSES and not poses)):
+        if key not in shown:
             continue
         lines += _wrapped(meaning, "  # ")
         value = _flow(settings[key]) if key in settings else example

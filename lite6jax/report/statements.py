@@ -407,9 +407,9 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
 
 def _detailed(document: Document) -> list[dict[str, Any]]:
-    """The findings with the fields of their effects, which the model has."""
-    effects = document["model"]["effects"]
-    return [{**finding, "where": e["where"]} for finding, e in zip(document["findings"], effects, strict=True)]
+    """The findings with the fields of their effects, which the model has; tolerances of joints come after them."""
+    pairs = zip(document["findings"], document["model"]["effects"], strict=False)
+    return [{**finding, "where": effect["where"]} for finding, effect in pairs]
 
 
 def finding_statement(finding: Entry, torques: bool = False) -> str:

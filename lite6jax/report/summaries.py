@@ -23,7 +23,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import ranking, reference, statements
 from lite6jax.report.compensation import outside_sentence
 from lite6jax.report.data_faults import fault_name
-from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units
+from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
 from lite6jax.results import Description, describe
 
 _MOST_FINDINGS = 4
@@ -33,7 +33,7 @@ _MOST_NAMED = 3
 @describe.register
 def _recording(recording: Recording) -> Description:
     settings = recording.settings
-    poses = {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
+    poses = what_is_measured(recording)
     by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
     runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
     scales, units = joint_units(recording.sliding, recording.dof)

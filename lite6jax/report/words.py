@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.joint_units import joint_unit
+from lite6jax.recordings import Recording
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """Factor and name of the printed unit, by SI unit."""
@@ -261,3 +262,20 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
         scale, unit = (1e3, "mm") if end == "_m_per_s" else (180 / np.pi, "deg")
         return f"{' ± '.join(rounded(scale * _DAY * value, scale * _DAY * std))} {unit} a day"
     return ""
+
+
+_READINGS = {
+    "contact": "touches of points",
+    "plane": "touches of planes",
+    "distance": "distances",
+    "axis": "heights along an axis",
+}
+
+
+def what_is_measured(recording: Recording) -> str:
+    """In words: positions, poses or touches."""
+    if recording.touches is not None:
+        return _READINGS[recording.touches.kind]
+    if recording.readings is not None:
+        return "images of a board, as positions and orientations"
+    return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]

@@ -23,7 +23,9 @@ from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import PoseSource
 from lite6jax.recordings.units import other_joints
+from lite6jax.simulation import readings
 from lite6jax.simulation.motions import MotionKind, draw_motion, make_generator, make_motion
+from lite6jax.simulation.readings import READERS
 
 Array = NDArray[np.floating]
 
@@ -153,26 +155,20 @@ def measure(
         InputError: an unknown sensor or one of single distances, values that do not fit the effects, or a motion
             without a quantity that an effect depends on (by name).
     """
+    if isinstance(sensor, str) and sensor in READERS:
+        noise = 0.0 if undeclared.factor == 0 else position_noise
+        return _measure_readings(
+            motion, arm, physics, values, kinematics, sensor, noise, joint_noise or 0.0, tool, seed
+        )
     if isinstance(sensor, str) and sensor not in INSTRUMENTS:
-        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join(INSTRUMENTS)}")
+        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join((*INSTRUMENTS, *READERS))}")
     probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
     if probe.quantity not in ("position", "pose"):
         raise InputError(
             f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
         )
     probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
-    values = np.asarray(values, float)
-    if values.shape != (physics.size,) or not np.isfinite(values).all():
-        raise InputError(
-            f"simulation: values {values.tolist()}; give {physics.size} finite numbers, one per coordinate"
-        )
-    if motion.dof != arm.dof:
-        raise InputError(f"{motion.source}: has {motion.dof} joints, but {arm.name} has {arm.dof}; give a motion of it")
-    if motion.sliding != arm.sliding:
-        raise InputError(f"{motion.source}: {other_joints(motion.sliding, arm.sliding, arm.name)}")
-    chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
-    if chain.shape != (arm.dof, 6):
-        raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
+    values, chain = _checked(motion, arm, physics, values, kinematics)
     T_sensor = np.eye(4) if T_sensor_base is None else np.asarray(T_sensor_base, float)
     T_tool = arm.T_joint_flange @ (np.eye(4) if tool is None else frames.transform_from_row(tool))
     rigid = T_sensor @ frames.chain(frames.transform_from_row(chain), motion.joint_position, arm.sliding) @ T_tool
@@ -239,6 +235,61 @@ def measure(
     return Measurement(recording, poses[~beyond], rigid[~beyond], outlier[~beyond])
 
 
+def _checked(
+    motion: Recording, arm: Arm, physics: Physics, values: Sequence[float] | Array, kinematics: Array | None
+) -> tuple[Array, Array]:
+    """The numbers of the effects and the chain `(joint, 6)`, refused where they do not fit."""
+    values = np.asarray(values, float)
+    if values.shape != (physics.size,) or not np.isfinite(values).all():
+        raise InputError(
+            f"simulation: values {values.tolist()}; give {physics.size} finite numbers, one per coordinate"
+        )
+    if motion.dof != arm.dof:
+        raise InputError(f"{motion.source}: has {motion.dof} joints, but {arm.name} has {arm.dof}; give a motion of it")
+    if motion.sliding != arm.sliding:
+        raise InputError(f"{motion.source}: {other_joints(motion.sliding, arm.sliding, arm.name)}")
+    chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
+    if chain.shape != (arm.dof, 6):
+        raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
+    return values, chain
+
+
+def _measure_readings(
+    motion: Recording,
+    arm: Arm,
+    physics: Physics,
+    values: Sequence[float] | Array,
+    kinematics: Array | None,
+    sensor: str,
+    noise: float | None,
+    joint_noise: float,
+    tool: Sequence[float] | Array | None,
+    seed: int,
+) -> Measurement:
+    """As `measure`, of readings that are no poses; the tool and all places are unknown."""
+    values, chain = _checked(motion, arm, physics, values, kinematics)
+    point = readings.tool_of(sensor) if tool is None else frames.transform_from_row(tool)
+    T_tool, links = arm.T_joint_flange @ point, frames.transform_from_row(chain)
+    model, statics = arm_model(chain.ravel(), np.eye(4), T_tool), inertia_of_arm(arm, motion.settings)
+
+    def rigid(moved: Recording) -> Array:
+        return frames.chain(links, moved.joint_position, arm.sliding) @ T_tool
+
+    def poses(moved: Recording) -> Array:
+        if not physics.effects:
+            return rigid(moved)
+        at = motion_of_recording(moved)
+        return np.array(predict_poses(at.chain, physics, model, values, at, statics))
+
+    found = readings.read(sensor, motion, arm, poses, rigid, noise, seed)
+    true, bare = poses(found), rigid(found)
+    read_out = joint_noise * make_generator(seed, "joints").standard_normal(found.joint_position.shape)
+    read_out[:, arm.slides] = 0.0
+    settings = replace(found.settings, joint_source="measured", joint_noise_rad=joint_noise, motion=found.motion)
+    found = replace(found, joint_position=found.joint_position + read_out, settings=settings)
+    return Measurement(found, true, bare, np.zeros(found.samples, bool))
+
+
 def _draw_directions(rng: np.random.Generator, count: int) -> Array:
     vector = rng.standard_normal((count, 3))
     return vector / np.linalg.norm(vector, axis=1, keepdims=True)
@@ -286,7 +337,9 @@ def simulate(
         settings: declared arm, geometry, gravity, payload centre and reference temperature; the arm's name and the
             defaults where not given.
         kinematics: `(joint, 6)` of this arm, m and rad; nominal where not given. See `draw_calibration`.
-        sensor: tracker (positions), tracker_6d, motion_capture, camera or controller_fk (poses), or an `Instrument`.
+        sensor: tracker (positions), tracker_6d, motion_capture, camera or controller_fk (poses), or an `Instrument`; or
+            readings: contact, plane, distance, axis, fixed_camera or flange_camera, of which rows are dropped where the
+            arm does not reach, and tool and places are unknown.
         position_noise: declared and true standard deviation per axis, m; the sensor's where not given.
         orientation_noise: likewise, rad.
         joint_noise: likewise, of each joint's read-out, rad.

@@ -179,6 +179,7 @@ class LinearProblem:
     offset: np.ndarray = 0.0
     preset: tuple = (Terms(), np.zeros(0))
     declared: bool = True
+    floored: bool = False
 
     rows = property(lambda self: len(self.shares))
     groups = property(lambda self: np.arange(self.rows))

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.hypotheses import touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.source import with_arm
@@ -36,6 +38,8 @@ Array = NDArray[np.floating]
 
 _RMS_OF_MEDIAN = 1.1260
 """Of the length of an isotropic Gaussian 3-vector: √3 / √(median of χ²₃). Outliers move the median little."""
+_RMS_OF_ONE = 1.4826
+"""The same of one number."""
 
 
 @final
@@ -142,7 +146,7 @@ def check_recording(
 def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
     """A constant displacement of the measured point on the flange; none where the tool is fitted."""
     settings = recording.settings
-    if settings.tool == "unknown" or _one_point(recording):
+    if settings.tool == "unknown" or recording.touches is not None or _one_point(recording):
         return []
     path = settings.factory_path(Path(recording.source).parent)
     known = nominal_calibration(arm) if path is None else read_factory(path, arm)
@@ -172,16 +176,22 @@ def _one_point(recording: Recording) -> bool:
 
 def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions, tool_offset: bool) -> list[Cause]:
     """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
-    solution = fit_recording(recording, arm, geometry="free")
-    if _one_point(recording):
+    touches = recording.touches is not None
+    geometry = "prior" if recording.settings.factory_calibration else "free"  # where that alone has a known length
+    solution = (
+        fit_touches(rigid_arm(recording, arm, geometry)) if touches else fit_recording(recording, arm, geometry="free")
+    )
+    if not touches and _one_point(recording):
         before, after = (float(np.median(e.position)) for e in (solution.nominal_errors, solution.errors))
         return [Cause("one_point", True, (), {"before_m": before, "fitted_m": after})]
+    of_median = _RMS_OF_MEDIAN if recording.numbers_per_sample > 1 else _RMS_OF_ONE
     before, after = (
-        float(np.median(errors.position)) * _RMS_OF_MEDIAN for errors in (solution.nominal_errors, solution.checked)
+        float(np.median(errors.position)) * of_median for errors in (solution.nominal_errors, solution.checked)
     )
     share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
     noise = solution.noise
-    declared = (noise.declared[0] or 0.0) * np.sqrt(3) if noise and noise.declared else 0.0
+    rows = min(recording.numbers_per_sample, 3)
+    declared = (noise.declared[0] or 0.0) * np.sqrt(rows) if noise and noise.declared else 0.0
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"

@@ -13,6 +13,7 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings.sequence import run_segments
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 
@@ -54,6 +55,8 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     """
     recording = problem.recording
     if recording.motion != "trajectory" or recording.time is None or problem.samples < _FEWEST:
+        return 0.0
+    if not isinstance(problem.measured, Measured):
         return 0.0
     measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T
     used = np.ones(problem.samples, bool) if training is None else training

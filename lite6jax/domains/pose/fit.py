@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.errors import wrong_type
 from lite6jax.fitting import fit as plain
 from lite6jax.fitting.fit import Loss, calibration_from_array, fit_calibration
@@ -119,8 +121,12 @@ def fit_recording(
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     recording = recording if nominal is not None else with_arm(recording)
+    if recording.touches is not None:
+        return fit_touches(screen(recording, nominal, geometry, options).rigid_arm)
     # without the rigid arm, whose residuals take as much memory as the recording
-    screened = replace(screen(recording, nominal, geometry, options), rigid=None)
+    screened = screen(recording, nominal, geometry, options)
+    require_determined(screened.rigid_arm)
+    screened = replace(screened, rigid=None)
     solution = plain.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )

@@ -30,6 +30,7 @@ from lite6jax.recordings.columns import (
     is_standard,
     known_column,
     nearest_known,
+    reading_of,
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
@@ -114,6 +115,11 @@ class Inspection:
         return told | unused if needed else {}
 
     @property
+    def readings(self) -> tuple[str, ...]:
+        """The kinds of readings that its columns hold."""
+        return tuple(dict.fromkeys(kind for name in self.given.values() if (kind := reading_of(name))))
+
+    @property
     def undecided(self) -> bool:
         """Whether there are several poses and none is taken."""
         return bool(self.sources) and not any(source.taken for source in self.sources)
@@ -186,6 +192,8 @@ def inspect(
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
+    if not any(block.kind == "position" for block in naming.candidates([*numbers], ())):
+        given = {name: name for name, _ in columns if reading_of(name)} | given
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)

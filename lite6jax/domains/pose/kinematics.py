@@ -5,54 +5,32 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax import threads
 from lite6jax.arms import frames
-from lite6jax.arms.chains import Form, joint_motion
+from lite6jax.arms.chains import Form
 from lite6jax.effects.deflection import Deflection
-from lite6jax.fitting.residual import Observations, differences, whiten
 from lite6jax.model import ArmModel, predict_bent
 from lite6jax.recordings import Recording
+from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
 Site = tuple[str, int, int]
 """A field of `Deflection`, the joint or link in it from 0, and the component of a twist.
 
 As a nuisance also `mass`, its link from 0, and which of the errors of `with_mass_errors`; `payload`, 0, 0, in kg; and
-`moved base` or `moved tool`, which of a recording's frame jumps from 0, and the component of a twist.
+`moved base` or `moved tool`, which of a recording's frame jumps from 0, and the component of a twist;
+`reading`, which of a sensor's own unknowns from 0, and 0; and `wave`, which joint's error once a turn, and 0 of its
+sine or 1 of its cosine, in rad.
 """
 FRAMES = ("base", "link", "tool")
 """Names of the sites that displace a frame of the arm in all samples."""
 
 _ROUNDING = 1e-12
-
-
-class Measured(NamedTuple):
-    """What the sensor measured, the sample last. A pytree.
-
-    Attributes:
-        position: `(3, sample)` m.
-        rotation: `(3, 3, sample)`; `(3, 3, 0)` where no orientation was measured.
-        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
-    """
-
-    position: Array
-    rotation: Array
-    whitener: Array
-
-    @property
-    def rows(self) -> int:
-        """Numbers that a sample has: 3 or 6."""
-        return 6 if self.rotation.shape[-1] else 3
-
-    def select(self, samples: slice) -> "Measured":
-        """Some of the samples."""
-        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
-        return Measured(self.position[:, samples], self.rotation[..., samples], whitener)
 
 
 class RigidFrames(NamedTuple):
@@ -88,36 +66,16 @@ def _tool(model: ArmModel, flange: Array) -> Array:
     return (flange.reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
 
 
-def rigid_differences(tool: Array, measured: Measured) -> Array:
-    """Predicted minus measured poses `(row, sample)`: m in sensor axes, and rad in the measured tool's axes."""
-    apart = tool[:, :3, 3].T - measured.position
-    if measured.rows == 3:
-        return apart
-    return np.concatenate([apart, _rotation_vector(np.einsum("abs,sac->bcs", measured.rotation, tool[:, :3, :3]))])
-
-
-def _rotation_vector(R: Array) -> Array:
-    """Rotation vectors `(3, sample)` of rotations `(3, 3, sample)`: the axis times the angle by its sine and cosine.
-
-    Near half a turn, where the sine says nothing of the axis, they are SciPy's.
-    """
-    sines = 0.5 * np.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = np.linalg.norm(sines, axis=0), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
-    vector = sines * np.where(sine > 0, np.arctan2(sine, cosine) / np.maximum(sine, np.finfo(float).tiny), 1.0)
-    half = cosine < -0.9
-    if half.any():
-        vector[:, half] = Rotation.from_matrix(np.moveaxis(R[..., half], -1, 0)).as_rotvec().T
-    return vector
-
-
-def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Measured) -> Array:
-    """`rigid_differences` of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
+def rigid_residuals(
+    model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Measured | Sensor
+) -> Array:
+    """The sensor's differences of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
     found = np.empty((measured.rows, joint_position.shape[1]))
 
     def block(first: int) -> None:
         some = slice(first, first + frames.BLOCK)
         tool = rigid_tool(model, joint_position[:, some], sliding)
-        found[:, some] = rigid_differences(tool, measured.select(some))
+        found[:, some] = measured.select(some).differences(tool)
 
     threads.by_parts(block, range(0, found.shape[1], frames.BLOCK))
     return found
@@ -138,7 +96,7 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
 
 
 def site_columns(
-    model: ArmModel, joint_position: Array, measured: Measured, sliding: tuple[int, ...]
+    model: ArmModel, joint_position: Array, measured: Measured | Sensor, sliding: tuple[int, ...]
 ) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position, sliding)
@@ -196,56 +154,34 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     rotation = np.zeros((3, 3, 0))
     if quaternion is not None:
         rotation = np.moveaxis(Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix(), 0, -1)
-    return Measured(np.ascontiguousarray(position.T), rotation, whitener)
+    found = Measured(np.ascontiguousarray(position.T), rotation, whitener)
+    seen = None if recording.readings is None else recording.readings.seen
+    if seen is None or not seen.mean.size:
+        return found
+    # with their deviations as units
+    constants = np.linalg.solve(seen.whitener, seen.by_numbers)
+    return found._replace(
+        constants=np.moveaxis(constants, 0, -1).swapaxes(0, 1), at=seen.mean, mean=seen.mean, deviation=seen.deviation
+    )
 
 
-def frame_columns(rigid: RigidFrames, measured: Measured) -> tuple[Array, Array, Array]:
+def frame_columns(rigid: RigidFrames, measured: Measured | Sensor) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
     origins = np.moveaxis(F[:, :, :3, 3], 1, -1)
     lever = tool[:, :3, 3].T - origins
     turned = np.cross(axes, lever[:, None], axis=2)
-    twists = np.concatenate([axes, turned], 1)
-    stretches, scale = np.diff(origins, axis=0), tool[:, :3, 3].T
-    if measured.rows == 6:
-        in_tool = np.einsum("abs,kjas->kjbs", measured.rotation, axes)
-        spin = _left_jacobian_inverse(rigid_differences(tool, measured)[3:], in_tool)
-        twists = np.concatenate([twists, np.concatenate([np.zeros_like(spin), spin], 1)], 2)
-        stretches, scale = (np.concatenate([part, np.zeros_like(part)], -2) for part in (stretches, scale))
-    return twists, stretches, scale
-
-
-def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
-    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80).
-
-    Args:
-        vector: e, `(3, sample)` rad.
-        rows: v, `(…, 3, sample)`.
-    """
-    angle2 = np.sum(vector**2, 0)
-    small = angle2 < 1e-4
-    safe = np.where(small, 1.0, angle2)
-    angle = np.sqrt(safe)
-    exact = 1 / safe - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
-    gamma = np.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
-    once = np.cross(vector, rows, axis=-2)
-    return rows - 0.5 * once + gamma * np.cross(vector, once, axis=-2)
+    twists = np.concatenate([measured.columns(tool, axes), measured.columns(tool, turned, axes)], 1)
+    stretches = np.diff(origins, axis=0)
+    along = np.concatenate([stretches, tool[:, :3, 3].T[None]])
+    lengths = measured.columns(tool, along)
+    return twists, lengths[:-1], lengths[-1]
 
 
 @partial(jax.jit, static_argnums=0)
 def bent_residual(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured | Sensor
 ) -> jax.Array:
     """Whitened residuals `(row, sample)` of a deflected arm."""
-    _, tool = predict_bent(form, model, joint_position, deflection)
-    joint, weight = joint_motion(form, joint_position), jnp.ones(joint_position.shape[1])
-    position, rotation, whitener = map(jnp.asarray, measured)
-    observed = Observations(joint, position, rotation, weight, whitener)
-    return whiten(whitener, differences(observed, tool))
-
-
-@partial(jax.jit, static_argnums=0)
-def bent_positions(form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection) -> jax.Array:
-    """The tool's positions `(3, sample)` m of a deflected arm, in the sensor's frame."""
-    return predict_bent(form, model, joint_position, deflection)[1].origin
+    return measured.residual(predict_bent(form, model, joint_position, deflection)[1])

@@ -20,7 +20,7 @@ from lite6jax.domains.pose.columns import columns_of
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
 from lite6jax.domains.pose.functions import site_of
-from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_tool, site_columns
+from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,
     Uncertainty,
@@ -46,6 +46,7 @@ from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]

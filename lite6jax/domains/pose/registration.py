@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import (
-    Measured,
     RigidFrames,
     frame_columns,
-    rigid_differences,
     small_displacement,
     whitened,
 )
@@ -31,6 +29,7 @@ from lite6jax.fitting.start import frames_from_poses, measured_rotations, neares
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.results import PublicResult
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 
@@ -208,7 +207,7 @@ class _Frames(NuisanceProblem):
     @cached_property
     def differences(self) -> Array:
         """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
-        return rigid_differences(self.rigid.tool, self.measured)
+        return self.measured.differences(self.rigid.tool)
 
     @property
     def residuals(self) -> Array:

@@ -16,7 +16,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose.kinematics import (
-    Measured,
+    FRAMES,
     RigidFrames,
     Site,
     displaced,
@@ -26,13 +26,18 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
+from lite6jax.domains.pose.touching import touched
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import TOLERANCE, Geometry, recording_problem
-from lite6jax.model import ArmModel
+from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
+from lite6jax.fitting.start import calibration_poses
+from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
+from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
 
@@ -52,6 +57,11 @@ class NuisanceProblem:
     def preset(self) -> tuple[Terms, Array]:
         """No terms."""
         return Terms(), np.zeros(0)
+
+    @property
+    def floored(self) -> bool:
+        """Not: the noise is what is left."""
+        return False
 
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`nuisance`, whatever terms are beside it."""
@@ -89,7 +99,9 @@ class RigidArm(NuisanceProblem):
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared_noise: the same, each None where the sidecar does not declare it.
         whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
+        touch: the sensor of touches, with its own unknowns, the last of `unknown`; None of poses.
         exact: whether the sidecar declares the chain.
+        form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
 
     recording: Recording
@@ -102,7 +114,9 @@ class RigidArm(NuisanceProblem):
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
     whitener: Array
+    touch: Sensor | None
     exact: bool
+    form: ModelForm
 
     @property
     def samples(self) -> int:
@@ -112,7 +126,7 @@ class RigidArm(NuisanceProblem):
     @property
     def rows(self) -> int:
         """Numbers that a sample has: 3 or 6."""
-        return self.recording.numbers_per_sample
+        return self.sensor.rows
 
     @cached_property
     def links(self) -> Array:
@@ -131,8 +145,14 @@ class RigidArm(NuisanceProblem):
 
     @cached_property
     def measured(self) -> Measured:
-        """The measured poses."""
-        return measured_poses(self.recording, self.whitener)
+        """The measured poses; of a camera with the constant errors where they are."""
+        found = measured_poses(self.recording, self.whitener)
+        return found.moved(self.offset[len(self.offset) - found.numbers :])
+
+    @property
+    def sensor(self) -> Measured | Sensor:
+        """What was measured, with the sensor's own unknowns, the last of `unknown`."""
+        return self.touch or self.measured
 
     @cached_property
     def rigid(self) -> RigidFrames:
@@ -152,7 +172,7 @@ class RigidArm(NuisanceProblem):
     @cached_property
     def differences(self) -> Array:
         """Predicted minus measured poses `(row, sample)`, m and rad."""
-        return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.measured)
+        return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.sensor)
 
     @cached_property
     def residuals(self) -> Array:
@@ -162,7 +182,7 @@ class RigidArm(NuisanceProblem):
     @cached_property
     def plain_twists(self) -> Array:
         """`((joint + 1) 6, row, sample)`: how differences change with a twist of each of `frames`, in its own axes."""
-        twists = frame_columns(self.rigid, self.measured)[0]
+        twists = frame_columns(self.rigid, self.sensor)[0]
         return twists.reshape(-1, self.rows, self.samples)
 
     @cached_property
@@ -179,7 +199,10 @@ class RigidArm(NuisanceProblem):
     def nuisance(self) -> Array:
         """`(unknown, row, sample)`: how residuals change with the unknowns."""
         first = {"base": 0, "link": 6, "tool": 6 * len(self.links)}
-        return self.twists[[first[name] + 6 * j + k for name, j, k in self.unknown]]
+        moved = self.twists[[first[name] + 6 * j + k for name, j, k in self.unknown if name in FRAMES]]
+        if not self.sensor.numbers:
+            return moved
+        return np.concatenate([moved, self.whitened(self.sensor.by_numbers(self.tool))])
 
     @cached_property
     def squares(self) -> Array:
@@ -207,24 +230,77 @@ class RigidArm(NuisanceProblem):
 
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
-        return replace(self, start=displaced(self.start, self.unknown, nuisance), offset=self.offset + nuisance)
+        touch = self.touch
+        if touch is not None and touch.numbers:
+            touch = touch.moved(nuisance[len(nuisance) - touch.numbers :])
+        start = displaced(self.start, self.unknown, nuisance)
+        return replace(self, start=start, touch=touch, offset=self.offset + nuisance)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the samples."""
         whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., rows]
-        return replace(self, recording=self.recording.select(rows), whitener=whitener)
+        touch = None if self.touch is None else self.touch.select(rows)
+        return replace(self, recording=self.recording.select(rows), whitener=whitener, touch=touch)
 
     def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
-        return replace(self, start=few.start, offset=few.offset)
+        touch = None if self.touch is None else few.touch and replace(few.touch, group=self.touch.group)  # type: ignore[type-var]
+        return replace(self, start=few.start, touch=touch, offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
+
+
+LEAST_KNOWN = {"m": 0.1, "rad": 0.5}
+"""One sigma of a number beyond which readings say nothing of it: no sensor stands so far off unnoticed."""
+_REMEDIES = {
+    "contact": "touch each socket at ten or more wrist orientations, and more than one socket",
+    "plane": "touch each plane at three or more places far apart, at several wrist orientations",
+    "distance": "record it at poses over the whole workspace",
+    "axis": "record heights at poses over the whole workspace",
+    "camera": "take images at wrist orientations that differ by 30 degrees and more, about two axes",
+}
+
+
+def require_determined(arm: RigidArm) -> None:
+    """Refuses readings that say nothing of the tool, of the sensor's frame or of a place, were the chain exact.
+
+    Args:
+        arm: near the true one. Of recorded poses nothing is refused: a fit says what they leave open.
+
+    Raises:
+        InputError: as said, in one line with the remedy.
+    """
+    readings = arm.recording.readings
+    if readings is None:
+        return
+    own = iter(arm.sensor.own)
+    numbers = []
+    for k, (name, _, axis) in enumerate(arm.unknown):
+        if name == "reading":
+            one = next(own)
+            if not one.precision:
+                numbers.append((k, one.name, LEAST_KNOWN[one.unit]))
+        elif name == "tool" or (name == "base" and arm.form.frame):
+            what = "the tool" if name == "tool" else "the sensor's frame"
+            numbers.append((k, what, LEAST_KNOWN["m" if axis < 3 else "rad"]))
+    if not numbers:
+        return
+    at, names, sizes = zip(*numbers, strict=True)
+    J = (arm.nuisance[list(at)] * np.array(sizes)[:, None, None]).reshape(len(at), -1)
+    eigenvalues, V = np.linalg.eigh(J @ J.T)
+    if eigenvalues[0] >= 1.0:
+        return
+    strong = [names[k] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3]
+    raise InputError(
+        f"{arm.recording.source}: its {arm.samples} readings say nothing of {' and '.join(dict.fromkeys(strong))}; "
+        f"{_REMEDIES[readings.kind]}"
+    )
 
 
 def rigid_arm(
@@ -244,36 +320,52 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    problem = recording_problem(recording, arm, geometry, factory)
-    arm, form = problem.arm, problem.form
+    touch = None
+    if recording.touches is None:
+        problem = recording_problem(recording, arm, geometry, factory)
+        arm, form, at = problem.arm, problem.form, problem.start
+        movable, noise, declared, whitener = problem.movable, problem.noise, problem.declared_noise, problem.whitener
+        whitener = whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1)
+        own = measured_poses(recording, whitener).own
+    else:
+        given = declared_geometry(recording, arm, geometry, factory)
+        arm, form, movable = given.arm, given.form, given.movable
+        flange = calibration_poses(given.known, recording.joint_position)
+        begun = touched(recording, flange, form.frame, given.calibrated)
+        T_flange_tool = given.known.T_joint_flange @ begun.T_flange_tool
+        at = ArmModel(given.values, begun.T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
+        touch, noise, declared = begun.sensor, (begun.noise, None), (begun.declared, None)
+        own, whitener = touch.own, touch.whitener
     exact = isinstance(form.chain, SixParameterForm)
-    values = np.asarray(problem.start.geometry) if exact else arm.kinematics.ravel()
-    start = ArmModel(values, *(np.asarray(leaf) for leaf in problem.start[1:]))  # type: ignore[arg-type]
-    geometry_moves = bool(problem.movable[: form.chain.size].any())
+    values = np.asarray(at.geometry) if exact else arm.kinematics.ravel()
+    start = ArmModel(values, *(np.asarray(leaf) for leaf in at[1:]))  # type: ignore[arg-type]
+    geometry_moves = bool(movable[: form.chain.size].any())
     unknown: list[Site] = []
     if geometry_moves or form.frame:
         unknown += [("base", 0, k) for k in range(6)]
     if geometry_moves:
         unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
     if form.tool:
-        unknown += [("tool", 0, k) for k in range(problem.rows)]
+        unknown += [("tool", 0, k) for k in range(6 if recording.numbers_per_sample == 6 else 3)]
     uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (TOLERANCE["m"], TOLERANCE["rad"])
+    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if recording.touches is None else TOUCHED_TOLERANCE
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
-    whitener = problem.whitener
+    unknown += [("reading", k, 0) for k in range(len(own))]
     return RigidArm(
         recording=recording,
         arm=arm,
         start=start,
         unknown=tuple(unknown),
-        precision=np.array(precision),
-        offset=np.zeros(len(unknown)),
-        informative=uncertainty is not None,
-        noise=problem.noise,
-        declared_noise=problem.declared_noise,
-        whitener=whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1),
+        precision=np.array([*precision, *(one.precision for one in own)]),
+        offset=np.array([*np.zeros(len(precision)), *(one.offset for one in own)]),
+        informative=uncertainty is not None or touch is not None,
+        noise=noise,
+        declared_noise=declared,
+        whitener=whitener,
+        touch=touch,
         exact=exact,
+        form=form,
     )

@@ -192,6 +192,11 @@ class TorqueProblem:
         return families.quantities(self.dynamics)
 
     @property
+    def floored(self) -> bool:
+        """Not: torques vary less than what is declared of them."""
+        return False
+
+    @property
     def every_run(self) -> NDArray[np.integer]:
         """`(2, every sample)`, the first and the last sample of each one's run."""
         return np.asarray(self.data.motion.run)

@@ -47,6 +47,10 @@ def screen(
     require_samples(recording, 1)
     options = options or ScreeningOptions()
     state = Screened(recording, arm, geometry, corrections or Corrections(), factory=factory)
+    if recording.touches is not None:  # all faults that are screened for are of poses
+        rigid = rigid_arm(recording, arm, geometry, factory)
+        require_radians(recording.joint_position, rigid.arm.joint_limits, f"{recording.source}: joint_position")
+        return replace(state, rigid=rigid, arm=rigid.arm)
     fitted = False
     for entry in SCREENS:
         if coarse and entry.needs == "fit":
@@ -80,7 +84,7 @@ def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
     require_samples(recording, 1)
     state = Screened(recording, None, "declared", Corrections())
     for entry in SCREENS:
-        if entry.needs == "recording":
+        if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
             state = _applied(entry, state, options)
     return state
 

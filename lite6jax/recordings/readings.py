@@ -1,0 +1,205 @@
+"""Readings that are no poses: touched points and planes, distances, heights along an axis, corners seen by a camera."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.settings import RecordingSettings
+from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
+
+Array = NDArray[np.floating]
+Kind = Literal["contact", "plane", "distance", "axis", "camera"]
+
+_NUMBERS: dict[str, int] = {"contact": 3, "plane": 1, "distance": 1, "axis": 1, "camera": 6}
+_COLUMNS = {"contact": "contact", "plane": "plane", "distance_m": "distance", "axis_m": "axis", "u_px": "camera"}
+"""The column that tells of a kind of reading."""
+LARGEST_CORNER = 10_000
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of one kind.
+
+    Attributes:
+        kind: of what.
+        group: `(sample,)` int, which contact, plane or anchor; zero of what has but one.
+        names: of each of these.
+        value: `(sample,)` m, of a distance or along an axis; zero of touches.
+        pixels: `(sample, corner, 2)` of a camera, NaN where a corner was not seen; `(sample, 0, 2)` of others.
+        seen: the poses that a camera's corners give; None before they are computed, and of other readings.
+    """
+
+    kind: Kind
+    group: NDArray[np.int64]
+    names: tuple[str, ...]
+    value: Array
+    pixels: Array
+    seen: BoardPoses | None = None
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a sample measures, once corners are a pose."""
+        return _NUMBERS[self.kind]
+
+    def select(self, rows: Any) -> "Readings":
+        """Those of some samples."""
+        seen = None if self.seen is None else self.seen.select(rows)
+        return replace(self, group=self.group[rows], value=self.value[rows], pixels=self.pixels[rows], seen=seen)
+
+    def with_poses(self, settings: RecordingSettings, source: str) -> "Readings":
+        """Of a camera, with the poses that its corners give by the lens and the board of the settings.
+
+        Raises:
+            InputError: no lens, no board, a corner that the board lacks, corners outside one plane.
+        """
+        if settings.camera is None or (settings.board is None and settings.points_m is None):
+            key = "camera" if settings.camera is None else "board (or points_m)"
+            raise InputError(f"{source}: has corners of images and no {key} in its sidecar; declare {key}")
+        points = settings.board.points if settings.board is not None else settings.points_m
+        corners, count = np.array(points, float).reshape(-1, 3), self.pixels.shape[1]
+        if count > len(corners):
+            raise InputError(f"{source}: has corner {count - 1}, and the board only {len(corners)}, counted from 0")
+        camera = settings.camera
+        lens = Lens(np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.array(camera.distortion))
+        noise = 0.0 if settings.board is None else settings.board.noise_m
+        pixels = np.pad(self.pixels, ((0, 0), (0, len(corners) - count), (0, 0)), constant_values=np.nan)
+        refined = camera.intrinsics == "refine"
+        try:
+            seen = board_poses(camera.mounted, lens, corners, pixels, settings.pixel_noise_px, noise, refined)
+        except ValueError as error:
+            raise InputError(f"{source}: points_m: {error}; give those of a flat board") from error
+        return replace(self, seen=seen)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The columns of a table, `(sample,)` each; of a camera none, as a row there is a corner."""
+        named = np.array(self.names, dtype=object)[self.group]
+        if self.kind in ("contact", "plane"):
+            return {self.kind: named}
+        if self.kind == "camera":
+            return {}
+        anchors = {"anchor": named} if len(self.names) > 1 else {}
+        return {f"{self.kind}_m": self.value, **anchors}
+
+    def corner_rows(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """A table with a row for each corner that a camera saw, in which the columns of an image repeat."""
+        image, corner = np.nonzero(np.isfinite(self.pixels).all(2))
+        u, v = self.pixels[image, corner].T
+        repeated = {name: column[image] for name, column in columns.items()}
+        return {"image": image.astype(str).astype(object), **repeated, "corner": corner, "u_px": u, "v_px": v}
+
+
+class _Found(NamedTuple):
+    kind: Kind
+    column: str
+
+
+def readings_from_arrays(
+    kind: Kind, *, value: Any = None, labels: Sequence[str] | None = None, pixels: Any = None, samples: int = 0
+) -> Readings:
+    """Readings of arrays: of touches their labels, of distances and heights their values, of a camera its pixels.
+
+    Args:
+        kind: of what.
+        value: `(sample,)` m.
+        labels: `(sample,)`, which contact, plane or anchor; one where not given.
+        pixels: `(sample, corner, 2)`, NaN where a corner was not seen.
+        samples: how many, where nothing else says so.
+    """
+    given = [len(each) for each in (value, labels, pixels) if each is not None]
+    samples = given[0] if given else samples
+    names = tuple(dict.fromkeys(labels or ())) or (kind,)
+    place = {name: k for k, name in enumerate(names)}
+    group = np.zeros(samples, np.int64) if labels is None else np.array([place[name] for name in labels], np.int64)
+    return Readings(
+        kind,
+        group,
+        names,
+        np.zeros(samples) if value is None else np.asarray(value, float),
+        np.zeros((samples, 0, 2)) if pixels is None else np.asarray(pixels, float),
+    )
+
+
+def with_readings(
+    arrays: dict[str, Any],
+    values: Mapping[str, Array],
+    labels: Mapping[str, tuple[str, ...]],
+    source: str,
+    notes: list[str],
+) -> dict[str, Any]:
+    """Arguments of `Recording.assembled` with the readings among the values of a table; a row an image of a camera.
+
+    Args:
+        arrays: of everything else.
+        values: `(row,)` by the names of columns in SI units.
+        labels: the words that the values of a column of words count.
+        source: what messages begin with.
+        notes: gets a sentence where poses are taken in place of readings.
+
+    Raises:
+        InputError: readings of several kinds, or an image with corners twice or joints that differ.
+    """
+    found = [_Found(kind, column) for column, kind in _COLUMNS.items() if column in values]  # type: ignore[arg-type]
+    if not found:
+        return arrays
+    if arrays["position"] is not None:
+        listed = ", ".join(column for _, column in found)
+        notes.append(f"the poses x_m y_m z_m are read, and not the readings {listed}; name the others `ignore`")
+        return arrays
+    if len(found) > 1:
+        raise InputError(
+            f"{source}: has readings of several kinds, columns {found[0].column} and {found[1].column}; write each "
+            "kind to a file of its own, and name both files: `lite6jax diagnose a.csv b.csv`"
+        )
+    (kind, column), samples = found[0], len(arrays["joint_position"])
+    if kind == "camera":
+        return _of_corners(arrays, values, source)
+    grouped = {"contact": "contact", "plane": "plane", "distance": "anchor", "axis": ""}[kind]
+    names, group, missing = (kind,), np.zeros(samples, np.int64), np.zeros(samples, bool)
+    if grouped in labels:
+        missing = ~np.isfinite(values[grouped])
+        names, group = labels[grouped], np.where(missing, 0, values[grouped]).astype(np.int64)
+    value = np.zeros(samples) if kind in ("contact", "plane") else values[column]
+    value = np.where(missing, np.nan, value)
+    readings = Readings(kind, group, names, value, np.zeros((samples, 0, 2)))
+    return arrays | {"readings": readings}
+
+
+def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str) -> dict[str, Any]:
+    """With the corners of each image in one sample, which has the joints of its first row."""
+    needed = [name for name in ("image", "corner", "v_px") if name not in values]
+    if needed:
+        raise InputError(f"{source}: has u_px without {needed[0]}; give image, corner, u_px and v_px, a row a corner")
+    image, corner = values["image"], values["corner"]
+    there = np.isfinite(image) & np.isfinite(corner) & np.isfinite(values["u_px"]) & np.isfinite(values["v_px"])
+    wrong = np.flatnonzero(there & ((corner != np.round(corner)) | (corner < 0) | (corner >= LARGEST_CORNER)))
+    if wrong.size:
+        raise InputError(f"{source}: column corner: row {wrong[0] + 1} is {corner[wrong[0]]:g}; count corners from 0")
+    if not there.any():
+        raise InputError(f"{source}: no row has image, corner, u_px and v_px; record corners")
+    rows = np.flatnonzero(there)
+    numbers, first, inverse = np.unique(image[rows].astype(int), return_index=True, return_inverse=True)
+    kept, at = rows[first], corner[rows].astype(int)
+    q = arrays["joint_position"]
+    differs = np.flatnonzero((np.abs(q[rows] - q[kept][inverse]) > 1e-9).any(1))
+    if differs.size:
+        raise InputError(
+            f"{source}: row {rows[differs[0]] + 1}: its joint positions differ from those of the other corners of its "
+            "image; give each image a number of its own"
+        )
+    pixels = np.full((len(numbers), int(at.max()) + 1, 2), np.nan)
+    twice = np.bincount(inverse * pixels.shape[1] + at).max()
+    if twice > 1:
+        raise InputError(f"{source}: an image has a corner twice; give each image a number of its own")
+    pixels[inverse, at] = np.stack([values["u_px"][rows], values["v_px"][rows]], 1)
+    few = {
+        name: array[kept] if isinstance(array, np.ndarray) and len(array) == len(image) else array
+        for name, array in arrays.items()
+    }
+    few["row"] = kept + 1 if arrays["row"] is None else np.asarray(arrays["row"])[kept]
+    readings = Readings("camera", np.zeros(len(numbers), np.int64), ("board",), np.zeros(len(numbers)), pixels)
+    return few | {"readings": readings}

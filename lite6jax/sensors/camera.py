@@ -1,0 +1,278 @@
+"""A camera and a board: the corners of each image become one pose with its covariance.
+
+A corner b of the board at the pose (R, t) in the camera is seen where OpenCV's model projects R b + t. To first order
+an image's residuals are r = J ξ + C ν of a displacement ξ of its pose and of constant errors ν, those of the board's
+corners and of the intrinsics. With J = Q U, the rows of Qᵀ r are a pose with the whitener U and the columns Qᵀ C of ν;
+what is orthogonal to Q says something of ν alone, and is its prior. Hundreds of images cost as much as so many poses.
+"""
+
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.se3 import rotation_exp
+from lite6jax.deferred import Array as DeviceArray
+from lite6jax.deferred import jax, jit, jnp
+
+Array = NDArray[np.floating]
+Mounted = Literal["fixed", "on_flange"]
+
+FEWEST_CORNERS = 6
+"""Of an image whose pose is determined with some to spare."""
+_STEPS, _UNDISTORTED = 25, 30
+_FREEDOM = 4.0
+"""Of Student's t, by which corners count."""
+_MATTERS = 0.1
+"""Standard deviations of a pose, over all images, by which an error of the board must move them to be estimated."""
+_FOCAL = 0.1
+"""Of the focal length and of the image: one sigma of the prior of intrinsics that are refined; wide."""
+_FLAT = 1e-3
+
+
+class Lens(NamedTuple):
+    """Intrinsics by OpenCV's model: `(4,)` fx, fy, cx, cy in pixels, and `(5,)` k1, k2, p1, p2, k3. A pytree."""
+
+    pinhole: Array
+    distortion: Array
+
+
+class BoardPoses(NamedTuple):
+    """Poses of a board in a camera, or of a camera in its board, and how constant errors change them.
+
+    Attributes:
+        T: `(image, 4, 4)`, NaN where too few corners were seen.
+        whitener: `(image, 6, 6)`: times a displacement (m in the fixed axes, rad in the moved ones) it is one of unit
+            noise, if that of pixels is as declared.
+        by_numbers: `(image, 6, number)`, the whitened change by constant errors, each of unit prior.
+        mean: `(number,)`, their means by what no pose explains, in which they are uncorrelated.
+        deviation: `(number,)`, of their prior.
+        noise: px, estimated from what no pose explains.
+    """
+
+    T: Array
+    whitener: Array
+    by_numbers: Array
+    mean: Array
+    deviation: Array
+    noise: float
+
+    def select(self, rows: object) -> "BoardPoses":
+        """Those of some images."""
+        return self._replace(T=self.T[rows], whitener=self.whitener[rows], by_numbers=self.by_numbers[rows])  # type: ignore[index]
+
+
+def project(lens: Lens, points: Any) -> DeviceArray:
+    """The pixels `(…, 2)` of points `(…, 3)` in the camera's frame (OpenCV, calib3d, projectPoints)."""
+    x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+    k1, k2, p1, p2, k3 = lens.distortion
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    fx, fy, cx, cy = lens.pinhole
+    return jnp.stack([fx * u + cx, fy * v + cy], -1)
+
+
+def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any) -> DeviceArray:
+    """The pixels `(corner, 2)` of corners `(corner, 3)` at the pose `T` `(4, 4)` displaced by `twist` `(6,)`."""
+    p, R = T[:3, 3] + twist[:3], T[:3, :3] @ rotation_exp(twist[3:])
+    return project(lens, corners @ R.T + p if mounted == "fixed" else (corners - p) @ R)
+
+
+@partial(jit, static_argnums=0)
+def _linearised(mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
+    """Residuals `(image, corner, 2)`, zero where a corner was not seen, and their slopes `(image, corner, 2, 6)`."""
+
+    def one(T: Any, pixels: Any, twist: Any) -> DeviceArray:
+        missed = seen_corners(mounted, lens, corners, T, twist) - pixels
+        return jnp.where(jnp.isfinite(pixels), missed, 0.0)
+
+    still = jnp.zeros(6)
+    slopes = jax.vmap(lambda T, pixels: jax.jacfwd(lambda twist: one(T, pixels, twist))(still))(T, pixels)
+    return jax.vmap(lambda T, pixels: one(T, pixels, still))(T, pixels), slopes
+
+
+@partial(jit, static_argnums=0)
+def _by_constants(mounted: Mounted, lens: Lens, corners: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
+    """How pixels change with the pinhole `(image, corner, 2, 4)` and with each corner's place `(…, 2, 3)`."""
+    still = jnp.zeros(6)
+
+    def by_pinhole(T: Any) -> DeviceArray:
+        return jax.jacfwd(lambda pinhole: seen_corners(mounted, Lens(pinhole, lens.distortion), corners, T, still))(
+            lens.pinhole
+        )
+
+    def by_place(T: Any) -> DeviceArray:
+        shift = lambda d: seen_corners(mounted, lens, corners + d, T, still)  # noqa: E731 (of a corner by its own)
+        return jax.jacfwd(shift)(jnp.zeros(3))
+
+    return jax.vmap(by_pinhole)(T), jax.vmap(by_place)(T)
+
+
+def board_poses(
+    mounted: Mounted,
+    lens: Lens,
+    corners: Array,
+    pixels: Array,
+    noise: float | None,
+    corner_noise: float = 0.0,
+    refined: bool = False,
+) -> BoardPoses:
+    """The pose of each image.
+
+    Args:
+        mounted: `fixed`, of the board in the camera; `on_flange`, of the camera in the board.
+        corners: `(corner, 3)` m, in one plane.
+        pixels: `(image, corner, 2)`, NaN where a corner was not seen.
+        noise: px, one sigma; what the corners show where None.
+        corner_noise: m, one sigma of each coordinate of a corner.
+        refined: whether focal lengths and centre are to be estimated.
+    """
+    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
+    good = there.sum(1) >= FEWEST_CORNERS
+    count = len(pixels)
+    empty = BoardPoses(
+        np.full((count, 4, 4), np.nan), np.zeros((count, 6, 6)), np.zeros((count, 6, 0)), np.zeros(0), np.zeros(0), 0.0
+    )
+    if not good.any():
+        return empty
+    seen = pixels[good]
+    starts = _starts(mounted, lens, corners, seen)
+    solved = [_solved(mounted, lens, corners, seen, T, 1.0) for T in starts]
+    better = np.argmin([cost for _, cost in solved], 0)
+    T = np.stack([T for T, _ in solved])[better, np.arange(len(seen))]
+    r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
+    T, _ = _solved(mounted, lens, corners, seen, T, _weights(r, there[good])[1])
+    r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
+    weight, shown = _weights(r, there[good])
+    sigma = noise or shown
+    images, root = len(seen), np.sqrt(weight)[..., None] / sigma
+    r, J = (root * r).reshape(images, -1), (root[..., None] * J).reshape(images, -1, 6)
+    Q, U = np.linalg.qr(J)
+    columns, prior = _constants(mounted, lens, corners, T, root, corner_noise, refined)
+    inside = np.swapaxes(Q, 1, 2) @ columns
+    left = columns - Q @ inside
+    H = np.einsum("ikn,ikm->nm", left, left) + np.diag(prior)
+    pull = np.einsum("ikn,ik->n", left, r)
+    eigenvalues, V = np.linalg.eigh(H)
+    by_numbers, deviation = inside @ V, eigenvalues**-0.5
+    matters = deviation * np.sqrt(np.einsum("ikn,ikn->n", by_numbers, by_numbers)) > _MATTERS
+    kept = np.flatnonzero(matters)
+    whole = empty._replace(by_numbers=np.zeros((count, 6, len(kept))))
+    whole.T[good], whole.whitener[good], whole.by_numbers[good] = T, U, by_numbers[..., kept]
+    mean = -(V.T @ pull)[kept] / eigenvalues[kept]
+    return whole._replace(mean=mean, deviation=deviation[kept], noise=shown)
+
+
+def _constants(
+    mounted: Mounted, lens: Lens, corners: Array, T: Array, root: Array, corner_noise: float, refined: bool
+) -> tuple[Array, Array]:
+    """The whitened columns `(image, pixel, number)` of constant errors, and their prior's precision `(number,)`."""
+    images, count = len(T), len(corners)
+    pinhole, place = map(np.asarray, _by_constants(mounted, lens, corners, T))
+    columns: list[Array] = [np.zeros((images, count * 2, 0))]
+    prior: list[Array] = [np.zeros(0)]
+    if refined:
+        columns.append((root[..., None] * pinhole).reshape(images, -1, 4))
+        prior.append((_FOCAL * np.asarray(lens.pinhole)) ** -2.0)
+    if corner_noise:
+        own = np.einsum("icak,cd->icadk", root[..., None] * place, np.eye(count))
+        columns.append(own.reshape(images, count * 2, count * 3))
+        prior.append(np.full(3 * count, corner_noise**-2.0))
+    return np.concatenate(columns, 2), np.concatenate(prior)
+
+
+def _weights(r: Array, there: NDArray[np.bool_]) -> tuple[Array, float]:
+    """`(image, corner)` by Student's t, zero where a corner was not seen, and the noise, px."""
+    freedom = np.maximum(1 - 3 / np.maximum(there.sum(1), 4), 0.1)[:, None]
+    squares = np.sum(r**2, 2) / freedom
+    shown = float(np.sqrt(np.median(squares[there]) / (2 * np.log(2)))) or 1e-6
+    return np.where(there, (_FREEDOM + 2) / (_FREEDOM + squares / shown**2), 0.0), shown
+
+
+def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Array, scale: float) -> tuple[Array, Array]:
+    """The likeliest pose of each image from a start `(image, 4, 4)`, and its cost, by damped Gauss–Newton steps.
+
+    Corners count by Student's t of a scale in pixels.
+    """
+    T, there = T.copy(), np.isfinite(pixels).all(2)
+    damping = np.full(len(T), 1e-3)
+
+    def cost_at(T: Array) -> tuple[Array, Array, Array]:
+        r, J = map(np.asarray, _linearised(mounted, lens, corners, pixels, T))
+        squares = np.nan_to_num(np.sum(r**2, 2), nan=1e12, posinf=1e12)
+        return r, J, np.sum(np.where(there, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
+
+    r, J, cost = cost_at(T)
+    for _ in range(_STEPS):
+        weight = np.where(there, 1 / (_FREEDOM * scale**2 + np.sum(r**2, 2)), 0.0)[..., None, None]
+        H = np.einsum("icak,ical->ikl", weight * J, J)
+        g = np.einsum("icak,ica->ik", weight * J, r)
+        scaled = H + damping[:, None, None] * np.einsum("ikl,kl->ikl", H, np.eye(6)) + 1e-12 * np.eye(6)
+        step = -np.linalg.solve(scaled, g[..., None])[..., 0]
+        trial = _displaced(T, step)
+        r_, J_, cost_ = cost_at(trial)
+        better = np.isfinite(cost_) & (cost_ <= cost)
+        done = np.all(np.abs(step) < 1e-9, 1)
+        T, r, J = (np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in ((trial, T), (r_, r), (J_, J)))
+        cost = np.where(better, cost_, cost)
+        damping = np.where(better, damping / 10, np.minimum(damping * 10, 1e6))
+        if done.all():
+            break
+    return T, cost
+
+
+def _displaced(T: Array, twist: Array) -> Array:
+    out = T.copy()
+    out[:, :3, 3] += twist[:, :3]
+    out[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(twist[:, 3:])))
+    return out
+
+
+def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list[Array]:
+    """The pose `(image, 4, 4)` by each image's homography, and the other that a flat board hardly tells from it."""
+    centre = corners.mean(0)
+    _, spread, axes = np.linalg.svd(corners - centre)
+    axes[2] = np.cross(axes[0], axes[1])
+    if spread[2] > _FLAT * spread[0]:
+        raise ValueError("corners are not in one plane")
+    flat = (corners - centre) @ axes[:2].T / spread[0]
+    rays = _undistorted(lens, pixels)
+    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
+    found = np.tile(np.eye(4), (2, len(pixels), 1, 1))
+    for k in range(len(pixels)):
+        x, y = flat[there[k]].T
+        one, none = np.ones_like(x), np.zeros((len(x), 3))
+        row = np.stack([x, y, one], 1)
+        u, v = rays[k, there[k]].T
+        A = np.concatenate([np.hstack([row, none, -u[:, None] * row]), np.hstack([none, row, -v[:, None] * row])])
+        H = np.linalg.svd(A)[2][-1].reshape(3, 3)
+        H = H * np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
+        U, _, Vt = np.linalg.svd(H[:, :2], full_matrices=False)
+        a, b = (U @ Vt).T
+        R, t = np.stack([a, b, np.cross(a, b)], 1), H[:, 2] * spread[0]
+        sight = t / np.linalg.norm(t)
+        # the other: turned half about the line of sight, and half about the normal
+        other = (2 * np.outer(sight, sight) - np.eye(3)) @ R @ np.diag([-1.0, -1.0, 1.0])
+        for place, turned in enumerate((R, other)):
+            inside = turned @ axes
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = inside, t - inside @ centre
+            found[place, k] = T if mounted == "fixed" else np.linalg.inv(T)
+    return list(found)
+
+
+def _undistorted(lens: Lens, pixels: Array) -> Array:
+    """The rays `(…, 2)` of pixels by fixed-point iteration (OpenCV, undistortPoints)."""
+    fx, fy, cx, cy = np.asarray(lens.pinhole)
+    k1, k2, p1, p2, k3 = np.asarray(lens.distortion)
+    x0, y0 = (pixels[..., 0] - cx) / fx, (pixels[..., 1] - cy) / fy
+    x, y = x0, y0
+    for _ in range(_UNDISTORTED):
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        dx, dy = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        x, y = (x0 - dx) / radial, (y0 - dy) / radial
+    return np.stack([x, y], -1)

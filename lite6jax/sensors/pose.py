@@ -1,0 +1,146 @@
+"""Poses and points in a sensor's frame, as trackers and cameras measure them.
+
+Their slopes are written out, not differentiated: a recording has up to a million of them, and the screening compiles
+nothing.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms.se3 import Frame, rotation_log_components
+from lite6jax.sensors.sensor import OwnNumber, whiten
+
+Array = NDArray[np.floating]
+
+
+class Measured(NamedTuple):
+    """What the sensor measured, the sample last. A pytree, used like a `Sensor`.
+
+    Attributes:
+        position: `(3, sample)` m.
+        rotation: `(3, 3, sample)`; `(3, 3, 0)` where no orientation was measured.
+        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
+        constants: `(number, row, sample)`, how poses move with constant errors of what measured them, as of a board.
+        at: `(number,)`, where these are.
+        mean: `(number,)`, of their prior.
+        deviation: `(number,)`, one sigma of it.
+    """
+
+    position: Any
+    rotation: Any
+    whitener: Any
+    constants: Any = np.zeros((0, 0, 0))
+    at: Any = np.zeros(0)
+    mean: Any = np.zeros(0)
+    deviation: Any = np.zeros(0)
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6."""
+        return 6 if self.rotation.shape[-1] else 3
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """Its unknowns, the constant errors."""
+        spread = np.asarray(self.deviation) ** -2.0
+        off = np.asarray(self.at) - np.asarray(self.mean)
+        return tuple(OwnNumber("camera and board", "", *map(float, one)) for one in zip(spread, off, strict=True))
+
+    @property
+    def numbers(self) -> int:
+        """How many unknowns it has."""
+        return len(self.at)
+
+    def moved(self, numbers: Any) -> "Measured":
+        """With its unknowns moved by `numbers`."""
+        return self._replace(at=self.at + numbers) if self.numbers else self
+
+    def select(self, samples: Any) -> "Measured":
+        """Some of the samples."""
+        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
+        rotation = self.rotation[..., samples] if self.rows == 6 else self.rotation
+        constants = self.constants[..., samples] if self.numbers else self.constants
+        return self._replace(
+            position=self.position[:, samples], rotation=rotation, whitener=whitener, constants=constants
+        )
+
+    def residual(self, tool: Frame) -> jax.Array:
+        """Whitened differences `(row, sample)`."""
+        rows = differences(self.position, self.rotation, tool)
+        if self.numbers:
+            rows = rows + jnp.tensordot(self.at, self.constants, 1)
+        return whiten(self.whitener, rows)
+
+    def differences(self, tool: Array) -> Array:
+        """Predicted minus measured poses `(row, sample)`: m in sensor axes, and rad in the measured tool's axes.
+
+        Args:
+            tool: predicted, `(sample, 4, 4)`.
+        """
+        apart = tool[:, :3, 3].T - self.position
+        if self.rows == 6:
+            turned = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))
+            apart = np.concatenate([apart, turned])
+        return apart + np.tensordot(self.at, self.constants, 1) if self.numbers else apart
+
+    def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
+        """How differences `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in sensor axes."""
+        if self.rows == 3:
+            return shift
+        if turn is None:
+            return np.concatenate([shift, np.zeros_like(shift)], -2)
+        in_tool = np.einsum("abs,...as->...bs", self.rotation, turn)
+        apart = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))
+        return np.concatenate([shift, _left_jacobian_inverse(apart, in_tool)], -2)
+
+    def by_numbers(self, tool: Array) -> Array:
+        """How differences change with its unknowns, `(number, row, sample)`."""
+        return np.asarray(self.constants) if self.numbers else np.zeros((0, self.rows, len(tool)))
+
+
+def differences(position: Any, rotation: Any, tool: Frame) -> jax.Array:
+    """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in the measured tool's axes."""
+    shift = tool.origin - position
+    if rotation.shape[-1] == 0:
+        return shift
+    R, axes = rotation, tool[:3]
+    relative = [
+        [R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)
+    ]
+    return jnp.concatenate([shift, jnp.stack(rotation_log_components(relative))])
+
+
+def _rotation_vector(R: Array) -> Array:
+    """Rotation vectors `(3, sample)` of rotations `(3, 3, sample)`: the axis times the angle by its sine and cosine.
+
+    Near half a turn, where the sine says nothing of the axis, they are SciPy's.
+    """
+    sines = 0.5 * np.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = np.linalg.norm(sines, axis=0), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
+    vector = sines * np.where(sine > 0, np.arctan2(sine, cosine) / np.maximum(sine, np.finfo(float).tiny), 1.0)
+    half = cosine < -0.9
+    if half.any():
+        vector[:, half] = Rotation.from_matrix(np.moveaxis(R[..., half], -1, 0)).as_rotvec().T
+    return vector
+
+
+def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
+    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80).
+
+    Args:
+        vector: e, `(3, sample)` rad.
+        rows: v, `(…, 3, sample)`.
+    """
+    angle2 = np.sum(vector**2, 0)
+    small = angle2 < 1e-4
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    exact = 1 / safe - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    gamma = np.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
+    once = np.cross(vector, rows, axis=-2)
+    return rows - 0.5 * once + gamma * np.cross(vector, once, axis=-2)

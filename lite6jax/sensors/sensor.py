@@ -1,0 +1,131 @@
+"""What every sensor is: a function of the tool's pose with unknowns of its own, differentiated automatically."""
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.se3 import Frame, cross
+
+Array = NDArray[np.floating]
+
+
+class OwnNumber(NamedTuple):
+    """An unknown of a sensor.
+
+    Attributes:
+        name: such as `contact a` or `normal of plate1`.
+        unit: m or rad.
+        precision: one over the variance of its prior; zero where nothing is known.
+        offset: from the prior's mean to where it is.
+    """
+
+    name: str
+    unit: str
+    precision: float = 0.0
+    offset: float = 0.0
+
+
+def whiten(whitener: Any, rows: Any) -> Any:
+    """Rows `(row, sample)` over the noise, by `(2,)` or `(row, row, sample)`."""
+    if whitener.ndim == 1:
+        return jnp.repeat(whitener, 3)[: rows.shape[0], None] * rows
+    return jnp.sum(whitener * rows, 1)
+
+
+class Sensor(ABC):
+    """A sensor that reads a function of the tool's pose; a pytree, whose last array axis is the sample.
+
+    What derives from it is a frozen dataclass with `group` `(sample,)` int, which point, plane or anchor a sample is
+    of, and `whitener`, `(2,)` of one over the noise (1/m) twice, or `(row, row, sample)`.
+    """
+
+    rows: ClassVar[int]
+    group: Any
+    whitener: Any
+
+    @abstractmethod
+    def readings(self, tool: Frame) -> jax.Array:
+        """Predicted minus measured readings `(row, sample)` m, where the tool is at `tool` in the base's frame."""
+
+    @abstractmethod
+    def moved(self, numbers: Any) -> Self:
+        """The sensor with its own unknowns moved by `numbers`, in the order of `own`."""
+
+    @property
+    @abstractmethod
+    def own(self) -> tuple[OwnNumber, ...]:
+        """Its unknowns."""
+
+    @abstractmethod
+    def place(self, k: int) -> dict[str, list[float]]:
+        """What of the point, plane or anchor `k` is known or was estimated, by name with its unit."""
+
+    @property
+    def numbers(self) -> int:
+        """How many unknowns it has."""
+        return len(self.own)
+
+    def residual(self, tool: Frame) -> jax.Array:
+        """Readings over their noise, predicted minus measured, `(row, sample)`."""
+        return whiten(self.whitener, self.readings(tool))
+
+    def select(self, samples: Any) -> Self:
+        """Some of the samples."""
+        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
+        return replace(self, group=self.group[samples], whitener=whitener)  # type: ignore[type-var]
+
+    # -------------------------------------------------------------- on the host
+
+    def differences(self, tool: Array) -> Array:
+        """`readings` of tools `(sample, 4, 4)`."""
+        return np.asarray(_readings(self, host_frame(tool)))
+
+    def slopes(self, tool: Array) -> Array:
+        """How readings `(row, 6, sample)` change with a shift and a turn of the tool, in the base's axes."""
+        return np.asarray(_slopes(self, host_frame(tool)))
+
+    def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
+        """How readings `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in base axes."""
+        S = self.slopes(tool)
+        found = np.einsum("ris,...is->...rs", S[:, :3], shift)
+        return found if turn is None or not S[:, 3:].any() else found + np.einsum("ris,...is->...rs", S[:, 3:], turn)
+
+    def by_numbers(self, tool: Array) -> Array:
+        """How readings change with its own unknowns, `(number, row, sample)`."""
+        if not self.numbers:
+            return np.zeros((0, self.rows, len(tool)))
+        return np.asarray(_by_numbers(self, self.numbers, host_frame(tool)))
+
+
+def host_frame(tool: Array) -> Frame:
+    """The frame of `(sample, 4, 4)`."""
+    parts = np.moveaxis(tool[:, :3], 0, -1)
+    return Frame(parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3])  # type: ignore[arg-type]
+
+
+@jax.jit
+def _readings(sensor: Sensor, tool: Frame) -> jax.Array:
+    return sensor.readings(tool)
+
+
+@jax.jit
+def _slopes(sensor: Sensor, tool: Frame) -> jax.Array:
+    def at(twist: jax.Array) -> jax.Array:
+        turn = twist[3:, None]
+        axes = (axis + cross(jnp.broadcast_to(turn, axis.shape), axis) for axis in tool[:3])
+        x, y, z = axes
+        return sensor.readings(Frame(x, y, z, tool.origin + twist[:3, None]))
+
+    return jnp.swapaxes(jax.jacfwd(at)(jnp.zeros(6)), 1, 2)
+
+
+@partial(jax.jit, static_argnums=1)
+def _by_numbers(sensor: Sensor, count: int, tool: Frame) -> jax.Array:
+    by = jax.jacfwd(lambda numbers: sensor.moved(numbers).readings(tool))(jnp.zeros(count))
+    return jnp.moveaxis(by, -1, 0)

@@ -1,0 +1,177 @@
+"""Touches, distances, heights and images: what a fit and a diagnosis make of them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lite6jax.arms import frames
+from lite6jax.arms.factory import write_factory
+from lite6jax.arms.files import read_arm
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.options import QUICK
+from lite6jax.domains.pose.fit import fit_recording
+from lite6jax.domains.pose.predict import predict
+from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.errors import InputError
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import read_recording, write_recording
+from lite6jax.simulation import simulate
+from lite6jax.simulation.motions import draw_calibration
+from lite6jax.simulation.readings import TOOLS
+
+TOUCHES = ("contact", "plane", "distance", "axis")
+NOTHING = Terms(), np.zeros(0)
+
+
+def recording_of(folder, sensor, samples=60, seed=4, exact=True, **given):
+    """A recording whose sidecar names the arm's own calibration, or not."""
+    arm = read_arm("lite6")
+    kinematics = draw_calibration(arm, seed)
+    write_factory(kinematics, folder / "arm.yaml", overwrite=True)
+    recording = simulate("lite6", sensor=sensor, samples=samples, seed=seed, kinematics=kinematics, **given)
+    file = "arm.yaml" if exact else None
+    settings = dataclasses.replace(recording.settings, arm="lite6", factory_calibration=file)
+    return read_recording(
+        write_recording(dataclasses.replace(recording, settings=settings), folder / f"{sensor}.csv", True)
+    )
+
+
+@pytest.mark.parametrize("sensor", TOUCHES)
+def test_a_fit_finds_the_tool_within_its_standard_deviations(tmp_path, sensor):
+    solution = fit_recording(recording_of(tmp_path, sensor))
+    tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
+    std = solution.standard_deviation[-6:-3]
+    assert (std > 0).all()
+    assert (np.abs(tool - TOOLS[sensor]) < 4 * std).all()
+    assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
+    assert solution.quality.verdict == "good"
+    assert all(np.isfinite(value).all() for place in solution.places for value in place.std.values())
+
+
+def test_a_fit_says_where_sockets_are(tmp_path):
+    recording = recording_of(tmp_path, "contact")
+    solution = fit_recording(recording)
+    point = {place.name: np.array(place.values["point_m"]) for place in solution.places}
+    a, b = (point[f"contact {name}"] for name in recording.settings.contact_distances[0].between)
+    assert np.linalg.norm(a - b) == pytest.approx(0.05, abs=2e-4)
+    # they are where the tool is while it touches them, by plain kinematics
+    tools = solution.predict(recording.joint_position)[:, :3, 3]
+    for k, name in enumerate(recording.readings.names):
+        mean = tools[recording.readings.group == k].mean(0)
+        np.testing.assert_allclose(point[f"contact {name}"], mean, atol=1e-4)
+
+
+def test_nominal_geometry_is_fitted_near_nominal_only(tmp_path):
+    recording = recording_of(tmp_path, "contact", samples=120, exact=False)
+    solution, arm = fit_recording(recording), read_arm("lite6")
+    links = [frames.transform_from_row(np.reshape(rows, (6, 6))) for rows in (solution.parameters, arm.kinematics)]
+    shift, turn = frames.compare_transforms(*links)
+    assert shift.max() < 5e-3  # thirty touches a socket do not bend a chain
+    assert turn.max() < 0.03
+    before, after = solution.nominal_errors.position_rms, solution.checked.position_rms
+    assert after < 0.5 * before
+
+
+def test_the_nuisance_of_touches_moves_residuals_as_its_columns_say(tmp_path):
+    recording = recording_of(tmp_path, "contact", samples=24, exact=False)
+    problem = pose_problem(recording)
+    assert {"base", "link", "tool", "reading", "wave"} == {site[0] for site in problem.unknown if site[0] != "mass"}
+    columns, step = problem.nuisance_columns(*NOTHING), 1e-6
+    for k, column in enumerate(columns):
+        if problem.unknown[k][0] == "mass":
+            continue
+        one = step * np.eye(len(problem.unknown))[k]
+        slope = (problem.residual(one, *NOTHING) - problem.residual(-one, *NOTHING)) / (2 * step)
+        np.testing.assert_allclose(column, slope, rtol=1e-3, atol=1e-4 * np.abs(columns).max(), err_msg=f"{k}")
+
+
+def test_relinearised_touches_go_on_where_they_were(tmp_path):
+    recording = recording_of(tmp_path, "contact", samples=24, exact=False)
+    problem = pose_problem(recording)
+    nuisance = 1e-4 * np.random.default_rng(0).standard_normal(len(problem.unknown))
+    nuisance[[site[0] == "mass" for site in problem.unknown]] = 0.0
+    there = problem.relinearised(nuisance)
+    np.testing.assert_allclose(
+        there.residual(0 * nuisance, *NOTHING), problem.residual(nuisance, *NOTHING), atol=2e-2
+    )  # displacements one after the other differ from their sum to second order: 10 nm of noise of 0.1 mm
+
+
+@pytest.mark.parametrize("sensor", ["fixed_camera", "flange_camera"])
+def test_images_of_a_board_tell_where_camera_and_board_are(tmp_path, sensor):
+    solution = fit_recording(recording_of(tmp_path, sensor, samples=50))
+    tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
+    assert (np.abs(tool - TOOLS[sensor]) < 4 * solution.standard_deviation[-6:-3]).all()
+    assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
+
+
+# ------------------------------------------------------------------ what says nothing
+
+
+def refused(recording):
+    with pytest.raises(InputError) as error:
+        fit_recording(recording)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_one_point_without_a_length_is_refused(tmp_path):
+    recording = recording_of(tmp_path, "contact", exact=False)
+    settings = dataclasses.replace(recording.settings, contact_distances=())
+    one = dataclasses.replace(recording.select(recording.readings.group == 0), settings=settings)
+    assert "contact_distances" in refused(one)
+
+
+def test_a_plane_touched_at_one_place_is_refused(tmp_path):
+    recording = recording_of(tmp_path, "plane")
+    same = recording.select(np.zeros(20, int))
+    q = same.joint_position + 1e-3 * np.random.default_rng(0).standard_normal(same.joint_position.shape)
+    assert "three or more places" in refused(dataclasses.replace(same, joint_position=q))
+
+
+def test_images_without_rotation_are_refused(tmp_path):
+    recording = recording_of(tmp_path, "fixed_camera", samples=12)
+    assert "wrist orientations" in refused(recording.select(np.zeros(10, int)))
+
+
+def test_distances_between_contacts_that_are_not_there_are_refused(tmp_path):
+    recording = recording_of(tmp_path, "contact", exact=False)
+    group, names = recording.readings.group, ("w", "x", "y", "z")
+    readings = dataclasses.replace(recording.readings, names=names, group=group)
+    assert "correct the names" in refused(dataclasses.replace(recording, readings=readings))
+
+
+# ------------------------------------------------------------------ a diagnosis
+
+
+def test_heights_show_a_compliance_and_predict_it(tmp_path):
+    effect = "joint_compliance:joint=2,compliance_rad_per_Nm=1.5e-4"
+    found = diagnose(recording_of(tmp_path, "axis", samples=90, effects=[effect]), options=QUICK)
+    assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
+    (estimate,) = found.findings[0].parameters.values()
+    assert abs(estimate.value - 1.5e-4) < 4 * estimate.std
+    assert found.verdict == "explained"
+    motion = recording_of(tmp_path, "axis", samples=40, seed=4, effects=[effect])
+    height = predict(found.model, motion.joint_position)[:, 2, 3]
+    left = height - motion.readings.value
+    assert np.std(left) < 2 * motion.settings.axis_noise_m
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sensor", [*TOUCHES, "fixed_camera"])
+def test_clean_readings_have_no_finding(tmp_path, sensor):
+    found = diagnose(recording_of(tmp_path, sensor, samples=80, seed=6), options=QUICK)
+    assert not found.findings
+    assert found.document()["schema"]
+
+
+@pytest.mark.long
+def test_touches_of_an_arm_without_calibration_predict_other_places(tmp_path):
+    recording = recording_of(tmp_path, "contact", samples=160, exact=False)
+    left = np.isin(recording.readings.group, (0, 1))
+    found = diagnose(recording.select(left), options=QUICK)
+    nominal = fit_recording(recording.select(left)).nominal_errors.position_rms
+    p = predict(found.model, recording.select(~left).joint_position)[:, :3, 3]
+    group = recording.readings.group[~left]
+    spread = [np.linalg.norm(p[group == k] - p[group == k].mean(0), axis=1) for k in (2, 3)]
+    assert np.sqrt(np.mean(np.concatenate(spread) ** 2)) < 0.5 * nominal

@@ -1,0 +1,112 @@
+"""What holds for every sensor: zero at the truth, columns against differences, own unknowns that move what is read."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
+from lite6jax.sensors.sensor import host_frame
+
+SAMPLES = 12
+
+
+def tools(seed=0):
+    rng = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (SAMPLES, 1, 1))
+    T[:, :3, :3] = Rotation.random(SAMPLES, rng).as_matrix()
+    T[:, :3, 3] = rng.uniform(-0.5, 0.5, (SAMPLES, 3))
+    return T
+
+
+def sensors():
+    rng = np.random.default_rng(1)
+    group, W = np.arange(SAMPLES) % 3, np.full(2, 1 / 5e-5)
+    points, unit = rng.uniform(-0.4, 0.4, (3, 3)), lambda v: v / np.linalg.norm(v, axis=0)
+    rods = (Rod(0, 1, 0.05, 1e-5), Rod(1, 2, 0.1, 1e-4))
+    value, names = rng.uniform(0.2, 0.9, SAMPLES), ("a", "b", "c")
+    return {
+        "contact": Contact(group, W, points, names, (True, False, True)),
+        "contact with rods": Contact(group, W, points, names, (True,) * 3, rods),
+        "plane": Plane(group, W, unit(points), points, np.zeros(3), names, (True, True, False)),
+        "distance": Distance(group, W, value, points, np.array([0.01]), names, (True, False, True), True),
+        "axis": Axis(0 * group, W, value, unit(points[:, 0]), np.array([0.1]), True),
+        "axis known": Axis(0 * group, W, value, np.array([0.0, 0.0, 1.0]), np.array([0.1]), False),
+    }
+
+
+SENSORS = sensors()
+
+
+def plainly(name, sensor, T):
+    """The readings by their formula in plain NumPy."""
+    p, g = T[:, :3, 3], sensor.group
+    if isinstance(sensor, Contact):
+        return (p - sensor.points.T[g]).T
+    if isinstance(sensor, Plane):
+        return np.sum(sensor.normal.T[g] * (p - sensor.centre.T[g]), 1)[None] - sensor.height[g]
+    if isinstance(sensor, Distance):
+        return (np.linalg.norm(p - sensor.anchors.T[g], axis=1) + sensor.constant - sensor.value)[None]
+    return (p @ sensor.direction + sensor.constant - sensor.value)[None]
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_readings_are_those_of_the_formula(name):
+    sensor, T = SENSORS[name], tools()
+    np.testing.assert_allclose(sensor.differences(T), plainly(name, sensor, T), atol=1e-12)
+    np.testing.assert_allclose(sensor.residual(host_frame(T)), plainly(name, sensor, T) / 5e-5, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_columns_are_differences(name):
+    sensor, T, step = SENSORS[name], tools(), 1e-6
+    rng = np.random.default_rng(2)
+    shift, turn = rng.standard_normal((2, 3, SAMPLES))
+
+    def moved(size):
+        out = T.copy()
+        out[:, :3, 3] += size * shift.T
+        out[:, :3, :3] = Rotation.from_rotvec(size * turn.T).as_matrix() @ T[:, :3, :3]
+        return sensor.differences(out)
+
+    slope = (moved(step) - moved(-step)) / (2 * step)
+    np.testing.assert_allclose(sensor.columns(T, shift, turn), slope, atol=1e-7)
+    for k, column in enumerate(sensor.by_numbers(T)):
+        one = step * np.eye(sensor.numbers)[k]
+        slope = (sensor.moved(one).differences(T) - sensor.moved(-one).differences(T)) / (2 * step)
+        np.testing.assert_allclose(column, slope, atol=1e-7)
+    assert len(sensor.by_numbers(T)) == sensor.numbers == len(sensor.own)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_samples_that_are_selected_read_as_before(name):
+    sensor, T, some = SENSORS[name], tools(), np.array([7, 2, 3])
+    np.testing.assert_array_equal(sensor.select(some).differences(T[some]), sensor.differences(T)[:, some])
+
+
+def test_what_is_known_does_not_move():
+    sensor = SENSORS["contact"]
+    moved = sensor.moved(np.full(sensor.numbers, 0.01))
+    np.testing.assert_array_equal(np.asarray(moved.points)[:, 1], sensor.points[:, 1])
+    assert not np.allclose(np.asarray(moved.points)[:, 0], sensor.points[:, 0])
+
+
+def test_the_length_of_a_rod_is_one_number_with_its_prior():
+    sensor = SENSORS["contact with rods"]
+    apart = np.linalg.norm(sensor.points[:, 1] - sensor.points[:, 0])
+    (length,) = [k for k, one in enumerate(sensor.own) if one.precision == pytest.approx(1e-5**-2)]
+    assert sensor.own[length].offset == pytest.approx(apart - 0.05)
+    step = np.zeros(sensor.numbers)
+    step[length], step[length + 1], step[0] = 0.003, 0.002, 0.01
+    points = np.asarray(sensor.moved(step).points)
+    assert np.linalg.norm(points[:, 1] - points[:, 0]) == pytest.approx(apart + 0.003, abs=1e-12)
+    # what hangs on a child goes with it
+    before = sensor.points[:, 2] - sensor.points[:, 1]
+    np.testing.assert_allclose(points[:, 2] - points[:, 1], before, atol=1e-12)
+
+
+def test_normals_stay_unit():
+    moved = SENSORS["plane"].moved(np.array([0.3, -0.2, 0.01, 0.1, 0.1, 0.0]))
+    np.testing.assert_allclose(np.linalg.norm(np.asarray(moved.normal), axis=0), 1.0, atol=1e-12)
+    assert dataclasses.is_dataclass(moved)
