@@ -183,7 +183,7 @@ class Marginal:
         squares, freedom = self._by_group
         found, ends = [], np.cumsum([0, *map(len, groups)])
         for own in map(slice, ends[:-1], ends[1:]):
-            of = self._coupled(acting[own].any(0))
+            of = self._coupled(np.asarray(acting[own].any(0)))
             if not of.size:
                 found.append(Evidence(*(np.zeros(()),) * 3))
                 continue
@@ -233,6 +233,7 @@ def _of_groups(
 ) -> Evidence:
     """The evidence of some numbers, all of which are not zero, where each group of rows has a scale of its own."""
     pull, information, rest = pull[:, which], information[:, which][:, :, which], left
+    x, kept = np.zeros(len(which)), np.zeros(len(which), bool)
     for _ in range(_REWEIGHTED if len(left) > 1 else 1):
         weight = freedom / rest
         eigenvalues, V = np.linalg.eigh(np.tensordot(weight, information, 1) / weight.max())

@@ -194,15 +194,17 @@ class Scan:
             if kernel in kernels.SCALED:
                 self._features[key] = kernels.root(kernel, in_product).T @ self._every_spline(k)
             else:
-                values, bounds = self.quantities[k].values[None], self.quantities[k].bounds
-                found = kernels.features(kernel, values, bounds, self.problem.every_run, rolloff)
+                values: Any = self.quantities[k].values[None]
+                run: Any = self.problem.every_run
+                found = kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff)
                 self._features[key] = np.asarray(found)
         return self._features[key]
 
     def _every_spline(self, k: int) -> Array:
         key = (k,), "spline"
         if key not in self._features:
-            self._features[key] = kernels.spline_basis(self.quantities[k].values, *self.quantities[k].bounds)
+            values: Any = self.quantities[k].values
+            self._features[key] = np.asarray(kernels.spline_basis(values, *self.quantities[k].bounds))
         return self._features[key]
 
     @cached_property

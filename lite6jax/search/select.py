@@ -408,17 +408,23 @@ class Selector:
             test = self.beside(state, k)
             one = self._weighed_as_is(test, one)
             others, seen = [], set[object]()
-            for other in self._in_place(state, k):
+            near = [other for other in self._in_place(state, k) if one.net - other.net < self.options.close]
+            # a process of a name's own driver at its site is that name, unless it is as likely
+            names = [one.term, *(other.make() for other in near if not other.process)]
+            own = {(name.site, driver.phrase) for name in names if not name.nonparametric for driver in name.drivers}
+            for other in near:
                 gap = one.net - other.net
                 said = other.site, other.cause
-                if gap >= self.options.close or len(others) == self.options.listed:
+                if len(others) == self.options.listed:
                     break
+                if other.process and gap >= NEARLY and any((other.site, phrase) in own for phrase in other.cause):
+                    continue
                 if not self._contains(other, one.term) and said not in seen and self._is_possible(test, other):
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
             if (wave := wave_of(self.problem, one.term)) is not None:
-                near = as_likely(test, *wave, self.options.close)
-                others += [Alternative(wave[0].term(order), gap) for order, gap in near]
+                waves = as_likely(test, *wave, self.options.close)
+                others += [Alternative(wave[0].term(order), gap) for order, gap in waves]
                 others.sort(key=lambda each: each.gap)
             tested.append(replace(one, alternatives=tuple(others)))
         return replace(state, tested=tuple(tested))

@@ -1,7 +1,6 @@
 """Names that are claimed: physics that the catalogue lacks gets none, and what is in it keeps its own."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.concentration import concentration
-from lite6jax.recordings.formats import read_recording
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -191,14 +189,6 @@ def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial)
     found = explain(Case(recording, None, "declared", OPTIONS)).selection.state
     assert sorted(one.term.label for one in found.tested) == ["base_compliance:base", "joint_compliance:joint2"]
     assert found.fit.terms.size == 3
-
-
-def test_a_name_lists_a_step_at_its_site_that_explains_as_much():
-    """A joint that steps in its range looks like one with play where 17 rows approach either side from its own."""
-    recording = read_recording(Path(__file__).with_name("step_in_17_rows") / "recording.csv")
-    (found,) = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
-    assert found.term.label == "joint_backlash:joint1"
-    assert "joint1" in [one.term.site for one in found.alternatives if one.term.nonparametric]
 
 
 @pytest.mark.long

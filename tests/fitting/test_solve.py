@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.domains.pose import kinematics
 from lite6jax.domains.pose.screening import rows
 from lite6jax.estimation.robust import t_scale
 from lite6jax.fitting import fit, solution, solve
 from lite6jax.fitting.problem import recording_problem
 from lite6jax.fitting.residual import observe, residuals
+from lite6jax.sensors import pose
 from lite6jax.simulation import simulate
 
 
@@ -43,7 +43,7 @@ def test_rotation_vectors_are_scipys_at_every_angle():
     angle[0] = 0.0
     vector = axis * angle[:, None]
     R = Rotation.from_rotvec(vector).as_matrix()
-    found = kinematics._rotation_vector(np.moveaxis(R, 0, -1))
+    found = pose._rotation_vector(np.moveaxis(R, 0, -1))
     np.testing.assert_allclose(found.T, vector, rtol=0, atol=1e-14)
     np.testing.assert_allclose(found.T[:200], vector[:200], rtol=0, atol=1e-15)
 

@@ -54,7 +54,7 @@ def test_commanded_positions_stay_beside_the_measured_ones():
     time = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.015, 400))
     q, dq = swing(time)
     recording = Recording.from_arrays(q, time=time, joint_velocity=dq, joint_torque=dq, commanded_position=q + 0.1)
-    even, fault = evenly_timed(recording)
+    even, fault, _ = evenly_timed(recording)
     assert fault is not None
     np.testing.assert_allclose(even.commanded_position, even.joint_position + 0.1, atol=1e-4)
     A, b = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([0.5, 0.0])
