@@ -102,7 +102,7 @@ class LinearisedProblem(Protocol):
         preset: terms that the domain has estimated before the search, because they are too far from zero for the
             linearisation of a score test, and their numbers.
         floored: whether the noise is never less than declared, so that nothing is looked for below it: how a ball seats
-            in its socket varies with the pose, like physics.
+            in its socket varies from sample to sample, like physics.
     """
 
     @property
