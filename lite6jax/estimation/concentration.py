@@ -57,7 +57,7 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         return None
     if gain < max(gains.values()) - options.close:
         return None
-    left = test.left[: problem.rows * problem.samples].reshape(problem.rows, problem.samples)
+    left = test.left_of_rows
     column = test.whitened(best.column)
     direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
     along = np.sum(direction * left, 0)

@@ -44,6 +44,9 @@ class Evidence(NamedTuple):
     volume: Array
 
 
+_NOTHING = Evidence(np.zeros(()), np.zeros(()), np.zeros(()))
+
+
 class Sums(NamedTuple):
     """A site's column summed over the rows of each sample.
 
@@ -81,11 +84,11 @@ class Marginal:
         """The sum of squares left in each group of rows, and its degrees of freedom, with the declared noise."""
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
-        products = self.test.left**2  # in sum that times the residual, which of a group alone may be negative
-        by_row = np.sum(products[:measured].reshape(problem.rows, problem.samples), 1)
+        # in sum that times the residual, which of a group alone may be negative
+        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left[measured:] ** 2)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
-        squares = np.maximum(np.bincount(problem.groups, by_row) + products[measured:].sum(), 1e-300)
+        squares = np.maximum(np.bincount(problem.groups, by_row) + of_priors, 1e-300)
         freedom = counts * fit.training.sum() * self.test.freedom / max(problem.rows * fit.training.sum(), 1)
         freedom = np.maximum(freedom, 1.0)
         if problem.floored:
@@ -117,7 +120,7 @@ class Marginal:
         found = Sums(weight[0] * unit**2, pull * unit, inside * unit, left, freedom)
         if test.fit.noise.white or len(rows) != 1:
             return found
-        here = test.left[: test.problem.rows * test.problem.samples].reshape(test.problem.rows, -1)[rows[0]]
+        here = test.left_of_rows[rows[0]]
         # the transpose of a filter that does not change with time filters backwards
         pull = test.whitened(here[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
         row = lambda functions: unit * test.whitened((functions * column[rows[0]])[..., None, :], rows)[..., 0, :]  # noqa: E731
@@ -141,7 +144,7 @@ class Marginal:
             return np.zeros(len(columns)), np.zeros((len(columns),) * 2), 1.0, 1.0
         white = test.whitened(columns[:, rows], rows).reshape(len(columns), -1) / test.scale[0]
         basis, _ = test.of_rows(rows)
-        left = self.test.left[: test.problem.rows * test.problem.samples].reshape(test.problem.rows, -1)[rows].ravel()
+        left = test.left_of_rows[rows].ravel()
         inside = white @ basis.T
         acting = np.zeros(test.problem.rows, bool)
         acting[rows] = True
@@ -157,7 +160,7 @@ class Marginal:
         """
         white = self.test.whitened(column) / self.test.scale[0]
         eigenvalues = np.sum(white**2, 0)
-        squares = np.sum(white * self.test.left[: white.size].reshape(white.shape), 0) ** 2
+        squares = np.sum(white * self.test.left_of_rows, 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
     def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
@@ -175,17 +178,15 @@ class Marginal:
         if together:
             acting = np.broadcast_to(acting.any(0), acting.shape)
         white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
-        measured = white.shape[1]
-        inside = white @ self.test.basis[:, :measured].T
-        outside = (white - inside @ self.test.basis[:, :measured]).reshape(len(columns), problem.rows, -1)
-        left = self.test.left[:measured].reshape(problem.rows, -1)
+        basis, left = self.test.basis[:, : white.shape[1]], self.test.left_of_rows
+        inside = white @ basis.T
         lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
         squares, freedom = self._by_group
         found, ends = [], np.cumsum([0, *map(len, groups)])
         for own in map(slice, ends[:-1], ends[1:]):
             of = self._coupled(np.asarray(acting[own].any(0)))
             if not of.size:
-                found.append(Evidence(*(np.zeros(()),) * 3))
+                found.append(_NOTHING)
                 continue
             size = lengths[own]
             if together or len(of) <= self._together:
@@ -194,7 +195,8 @@ class Marginal:
                 information = ((white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size))[None]
             else:
                 rows = [problem.groups == group for group in of]
-                parts = [(outside[own, one] / size[:, None, None]).reshape(len(size), -1) for one in rows]
+                outside = ((white[own] - inside[own] @ basis) / size[:, None]).reshape(len(size), problem.rows, -1)
+                parts = [outside[:, one].reshape(len(size), -1) for one in rows]
                 pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
                 information, known = np.stack([part @ part.T for part in parts]), (squares[of], freedom[of])
             found.append(_of_numbers(pull, information, *known, self.test.options.confounded))
@@ -212,10 +214,10 @@ def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, co
         confounded: as of `of_process`.
     """
     count, chosen = pull.shape[1], list[int]()
-    best = likelihood = Evidence(*(np.zeros(()),) * 3)
+    best = likelihood = _NOTHING
     while len(chosen) < count:
         rest = [k for k in range(count) if k not in chosen]
-        each = [_of_groups(pull, information, [*chosen, k], left, freedom, confounded) for k in rest]
+        each = [_of_all(pull, information, [*chosen, k], left, freedom, confounded) for k in rest]
         at = int(np.argmax([one.gain + one.volume for one in each]))
         likelihood, chosen = each[at], [*chosen, rest[at]]
         gain = likelihood.gain - np.log(count * comb(count, len(chosen)))
@@ -228,7 +230,7 @@ _REWEIGHTED = 5
 """Solutions for the coefficients, each at the scales of the one before: these differ by less than 1 % then."""
 
 
-def _of_groups(
+def _of_all(
     pull: Array, information: Array, which: list[int], left: Array, freedom: Array, confounded: float
 ) -> Evidence:
     """The evidence of some numbers, all of which are not zero, where each group of rows has a scale of its own."""
@@ -239,7 +241,7 @@ def _of_groups(
         eigenvalues, V = np.linalg.eigh(np.tensordot(weight, information, 1) / weight.max())
         kept = eigenvalues > confounded
         if not kept.any():
-            return Evidence(*(np.zeros(()),) * 3)
+            return _NOTHING
         V = V[:, kept]
         x = V @ ((V.T @ (weight @ pull)) / (weight.max() * eigenvalues[kept]))
         rest = np.clip(left - 2 * pull @ x + x @ information @ x, 1e-12 * left, None)

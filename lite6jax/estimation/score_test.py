@@ -244,6 +244,12 @@ class ScoreTest:
         """`(reading,)`, what the model, integrated over, leaves of the residual."""
         return self.residual - self._inside @ self.basis
 
+    @property
+    def left_of_rows(self) -> Array:
+        """`left` of the measurements, `(row, sample)`; without the readings of priors, which come after these."""
+        rows, samples = self.problem.rows, self.problem.samples
+        return self.left[: rows * samples].reshape(rows, samples)
+
     def given(self, columns: Array) -> "ScoreTest":
         """The test with columns `(number, row, sample)` added to the model, to first order."""
         flat = self._flat(columns)

@@ -1,1 +1,1 @@
-"""Which terms belong to a model: forward, backward, exchange, spectra and curves; of any problem."""
+"""Which terms belong to a model, by their evidence; of any problem."""

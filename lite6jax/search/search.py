@@ -157,7 +157,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
-    """With what may stand in the place of each term, what is confounded with the nuisance, and what is nearest."""
+    """With the alternatives of each term, what is confounded with the nuisance, and what is nearest."""
     entered("naming")
     problem, state = selection.problem, selection.state
     selector = Selector(problem, options.rough)

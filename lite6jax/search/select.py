@@ -7,11 +7,10 @@
 5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
 
 A site has one process, at as many components as it moves: what that does not describe is not told apart from what else
-may act there. Nor is anything
-found elsewhere that explains less than noise would at the component of a process.
+may act there. Nor is anything found that explains less than noise would at the component of a term.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +32,7 @@ class Selector:
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
-        self._known: dict[tuple[int, int], list[Ranked]] = {}
+        self._known: dict[tuple[int, int], tuple[Fit, list[Ranked]]] = {}
 
     # -------------------------------------------------------------- the search
 
@@ -63,7 +62,7 @@ class Selector:
         for k in np.argsort([one.net for one in state.tested]).tolist():
             if not state.tested[k].term.nonparametric:
                 continue
-            trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+            trial = self._left_out(state, k)
             trial = replace(trial, fit=self.in_own_noise(trial.fit))
             if trial.fit.noise.models == state.fit.noise.models:
                 continue
@@ -104,9 +103,10 @@ class Selector:
 
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added: a name that nearly every problem has, before a process is asked for."""
-        worth = self._worth(self.scan.ranked, state, tried)
+        test = score_test(self.problem, state.fit, self.options)
+        worth = self._worth(self.scan.ranked(test), test, state, tried)
         if any(one.process for one in worth):
-            return self._worth(self.scan.usual, state, tried) or worth
+            return self._worth(self.scan.usual(test), test, state, tried) or worth
         return worth
 
     def _added(self, state: State, worth: Sequence[Ranked]) -> State:
@@ -117,20 +117,19 @@ class Selector:
             more = next((named for k in places if (named := self._named(more, k)) is not None), more)
         return self._within_bounds(more)
 
-    def _worth(self, ranked: Callable[[ScoreTest], list[Ranked]], state: State, tried: set[object]) -> list[Ranked]:
+    def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms of a ranking that are worth their cost and within their bounds, of each row the likeliest alone.
 
         A further term that explains less than noise of its own would at the component of one that is there may be a
         part of what that does not describe.
         """
-        test = score_test(self.problem, state.fit, self.options)
         model, marginal = state.fit.terms.terms, Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
         there = {term.site for term in model if term.nonparametric}
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
-        weighed = [self._continued(one, model) for one in self._possible(ranked(test), test, state)]
+        weighed = [self._continued(one, model) for one in self._possible(ranked, test, state)]
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
@@ -185,6 +184,10 @@ class Selector:
         included = {term for one in new for term in one.term.includes}
         kept = [one for one in state.tested if one.term not in included]
         return refitted(self.problem, state, [*kept, *new], self.options)
+
+    def _left_out(self, state: State, k: int) -> State:
+        """Without the k-th term, refitted."""
+        return refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
 
     # -------------------------------------------------------------- each term beside the others
 
@@ -264,8 +267,7 @@ class Selector:
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break
-            rest = [*state.tested[:k], *state.tested[k + 1 :]]
-            state = self._dropped(refitted(self.problem, state, rest, self.options))
+            state = self._dropped(self._left_out(state, k))
         return state
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
@@ -285,9 +287,7 @@ class Selector:
                 if contradicted is None:
                     return state
                 k = contradicted
-            refused = state.refused | {state.tested[k].term}
-            rest = [*state.tested[:k], *state.tested[k + 1 :]]
-            state = replace(refitted(self.problem, state, rest, self.options), refused=refused)
+            state = replace(self._left_out(state, k), refused=state.refused | {state.tested[k].term})
 
     def _is_contradicted(self, state: State, k: int) -> bool:
         """Whether the part of a name in one group of rows alone is likelier than the whole.
@@ -326,8 +326,7 @@ class Selector:
             needed = self._needed(one.term, bool(best.process))
             if best.net < one.net + needed:
                 continue
-            rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
-            trial = self._settled(self._estimated(self._with(rest, best)))
+            trial = self._settled(self._estimated(self._with(self._left_out(state, k), best)))
             if trial.evidence > state.evidence + needed:
                 return trial
         return None
@@ -348,17 +347,16 @@ class Selector:
         best = next(pairs, None)
         if best is None or best[1].net < one.net + self.options.margin:
             return None
-        rest = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
-        trial = self._settled(self._estimated(self._with(rest, *best)))
+        trial = self._settled(self._estimated(self._with(self._left_out(state, k), *best)))
         return trial if trial.evidence > state.evidence + self.options.better else None
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None."""
         rows = self._rows(state.tested[k].term, state)
-        trial = refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+        trial = self._left_out(state, k)
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
-            test = score_test(self.problem, trial.fit, self.options, within=None)
+            test = score_test(self.problem, trial.fit, self.options)
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
             names = [one for one in names if one.net >= self.options.margin]
@@ -387,19 +385,19 @@ class Selector:
         return [self._with(trial, one) for one in less if one is not None and one.net >= self.options.margin]
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:
-        """What may stand in the place of the k-th term, that itself among it, the likeliest first."""
+        """The alternatives of the k-th term, that itself among them, the likeliest first."""
         key = id(state.fit), k
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            rest = [one.term for one in state.tested if one is not state.tested[k]]
             found = self._possible(self.scan.ranked(test, rows=rows), test, state)
-            continued = [self._continued(one, rest) for one in found]
-            self._known[key] = continued if continued == found else sorted(continued, key=lambda one: -one.net)
-        return self._known[key]
+            continued = [self._continued(one, test.fit.terms.terms) for one in found]
+            ordered = continued if continued == found else sorted(continued, key=lambda one: -one.net)
+            self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
+        return self._known[key][1]
 
     def with_alternatives(self, state: State) -> State:
-        """Each term with what may stand in its place."""
+        """Each term with its alternatives."""
         tested = []
         for k, one in enumerate(state.tested):
             if one.term in self._preset:

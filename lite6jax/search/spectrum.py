@@ -49,7 +49,7 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
     q, site, training, options = family.angle, family.column, test.fit.training, test.options
-    score = np.sum(site * test.left[: site.size].reshape(site.shape), 0)[training]
+    score = np.sum(site * test.left_of_rows, 0)[training]
     weight = np.sum(site**2, 0)[training]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
     span = max(float(np.ptp(q)), 1e-3)

@@ -37,7 +37,7 @@ class SelectedTerm:
         cost: −ln of its prior probability.
         volume: by which the evidence is less than the gain of the likelihood.
         p_value: family-wise.
-        alternatives: terms that may stand in its place.
+        alternatives: terms that explain nearly as much.
         chosen_std: standard deviation of the number that was chosen for it; zero where that is exact, or not known yet.
         input_share: the share of the variance of its numbers, the greatest of them, that comes from inputs which may be
             wrong without being found so; zero where that is not known yet.
