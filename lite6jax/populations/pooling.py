@@ -63,7 +63,7 @@ class Weighed:
         scatter: of scores between blocks of samples over the information, at least 1.
         way: in which it is likeliest.
         variance: of the coefficients of a process; infinite of a name.
-        rivals: terms that may stand in its place, and by how much the evidence less the cost is lower.
+        rivals: its alternatives, and by how much the evidence less the cost is lower.
         nearest: of a process, the named term that explains most of it, and the share.
     """
 

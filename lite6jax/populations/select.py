@@ -47,7 +47,7 @@ class Search:
         self._known: dict[frozenset[Tested], list[Weighed]] = {}
 
     def selected(self) -> list[Weighed]:
-        """The effects, in the order in which they were found, with what may stand in the place of each."""
+        """The effects, in the order in which they were found, each with its alternatives."""
         terms = self._grown([])
         for _ in range(self._options.engine.exchanges):
             better = self._exchanged(terms)
