@@ -24,8 +24,10 @@ from lite6jax.estimation.score_test import ScoreTest
 
 Array = NDArray[np.floating]
 
-_RATIOS = np.geomspace(1e-2, 1e7, 28)
-"""Of the prior's variance to that of the best determined direction, that are tried."""
+_TRIED = 28
+"""Variances of the prior that are tried."""
+_LEAST, _MOST = 1e-2, 1e7
+"""Of them to the variance of the best determined direction; more where the pulls are larger."""
 _DECLARED = 4.0
 """Degrees of freedom that a declared noise counts as: it is known to a factor of two."""
 
@@ -246,10 +248,11 @@ def _of_all(
         x = V @ ((V.T @ (weight @ pull)) / (weight.max() * eigenvalues[kept]))
         rest = np.clip(left - 2 * pull @ x + x @ information @ x, 1e-12 * left, None)
     likelihood, numbers = -0.5 * float(freedom @ np.log(rest / left)), int(kept.sum())
-    if len(left) == 1:
-        q = float(pull[0] @ x)
-        one = best_amplitude(np.ones(numbers), np.full(numbers, q / numbers), float(left[0]), float(freedom[0]))
-        return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
+    if len(left) == 1:  # of equal directions the likeliest share of the likelihood's gain is known
+        share, degrees = float(rest[0] / left[0]), float(freedom[0])
+        shrunk = min(numbers * share / max((1 - share) * (degrees - numbers), 1e-300), 1.0)
+        gain = -0.5 * degrees * np.log(share + (1 - share) * shrunk) + 0.5 * numbers * np.log(shrunk)
+        return Evidence(np.asarray(gain), np.asarray(1 / shrunk - 1), np.asarray(max(likelihood - gain, 0.0)))
     each = max(float((freedom / rest) @ (x @ information @ x)) / numbers, 1.0)
     volume = numbers / 2 * (1 + np.log(each))
     return Evidence(np.asarray(likelihood - volume), np.asarray(each), np.asarray(volume))
@@ -266,7 +269,10 @@ def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, free
     """
     left, freedom = (np.asarray(each)[..., 0] if np.ndim(each) else each for each in (left, freedom))
     top = np.maximum(eigenvalues.max(-1, keepdims=True), 1e-300)
-    s = _RATIOS / top
+    seen = eigenvalues > 1e-12 * top
+    explained = np.sum(np.where(seen, squares, 0.0) / np.where(seen, eigenvalues, 1.0), -1, keepdims=True)
+    most = np.maximum(_MOST, 10 * freedom * explained / np.maximum(left - explained, 1e-12 * left))
+    s = _LEAST * (most / _LEAST) ** np.linspace(0, 1, _TRIED) / top
     grown = s[..., None] * eigenvalues[..., None, :]
     q = np.sum(s[..., None] * squares[..., None, :] / (1 + grown), -1)
     volume = 0.5 * np.sum(np.log1p(grown), -1)
