@@ -182,11 +182,11 @@ class Marginal:
         inside = white @ basis.T
         lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
         squares, freedom = self._by_group
-        found, ends = [], np.cumsum([0, *map(len, groups)])
-        for own in map(slice, ends[:-1], ends[1:]):
+        found, ends = [_NOTHING] * len(groups), np.cumsum([0, *map(len, groups)])
+        alike: dict[tuple[int, ...], list[tuple[int, tuple[Array, ...]]]] = {}
+        for k, own in enumerate(map(slice, ends[:-1], ends[1:])):
             of = self._coupled(np.asarray(acting[own].any(0)))
             if not of.size:
-                found.append(_NOTHING)
                 continue
             size = lengths[own]
             if together or len(of) <= self._together:
@@ -199,30 +199,46 @@ class Marginal:
                 parts = [outside[:, one].reshape(len(size), -1) for one in rows]
                 pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
                 information, known = np.stack([part @ part.T for part in parts]), (squares[of], freedom[of])
-            found.append(_of_numbers(pull, information, *known, self.test.options.confounded))
+            alike.setdefault(pull.shape, []).append((k, (pull, information, *known)))
+        for members in alike.values():
+            parts = zip(*(of for _, of in members), strict=True)
+            pull, information, rest, counted = (np.stack(part) for part in parts)
+            each = _of_numbers(pull, information, rest, counted, self.test.options.confounded)
+            for one, (k, _) in enumerate(members):
+                found[k] = Evidence(*(part[one] for part in each))
         return found
 
 
 def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, confounded: float) -> Evidence:
-    """As `of_names`, of one term whose columns have unit length.
+    """As `of_names`, of terms of as many numbers, whose columns have unit length.
 
     Args:
-        pull: `(group, number)`, of each group of noise.
-        information: `(group, number, number)`.
-        left: `(group,)` S.
-        freedom: `(group,)` ν.
+        pull: `(term, group, number)`, of each group of noise.
+        information: `(term, group, number, number)`.
+        left: `(term, group)` S.
+        freedom: `(term, group)` ν.
         confounded: as of `of_process`.
     """
-    count, chosen = pull.shape[1], list[int]()
-    best = likelihood = _NOTHING
-    while len(chosen) < count:
-        rest = [k for k in range(count) if k not in chosen]
-        each = [_of_all(pull, information, [*chosen, k], left, freedom, confounded) for k in rest]
-        at = int(np.argmax([one.gain + one.volume for one in each]))
-        likelihood, chosen = each[at], [*chosen, rest[at]]
-        gain = likelihood.gain - np.log(count * comb(count, len(chosen)))
-        if gain > best.gain:
-            best = likelihood._replace(gain=gain)
+    terms, count = len(pull), pull.shape[-1]
+    at, chosen = np.arange(terms), np.zeros((terms, 0), int)
+    rest = np.tile(np.arange(count), (terms, 1))
+    best = likelihood = Evidence(*(np.zeros(terms) for _ in Evidence._fields))
+    for size in range(1, count + 1):
+        tried = np.concatenate([np.repeat(chosen[:, None], rest.shape[1], 1), rest[..., None]], 2)
+        each = _of_all(
+            np.moveaxis(pull[at[:, None, None], :, tried], -1, -2),
+            np.moveaxis(information[at[:, None, None, None], :, tried[..., None], tried[..., None, :]], -1, -3),
+            left[:, None],
+            freedom[:, None],
+            confounded,
+        )
+        likeliest = np.argmax(each.gain + each.volume, 1)
+        likelihood, chosen = Evidence(*(part[at, likeliest] for part in each)), tried[at, likeliest]
+        rest = rest[np.arange(rest.shape[1]) != likeliest[:, None]].reshape(terms, -1)
+        gain = likelihood.gain - np.log(count * comb(count, size))
+        better = gain > best.gain
+        parts = zip((gain, likelihood.variance, likelihood.volume), best, strict=True)
+        best = Evidence(*(np.where(better, one, before) for one, before in parts))
     return best._replace(volume=np.maximum(likelihood.gain + likelihood.volume - best.gain, 0.0))
 
 
@@ -230,29 +246,43 @@ _REWEIGHTED = 5
 """Solutions for the coefficients, each at the scales of the one before: these differ by less than 1 % then."""
 
 
-def _of_all(
-    pull: Array, information: Array, which: list[int], left: Array, freedom: Array, confounded: float
-) -> Evidence:
-    """The evidence of some numbers, all of which are not zero, where each group of rows has a scale of its own."""
-    pull, information, rest = pull[:, which], information[:, which][:, :, which], left
-    x, kept = np.zeros(len(which)), np.zeros(len(which), bool)
-    for _ in range(_REWEIGHTED if len(left) > 1 else 1):
-        weight = freedom / rest
-        eigenvalues, V = np.linalg.eigh(np.tensordot(weight, information, 1) / weight.max())
-        kept = eigenvalues > confounded
-        if not kept.any():
-            return _NOTHING
-        V = V[:, kept]
-        x = V @ ((V.T @ (weight @ pull)) / (weight.max() * eigenvalues[kept]))
-        rest = np.clip(left - 2 * pull @ x + x @ information @ x, 1e-12 * left, None)
-    likelihood, numbers = -0.5 * float(freedom @ np.log(rest / left)), int(kept.sum())
-    if len(left) == 1:
-        q = float(pull[0] @ x)
-        one = best_amplitude(np.ones(numbers), np.full(numbers, q / numbers), float(left[0]), float(freedom[0]))
+def _of_all(pull: Array, information: Array, left: Array, freedom: Array, confounded: float) -> Evidence:
+    """The evidence of numbers `(…,)`, all of which are not zero, where each group of rows has a scale of its own.
+
+    Arguments as of `_of_numbers`, with `(…, group)` for `(term, group)`.
+    """
+    groups = left.shape[-1]
+    kept, q, size = _of_least_squares(pull, information, freedom / left, confounded)
+    for _ in range(_REWEIGHTED - 1 if groups > 1 else 0):
+        rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
+        kept, q, size = _of_least_squares(pull, information, freedom / rest, confounded)
+    rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
+    likelihood, numbers = -0.5 * np.sum(freedom * np.log(rest / left), -1), kept.sum(-1)
+    there = np.maximum(numbers, 1)
+    if groups == 1:
+        squares = np.where(kept, q / there[..., None], 0.0)
+        one = best_amplitude(kept.astype(float), squares, left[..., None], freedom[..., None])
         return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
-    each = max(float((freedom / rest) @ (x @ information @ x)) / numbers, 1.0)
-    volume = numbers / 2 * (1 + np.log(each))
-    return Evidence(np.asarray(likelihood - volume), np.asarray(each), np.asarray(volume))
+    variance = np.where(numbers, np.maximum(np.sum(freedom / rest * size, -1) / there, 1.0), 0.0)
+    volume = numbers / 2 * (1 + np.log(np.maximum(variance, 1.0)))
+    return Evidence(likelihood - volume, variance, volume)
+
+
+def _of_least_squares(
+    pull: Array, information: Array, weight: Array, confounded: float
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Of the numbers x that fit best where groups of rows have a weight `(…, group)`, arguments as of `_of_all`.
+
+    Returns:
+        which directions are determined `(…, number)`; x times the pull of each group, and xᵀ times its information
+        times x, `(…, group)`.
+    """
+    weight = (weight / weight.max(-1, keepdims=True))[..., None]
+    eigenvalues, V = np.linalg.eigh(np.sum(weight[..., None] * information, -3))
+    kept = eigenvalues > confounded
+    inside = np.einsum("...ij,...i->...j", V, np.sum(weight * pull, -2))
+    x = np.einsum("...ij,...j->...i", V, np.where(kept, inside / np.where(kept, eigenvalues, 1.0), 0.0))
+    return kept, np.sum(pull * x[..., None, :], -1), np.einsum("...i,...gij,...j->...g", x, information, x)
 
 
 def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, freedom: Array | float) -> Evidence:
