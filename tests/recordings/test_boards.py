@@ -49,7 +49,7 @@ def true_pixels(T):
 def write_images(cv2, folder, T, blank=()):
     folder.mkdir()
     for k, one in enumerate(T):
-        image = np.full(SIZE[::-1], 200, np.uint8) if k in blank else render(cv2, one)
+        image = render(cv2, one) if k not in blank else np.full((SIZE[1], SIZE[0]), 200, np.uint8)
         assert cv2.imwrite(str(folder / f"image{k}.png"), image)
     return folder
 
