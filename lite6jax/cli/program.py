@@ -24,6 +24,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 from lite6jax.cli.arms import Arms, Convert, Effects
 from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.demo import Demo
+from lite6jax.cli.detect import Detect
 from lite6jax.cli.diagnose import Diagnose
 from lite6jax.cli.diagnosis import Compensate, Predict, Report, View
 from lite6jax.cli.emulate import Emulate
@@ -41,8 +42,8 @@ with import_lazily():
 COMMANDS = {
     command.__name__.lower(): command
     for command in (
-        *(Init, Fit, Compare, Fleet, Identify, Sensitivity, Design, Diagnose, Report, View, Predict, Compensate),
-        *(Simulate, Emulate, Convert, Check, Read, Record, Effects, Arms, Demo),
+        *(Init, Detect, Fit, Compare, Fleet, Identify, Sensitivity, Design, Diagnose, Report, View, Predict),
+        *(Compensate, Simulate, Emulate, Convert, Check, Read, Record, Effects, Arms, Demo),
     )
 }
 DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
