@@ -141,7 +141,7 @@ class Diagnose:
                 self._check_figures(domain)
             with screen.stages() as follow:
                 found: Any = search(progress=follow)
-        document, files = self._document(found, domain), ranking.Files(self.source, self.out, self.effects)
+        document, files = self._document(found), ranking.Files(self.source, self.out, self.effects)
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if self.report or self.figures:
             written += self._draw(found, domain, document, files)
@@ -192,20 +192,16 @@ class Diagnose:
         compared = [] if other is None else [other]
         return recording, domain, partial(against if compared else alone, recording, *compared, arm, **given)
 
-    def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
+    def _document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
-        document = found.to_dict() if domain == "both" else found.document()
         inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
         for file in self.more:
             inputs += [one for one in command.list_inputs(file) if one not in inputs]
-        document |= {"inputs": inputs}
-        if domain != "both" and found.against is not None:
-            document["against"] = found.against.to_dict()
-        return statements.with_statements(document)
+        return statements.with_statements(found.to_dict() | {"inputs": inputs})
 
     def _check_figures(self, domain: Domain) -> None:
         if self.figures:
-            names = [f"{self.source.stem}_{name}" for name in _name_figures(domain)]
+            names = [f"{self.source.stem}_{name}" for name in diagnosis_figures.NAMES[domain]]
             command.check_figures(self.figures, names, self.force)
 
     def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
@@ -219,7 +215,7 @@ class Diagnose:
         """
         against = self.reference if domain == "both" else found.against and found.against.file
         sides = f"{self.source} against {against}" if against else str(self.source)
-        written, drawn, most = [], {}, len(_name_figures(domain))
+        written, drawn, most = [], {}, len(diagnosis_figures.NAMES[domain])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -310,20 +306,12 @@ class Diagnose:
 
         A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        _, domain, search = self._prepare(both=not self.fleet)
+        _, _, search = self._prepare(both=not self.fleet)
         found = search()
-        text = diagnosis_file.document_text(self._document(found, domain))
+        text = diagnosis_file.document_text(self._document(found))
         if not self.fleet:
             return text, None
         return text, reduction.reduced(found).to_bytes()
-
-
-def _name_figures(domain: Domain) -> list[str]:
-    """The names of the figures of a diagnosis of poses, of torques or of both."""
-    poses, torques = diagnosis_figures.NAMES, diagnosis_figures.TORQUE_NAMES
-    if domain == "both":
-        return [*poses, *(diagnosis_figures.PREFIX + name for name in torques)]
-    return [*(torques if domain == "torques" else poses)]
 
 
 def _is_folder(source: Path) -> bool:
