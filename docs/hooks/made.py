@@ -179,7 +179,6 @@ PYTHON = {
     "Plan a measurement": (
         "plan_experiment", "Experiment", "Sensor", "identify", "identify_recording", "plan_poses", "candidates",
         "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
-        "global_sensitivity",
     ),
     "Effects of your own": (
         "Effect", "JointEffect", "Bending", "JointTorque", "TorqueEffect", "Coordinate", "Driver", "Motion", "Loads",
