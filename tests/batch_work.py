@@ -69,10 +69,6 @@ def dead(value):
     return pa.table({"input": [str(value)], "length": [-1]})
 
 
-def content(inputs):
-    return "\0".join(map(str, inputs)).encode()
-
-
 def diagnosed(names, place, folder):
     """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
     from lite6jax.distribution.batches import concatenate
