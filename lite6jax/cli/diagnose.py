@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place, attempt, list_recordings, restore_url
+from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
 from lite6jax.storage import write_atomically
 
 with import_lazily():
@@ -35,8 +35,7 @@ with import_lazily():
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
     from lite6jax.fitting import source
-    from lite6jax.folders import diagnoses
-    from lite6jax.populations import options, reduction
+    from lite6jax.fleet import diagnoses, options, reduction
     from lite6jax.report import (
         canvas,
         diagnosis_figures,

@@ -25,7 +25,7 @@ from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
-from lite6jax.folders.fleet import Row
+from lite6jax.fleet.folder import Row
 from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
 

@@ -10,8 +10,8 @@ from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.diagnoses import DIAGNOSED
-from lite6jax.folders.fleet import Row
+from lite6jax.fleet.diagnoses import DIAGNOSED
+from lite6jax.fleet.folder import Row
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import Quantity, counted, listing, number, quantity
 
@@ -81,7 +81,7 @@ def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]
     """A line for each recording with its verdict, its errors and its findings, and for each that was not diagnosed.
 
     Args:
-        rows: of `folders.diagnoses.SCHEMA`.
+        rows: of `fleet.diagnoses.SCHEMA`.
     """
     done = [row for row in rows if row["result"] == DIAGNOSED]
     table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])

@@ -11,10 +11,10 @@ from lite6jax import storage
 from lite6jax.deferred import import_lazily
 from lite6jax.distribution.batches import Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.place import DIED, Place, list_recordings
+from lite6jax.fleet.place import DIED, Place, list_recordings
 
 with import_lazily():  # where recordings are pooled
-    from lite6jax.populations import options, pooling, population, reduced, terms
+    from lite6jax.fleet import options, pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"

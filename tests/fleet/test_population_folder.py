@@ -6,12 +6,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from populations.linear_arms import OPTIONS, arm
+from fleet.linear_arms import OPTIONS, arm
 from typed import flat
 
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.folders.diagnoses import check_pooled, pool_folder
+from lite6jax.fleet.diagnoses import check_pooled, pool_folder
 
 
 @pytest.fixture

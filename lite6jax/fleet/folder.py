@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lite6jax.distribution.batches import run_batches
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.place import DIED, Place, divide, guess_kind, list_fleet
+from lite6jax.fleet.place import DIED, Place, divide, guess_kind, list_fleet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -119,7 +119,7 @@ def fit_folder(
 def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.Table":
     """The rows of some files of a folder, in their order."""
     # a program that has others do this does not import what it takes
-    from lite6jax.folders.fit import fit_files
+    from lite6jax.fleet.fit import fit_files
 
     with place.local_folder(names) as folder:
         rows = fit_files([folder / name for name in names], nominal, lambda said: place.show(said, folder))

@@ -9,7 +9,7 @@ from typed import flat
 
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.folders.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, make_row
+from lite6jax.fleet.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, make_row
 from tests.batch_work import diagnosed
 
 

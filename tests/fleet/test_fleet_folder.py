@@ -14,9 +14,9 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.fit import fit_calibration
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Result
-from lite6jax.folders import fit, place
-from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, tabulate_rows
-from lite6jax.folders.place import restore_url
+from lite6jax.fleet import fit, place
+from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
+from lite6jax.fleet.place import restore_url
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
@@ -180,7 +180,7 @@ def test_processes_and_a_cluster_are_alternatives(capsys, arms, tmp_path):
 def test_a_file_whose_process_was_ended_has_a_row_that_says_so(monkeypatch, tmp_path):
     (tmp_path / "b.yaml").write_text("kinematics: {}\n")
     asked = {}
-    monkeypatch.setattr("lite6jax.folders.fleet.run_batches", lambda *given, **named: asked.update(named))
+    monkeypatch.setattr("lite6jax.fleet.folder.run_batches", lambda *given, **named: asked.update(named))
     fit_folder(tmp_path, tmp_path / "out.parquet")
     (row,) = asked["died"]("b.yaml").to_pylist()
     assert row["result"] == Result.UNREADABLE
