@@ -34,7 +34,7 @@ from lite6jax.design.selection import Pool, choose
 from lite6jax.design.sensor import Sensor
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.place import BATCH
+from lite6jax.fleet.place import BATCH
 
 MILLION = 10**6
 KNOWN_WITHIN = 0.5

@@ -143,7 +143,7 @@ def test_a_fleet_is_compared_with_the_closed_form():
 def test_a_folder_is_fitted_alike_by_one_process_and_two():
     records = list(folders.folders(files=40, repeats=1))
     assert [record.failed for record in records] == [""] * len(records)
-    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2", "fleet, after a kill"}
+    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2"}
 
 
 def test_the_parts_of_a_fit_are_right():

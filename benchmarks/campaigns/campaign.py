@@ -1,7 +1,6 @@
 """The run of many trials: sealed first, diagnosed by workers, opened last, kept as they come."""
 
 import contextlib
-import functools
 import hashlib
 import io
 import json
@@ -19,7 +18,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lite6jax.distribution.batches import Workers, run_batches, write_tables
+from lite6jax.distribution.batches import Workers, write_tables
 
 Row = dict[str, Any]
 
@@ -122,53 +121,35 @@ class Campaign:
         Raises:
             ValueError: the file has trials of another seed, or of families that are sealed where these are not.
         """
-        folder, more = out.with_suffix(".trials"), out.with_suffix(".more.parquet")
-        rows = {row["index"]: row for file in (out, more) if file.exists() for row in self.read_rows(file)}
+        folder = out.with_suffix(".trials")
+        rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             raise ValueError(
                 f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file"
             )
-        if more.exists():  # of a run that was ended before it had added them
-            self._add(rows, more, out)
         left = [index for index in wanted if index not in rows]
         if not left:
             return [rows[index] for index in wanted]
         digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
-        done = [len(wanted) - len(left)]
-
-        def score(given: Sequence[_Given], answer: pa.Table) -> pa.Table:
-            (said,) = answer.to_pylist()
-            return self._table([self._scored(folder, digests[given[0].trial], said)])
-
-        def advanced(count: int) -> None:
-            done[0] += count
-            advance("diagnosed", done[0], len(wanted))
-
-        run_batches(
-            answered,
-            _Trials(folder, left),
-            (self,),
-            out=more,
-            content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
-            died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
-            store=score,
-            processes=processes,
-            scheduler=scheduler,
-            progress=advanced,
-            overwrite=True,
-        )
-        rows |= {row["index"]: row for row in self.read_rows(more)}
-        self._add(rows, more, out)
+        if len(left) < len(wanted):
+            advance("diagnosed", len(wanted) - len(left), len(wanted))
+        with Workers(scheduler, processes, len(left)) as workers:
+            work = workers.outcomes(
+                answered,
+                enumerate(_Trials(folder, left)),
+                (self,),
+                died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
+            )
+            for count, (number, answer) in enumerate(work, len(wanted) - len(left) + 1):
+                (said,) = answer.to_pylist()
+                rows[left[number]] = self._scored(folder, digests[left[number]], said)
+                self.write_rows(list(rows.values()), out)  # a run that is ended has those that are done
+                advance("diagnosed", count, len(wanted))
         for index in left:
             shutil.rmtree(given_in(folder, index), ignore_errors=True)
         return [rows[index] for index in wanted]
-
-    def _add(self, rows: dict[int, Row], more: Path, out: Path) -> None:
-        """Writes all rows, among them those of the file `more`, which goes."""
-        self.write_rows(list(rows.values()), out)
-        more.unlink()
 
     def _sealed(
         self,
@@ -318,15 +299,6 @@ def _not_drawn(index: int) -> pa.Table:
 
 def _read_files(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.is_file()}
-
-
-@functools.cache
-def _source() -> str:
-    """The SHA-256 of the benchmarks' source, on which results depend besides the library."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 @contextlib.contextmanager

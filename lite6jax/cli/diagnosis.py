@@ -22,7 +22,7 @@ with import_lazily():
     from lite6jax.domains.pose import files as pose_files
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
-    from lite6jax.populations import schema as population_schema
+    from lite6jax.fleet import schema as population_schema
     from lite6jax.recordings import writing
     from lite6jax.report import (
         compensation,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -182,19 +182,6 @@ def _sensitivity(found: Sensitivity) -> Description:
         f"Of the mean squared error most is caused by {', '.join(shares)}.",
     )
     return Description("Sensitivity of the flange to the tolerances", sentences)
-
-
-@describe.register
-def _global_sensitivity(found: GlobalSensitivity) -> Description:
-    order = np.argsort(-found.total, kind="stable")[:_MOST_NAMED]
-    shares = [f"{found.names[i]} {100 * found.total[i]:.0f} %" for i in order]
-    median, high = (_mm(float(np.percentile(found.error, percent))) for percent in (50, 95))
-    sentences = (
-        f"Half of {counted(len(found.error), 'arm')} drawn within the tolerances have an error below {median} mm, "
-        f"95 % one below {high} mm.",
-        f"Of its variance most depends on {', '.join(shares)}, alone and together with others.",
-    )
-    return Description("Sobol's indices of the arm's error", sentences)
 
 
 @describe.register

@@ -36,7 +36,7 @@ from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, par
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
-from lite6jax.populations.reduction import reduced
+from lite6jax.fleet.reduction import reduced
 from lite6jax.recordings import write_recording
 from lite6jax.report.reference import headline
 from lite6jax.report.remedies import cause_of, remedy_of

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import population, tried
+from fleet.linear_arms import population, tried
 from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.reduced import ReducedArm
-from lite6jax.populations.reduction import reduced
-from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm
+from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.reduced import ReducedArm
+from lite6jax.fleet.reduction import reduced
+from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.terms import PooledTerm
 from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)

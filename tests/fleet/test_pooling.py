@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import OPTIONS, SAMPLES, arm, tried, wave
+from fleet.linear_arms import OPTIONS, SAMPLES, arm, tried, wave
 from scipy.signal import lfilter
 from scipy.stats import kstest
 
-from lite6jax.populations.pooling import screen, weigh
-from lite6jax.populations.reduced import order_grid
-from lite6jax.populations.terms import CUBICS, SPLINES, PooledTerm, Process
+from lite6jax.fleet.pooling import screen, weigh
+from lite6jax.fleet.reduced import order_grid
+from lite6jax.fleet.terms import CUBICS, SPLINES, PooledTerm, Process
 
 BENT = PooledTerm("bent")
 LOADED = ("gravity torque of joint 1",), (-3.0, 3.0)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
+from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
-from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm, Process
+from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.terms import PooledTerm, Process
 from lite6jax.report.fleets import population_report, title
 
 SOFT = PooledTerm("soft")

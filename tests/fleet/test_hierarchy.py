@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, multivariate_normal, t
 
-from lite6jax.populations.hierarchy import ArmLikelihoods, fitted
+from lite6jax.fleet.hierarchy import ArmLikelihoods, fitted
 
 TYPICAL = np.array([1e-5, 2e-3])
 

@@ -12,12 +12,12 @@ from scipy.special import chdtrc, fdtrc
 from lite6jax.checksum import with_checksum
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
-from lite6jax.populations.hierarchy import Hierarchy, fitted
-from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.pooling import Reduced, Weighed
-from lite6jax.populations.reduced import Found
-from lite6jax.populations.select import Search
-from lite6jax.populations.terms import Candidate, Process, Tested, Tried
+from lite6jax.fleet.hierarchy import Hierarchy, fitted
+from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.pooling import Reduced, Weighed
+from lite6jax.fleet.reduced import Found
+from lite6jax.fleet.select import Search
+from lite6jax.fleet.terms import Candidate, Process, Tested, Tried
 
 Array = NDArray[np.floating]
 

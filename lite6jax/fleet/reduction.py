@@ -12,8 +12,8 @@ from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.populations.reduced import Found, Heading, ReducedArm, readings
-from lite6jax.populations.terms import Candidate, Place, Varied
+from lite6jax.fleet.reduced import Found, Heading, ReducedArm, readings
+from lite6jax.fleet.terms import Candidate, Place, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
 
 

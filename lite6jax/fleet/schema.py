@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from lite6jax.errors import InputError
-from lite6jax.populations.population import POINTS, SCHEMA
+from lite6jax.fleet.population import POINTS, SCHEMA
 from lite6jax.schema import ESTIMATE, PLACE, Positive, Share, check, record
 
 _INTERVAL = tuple[float, float]

@@ -9,12 +9,12 @@ import pyarrow as pa
 
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
-from lite6jax.distribution.batches import Parts, Run, Workers, run_batches
+from lite6jax.distribution.batches import Workers, run_batches
 from lite6jax.errors import InputError
-from lite6jax.folders.place import DIED, Place, hash_files, list_recordings
+from lite6jax.fleet.place import DIED, Place, list_recordings
 
 with import_lazily():  # where recordings are pooled
-    from lite6jax.populations import options, pooling, population, reduced, terms
+    from lite6jax.fleet import options, pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
@@ -30,7 +30,6 @@ SCHEMA = pa.schema(
         "result": pa.string(),
         "message": pa.string(),
         "document": pa.string(),
-        "document_sha256": pa.string(),
         "samples": pa.int64(),
         "verdict": pa.string(),
         "quality": pa.string(),
@@ -44,7 +43,7 @@ SCHEMA = pa.schema(
     }
 )
 """A row a recording; errors are of rows that were held out, and what a diagnosis does not have is null."""
-REDUCED = pa.schema({"reduced": pa.string(), "reduced_sha256": pa.string()})
+REDUCED = pa.schema({"reduced": pa.string()})
 """What the table of a fleet has besides: the file of each reduced recording."""
 _CONTENT = {"document": "document_content", "reduced": "reduced_content"}
 """The columns of what these files hold, on its way from where it was made."""
@@ -58,12 +57,11 @@ def diagnose_folder(
     diagnose: Callable[..., pa.Table],
     given: tuple[Any, ...],
     *,
-    also_read: bytes = b"",
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int, int], object] = lambda done, total: None,
     overwrite: bool = False,
-) -> Run:
+) -> Path:
     """Diagnoses every recording of a folder, one by one.
 
     Args:
@@ -71,7 +69,6 @@ def diagnose_folder(
         out: a folder for the documents and the table, made where it is not there.
         diagnose: of a module: `diagnose(names, place, *given)` gives a row of `make_row` or `make_refusal` each.
         given: to it.
-        also_read: the checksums of files that all diagnoses depend on.
         scheduler, processes: as `run_batches`.
         progress: called with the number of recordings done since the last call, and of all.
         overwrite: whether a table and documents that are there may be replaced.
@@ -89,36 +86,27 @@ def diagnose_folder(
     documents = {
         name: f"{stem if stems.count(stem) == 1 else name}.json" for name, stem in zip(names, stems, strict=True)
     }
-    if not (overwrite or Parts(table).folder.exists()):
-        for name in documents.values():
-            storage.check_writable(out / name)
+    for name in documents.values():
+        storage.check_writable(out / name, overwrite)
 
     def write_files(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
-        """Writes the files of a row, and names them in it with their checksums."""
+        """Writes the files of a row, and names them in it."""
         (row,) = rows.to_pylist()
         for what, suffix in (("document", ".json"), ("reduced", ".npz")):
             if (content := row.get(_CONTENT[what])) is not None:
                 path = (out / documents[inputs[0]]).with_suffix(suffix)
                 storage.write_atomically(path, content, overwrite=True)
-                row |= {what: path.name, f"{what}_sha256": hash_files([path]).hex()}
+                row[what] = path.name
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
-
-    def files_intact(rows: pa.Table) -> bool:
-        (row,) = rows.to_pylist()
-        return all(
-            row.get(what) is None or hash_files([out / row[what]]).hex() == row[f"{what}_sha256"] for what in _CONTENT
-        )
 
     return run_batches(
         diagnose,
         [[name] for name in names],
         (place, *given),
         out=table,
-        content=lambda inputs: place.content(inputs) + also_read,
         died=lambda name: make_refusal(name, f"{name}: {DIED}"),
         store=write_files,
-        is_intact=files_intact,
         scheduler=scheduler,
         processes=processes,
         progress=lambda done: progress(done, len(names)),

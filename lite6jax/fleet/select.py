@@ -12,10 +12,10 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.populations.hierarchy import fitted
-from lite6jax.populations.pooling import Asked, Reduced, Weighed, screen, weigh
-from lite6jax.populations.reduced import Evidence, order_grid
-from lite6jax.populations.terms import CUBICS, SPLINES, PooledTerm, Process, Tested, Tried
+from lite6jax.fleet.hierarchy import fitted
+from lite6jax.fleet.pooling import Asked, Reduced, Weighed, screen, weigh
+from lite6jax.fleet.reduced import Evidence, order_grid
+from lite6jax.fleet.terms import CUBICS, SPLINES, PooledTerm, Process, Tested, Tried
 
 Array = NDArray[np.floating]
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lite6jax.distribution.batches import Run, run_batches
+from lite6jax.distribution.batches import run_batches
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.place import DIED, Place, divide, guess_kind, list_fleet
+from lite6jax.fleet.place import DIED, Place, divide, guess_kind, list_fleet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -87,7 +87,7 @@ def fit_folder(
     processes: int | None = None,
     progress: Callable[[int, int], object] = lambda done, total: None,
     overwrite: bool = False,
-) -> Run:
+) -> Path:
     """Fits every calibration and recording of a folder, and writes a row a file, in the order of their names.
 
     Args:
@@ -108,7 +108,6 @@ def fit_folder(
         divide(names),
         (place, nominal),
         out=out,
-        content=place.content,
         died=lambda name: tabulate_rows([Row(name, guess_kind(name), Result.UNREADABLE, f"{name}: {DIED}")]),
         scheduler=scheduler,
         processes=processes,
@@ -120,7 +119,7 @@ def fit_folder(
 def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.Table":
     """The rows of some files of a folder, in their order."""
     # a program that has others do this does not import what it takes
-    from lite6jax.folders.fit import fit_files
+    from lite6jax.fleet.fit import fit_files
 
     with place.local_folder(names) as folder:
         rows = fit_files([folder / name for name in names], nominal, lambda said: place.show(said, folder))

@@ -1,10 +1,9 @@
 """A folder of inputs, of this machine or behind a URL that fsspec reads (`s3://bucket/arms`), and what is in it."""
 
-import hashlib
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
@@ -24,8 +23,7 @@ RECORDINGS = (".csv", ".parquet", ".arrows")
 LOGS = (".mcap", ".bag")
 """The suffixes of files; a recording may be a folder as well."""
 BATCH = 128
-"""Calibrations fitted together, as a whole: so their numbers do not depend on what was done before. A run that is
-killed loses so many for each of its workers."""
+"""Calibrations fitted together."""
 DIED = "the process that read it was ended; the file is damaged or too large for this machine"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 """Of a path made of a URL, which has lost a slash; one letter before the colon is a drive of Windows."""
@@ -44,21 +42,6 @@ def restore_url(path: str | Path) -> str | None:
         return None
     scheme, rest = match.groups()
     return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
-
-
-def hash_files(paths: Iterable[str | Path]) -> bytes:
-    """The SHA-256 of each file, one after the other; of one that cannot be read, as many zeros."""
-    found = []
-    for path in paths:
-        digest = hashlib.sha256()
-        try:
-            with open(path, "rb", buffering=0) as file:  # most are small: what stands around the read is the time
-                while block := file.read(1 << 16):
-                    digest.update(block)
-            found.append(digest.digest())
-        except OSError:
-            found.append(bytes(32))
-    return b"".join(found)
 
 
 def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
@@ -128,22 +111,6 @@ class Place:
     def is_file(self, name: str) -> bool:
         """Whether a name is that of a file."""
         return self.remote or os.path.isfile(os.path.join(self.root, name))
-
-    def content(self, names: Sequence[str]) -> bytes:
-        """What tells files from others of the same names: their SHA-256; behind a URL what the store says of each.
-
-        Of a recording it is of its sidecar too, and of the files that this names.
-        """
-        if self.remote:
-            store, root = _store(self.root)
-            paths = (f"{root}/{part}" for name in names for part in _add_sidecar(name))
-            return "\0".join((*names, *(_stamp(store, path) for path in paths))).encode(errors="surrogateescape")
-        found = []
-        for name in names:
-            path = Path(self.root, name)
-            files = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
-            found += [os.fsencode(name), b"\0", hash_files([*files, *_sidecar_files(path)])]
-        return b"".join(found)
 
     @contextmanager
     def local_folder(self, names: Sequence[str]) -> Iterator[Path]:
@@ -277,13 +244,3 @@ def _store(url: str) -> tuple[Any, str]:
     except ValueError as error:
         raise InputError(f"{url}: {error}; give a path, or a URL such as s3://bucket/folder") from error
     return store, root.rstrip("/")
-
-
-def _stamp(store: Any, path: str) -> str:
-    """The checksum that a store has of a file, or when it was made and its size; empty where there is none."""
-    try:
-        return str(store.ukey(path))
-    except FileNotFoundError:
-        return ""
-    except Exception as error:  # as many kinds as there are stores
-        return type(error).__name__

@@ -19,8 +19,8 @@ from lite6jax.deferred import import_lazily
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
 from lite6jax.fitting.start import SAMPLES
-from lite6jax.folders.fleet import Row, Statistics
-from lite6jax.folders.place import attempt, guess_kind
+from lite6jax.fleet.folder import Row, Statistics
+from lite6jax.fleet.place import attempt, guess_kind
 from lite6jax.model import ModelForm
 
 with import_lazily():  # a folder of calibrations does not wait for what recordings take

@@ -33,10 +33,10 @@ from lite6jax.distribution.batches import Workers
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.projection import scaled_inverse
-from lite6jax.populations.hierarchy import ArmLikelihoods
-from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
-from lite6jax.populations.terms import PooledTerm, Process, Tested, Tried
+from lite6jax.fleet.hierarchy import ArmLikelihoods
+from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
+from lite6jax.fleet.terms import PooledTerm, Process, Tested, Tried
 
 if TYPE_CHECKING:
     import pyarrow as pa

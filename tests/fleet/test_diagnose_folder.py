@@ -1,4 +1,4 @@
-"""The recordings of a folder diagnosed: a document for each, a table of all, and a run that was ended goes on."""
+"""The recordings of a folder diagnosed: a document for each, and a table of all."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ from typed import flat
 
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.folders.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, make_row
+from lite6jax.fleet.diagnoses import DIAGNOSED, SCHEMA, UNREADABLE, diagnose_folder, make_row
 from tests.batch_work import diagnosed
 
 
@@ -37,9 +37,9 @@ def worked_on(folder):
 
 
 def test_each_recording_has_a_document_and_a_row(recordings, tmp_path):
-    run = ran(recordings, tmp_path / "results")
-    assert (run.path, run.rows) == (tmp_path / "results" / "summary.parquet", 4)
-    table = pq.read_table(run.path)
+    path = ran(recordings, tmp_path / "results")
+    assert path == tmp_path / "results" / "summary.parquet"
+    table = pq.read_table(path)
     assert table.schema.equals(SCHEMA)
     rows = {row["file"]: row for row in table.to_pylist()}
     assert {name: row["document"] for name, row in rows.items()} == {
@@ -56,31 +56,11 @@ def test_each_recording_has_a_document_and_a_row(recordings, tmp_path):
     assert (rows["c.csv"]["result"], rows["c.csv"]["message"]) == (UNREADABLE, f"{recordings}/c.csv: no")
 
 
-def test_a_run_goes_on_and_makes_a_document_again_that_was_touched(recordings, tmp_path):
-    results = tmp_path / "results"
-    whole = ran(recordings, tmp_path / "whole").path.read_bytes()
-    worked_on(tmp_path)
-
-    def stop(done, total):
-        if (results / "b.csv.json").exists():
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        ran(recordings, results, progress=stop)
-    assert worked_on(tmp_path) == ["a.csv", "b.csv"]
-    (results / "a.json").write_text("touched")
-    run = ran(recordings, results)
-    assert worked_on(tmp_path) == ["a.csv", "b.parquet", "c.csv"]
-    assert run.kept == 1
-    assert run.path.read_bytes() == whole
-    assert (results / "a.json").read_text() == "document of a.csv"
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_recording_at_which_processes_end_is_a_row_that_says_so(recordings, tmp_path):
     (recordings / "b.csv").write_text("die")
     run = diagnose_folder(recordings, tmp_path / "results", diagnosed, (str(tmp_path),), processes=2)
-    said = {row["file"]: (row["result"], row["message"]) for row in pq.read_table(run.path).to_pylist()}
+    said = {row["file"]: (row["result"], row["message"]) for row in pq.read_table(run).to_pylist()}
     assert said["a.csv"] == (DIAGNOSED, "")
     assert said["b.csv"] == (
         UNREADABLE, "b.csv: the process that read it was ended; the file is damaged or too large for this machine"
@@ -96,11 +76,11 @@ def test_recordings_behind_a_url_give_the_same_documents(recordings, tmp_path):
         results = {url: ran(url, tmp_path / url[:4]) for url in ("memory://recorded", f"file://{recordings}")}
     finally:
         store.rm("/recorded", recursive=True)
-    here = ran(recordings, tmp_path / "here").path.parent
+    here = ran(recordings, tmp_path / "here").parent
     for run in results.values():
         for document in here.glob("*.json"):
-            assert (run.path.parent / document.name).read_bytes() == document.read_bytes()
-        rows = {row["file"]: row["result"] for row in pq.read_table(run.path).to_pylist()}
+            assert (run.parent / document.name).read_bytes() == document.read_bytes()
+        rows = {row["file"]: row["result"] for row in pq.read_table(run).to_pylist()}
         assert rows == {"a.csv": DIAGNOSED, "b.csv": DIAGNOSED, "b.parquet": DIAGNOSED, "c.csv": UNREADABLE}
 
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from populations.linear_arms import OPTIONS, arm, population, stored, tried, wave
+from fleet.linear_arms import OPTIONS, arm, population, stored, tried, wave
 
 from lite6jax.checksum import verify
 from lite6jax.distribution.batches import Workers
-from lite6jax.populations.pooling import Reduced
-from lite6jax.populations.schema import check_fleet_document
-from lite6jax.populations.terms import PooledTerm
+from lite6jax.fleet.pooling import Reduced
+from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.terms import PooledTerm
 
 ROOT = Path(__file__).resolve().parents[2]
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")

@@ -14,9 +14,9 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.fit import fit_calibration
 from lite6jax.fitting.fleet import fit_calibrations
 from lite6jax.fitting.quality import Result
-from lite6jax.folders import fit, place
-from lite6jax.folders.fleet import Row, Statistics, fit_folder, read_rows, tabulate_rows
-from lite6jax.folders.place import Place, restore_url
+from lite6jax.fleet import fit, place
+from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
+from lite6jax.fleet.place import restore_url
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
@@ -57,52 +57,13 @@ def test_processes_and_batches_do_not_change_the_bytes(arms, tmp_path, monkeypat
     monkeypatch.setattr(place, "BATCH", 3)
     here = fit_folder(arms, tmp_path / "here.parquet", processes=0)
     two = fit_folder(arms, tmp_path / "two.parquet", processes=2)
-    assert here.path.read_bytes() == two.path.read_bytes()
-    rows = {row.file: row for row in read_rows(here.path)}
+    assert here.read_bytes() == two.read_bytes()
+    rows = {row.file: row for row in read_rows(here)}
     assert list(rows) == sorted(rows)
     assert [row.result for row in rows.values()].count(Result.CONVERGED) == 5
     assert rows["settings.yaml"].kind == "other"
     assert "kinematics must be a mapping" in rows["broken.yaml"].message
     assert rows["run.csv"].message.startswith(str(arms / "run.csv"))
-
-
-def test_a_run_goes_on_unless_an_input_differs(arms, tmp_path, monkeypatch):
-    monkeypatch.setattr(place, "BATCH", 1)
-    run, out = recording(arms / "run.csv"), tmp_path / "fleet.parquet"
-    fitted = []
-
-    def counted(files, *given):
-        fitted.extend(path.name for path in files)
-        return [Row(path.name, "calibration", Result.CONVERGED, "") for path in files]
-
-    monkeypatch.setattr(fit, "fit_files", counted)
-
-    def again(nominal=None):
-        fitted.clear()
-
-        def stop(done, total):
-            if sum(counts := (*so_far, done)) == total:
-                raise KeyboardInterrupt
-            so_far[:] = counts
-
-        so_far = []
-        with pytest.raises(KeyboardInterrupt):  # after all is kept
-            fit_folder(arms, out, nominal, processes=0, progress=stop)
-        return list(fitted)
-
-    names = [path.name for path in sorted(arms.iterdir())]
-    assert again() == names
-    assert again() == []
-    assert again(LITE6) == names
-    for name, text, differ in (
-        ("run.yaml", "recording: {factory_calibration: own.yaml}\n", ["run.csv"]),
-        ("own.yaml", "kinematics: {}\n", ["own.yaml", "run.csv"]),
-        ("run.yaml", "recording: [\n", ["run.csv"]),
-        ("arm0.yaml", (arms / "arm0.yaml").read_text() + "\n", ["arm0.yaml"]),
-        ("run.csv", run.read_text() + "\n", ["run.csv"]),
-    ):
-        (arms / name).write_text(text)
-        assert again() == differ
 
 
 def test_the_closed_form_is_what_a_fit_finds(arms):
@@ -167,7 +128,7 @@ def test_what_is_behind_a_url_is_fitted_as_a_folder_is(arms, stored, tmp_path):
     (arms / "own" / "arm.yaml").write_text("name: own\n")
     fsspec.filesystem("memory").put(f"{arms}/", "/fleet/arms", recursive=True)
     rows = [
-        list(read_rows(fit_folder(folder, tmp_path / f"{i}.parquet", processes=0).path))
+        list(read_rows(fit_folder(folder, tmp_path / f"{i}.parquet", processes=0)))
         for i, folder in enumerate((arms, stored))
     ]
     shown = [
@@ -175,9 +136,6 @@ def test_what_is_behind_a_url_is_fitted_as_a_folder_is(arms, stored, tmp_path):
     ]
     assert shown[0] == shown[1]
     assert f"{stored}/own/arm.yaml: lacks the key 'kinematics'" in rows[1][-2].message
-    before = [Place.of(stored).content(["arm0.yaml"]) for _ in range(2)]
-    fsspec.filesystem("memory").pipe("/fleet/arms/arm0.yaml", b"kinematics: {}")
-    assert before[0] == before[1] != Place.of(stored).content(["arm0.yaml"])
 
 
 def test_the_command_takes_a_url(arms, tmp_path, capsys):
@@ -222,7 +180,7 @@ def test_processes_and_a_cluster_are_alternatives(capsys, arms, tmp_path):
 def test_a_file_whose_process_was_ended_has_a_row_that_says_so(monkeypatch, tmp_path):
     (tmp_path / "b.yaml").write_text("kinematics: {}\n")
     asked = {}
-    monkeypatch.setattr("lite6jax.folders.fleet.run_batches", lambda *given, **named: asked.update(named))
+    monkeypatch.setattr("lite6jax.fleet.folder.run_batches", lambda *given, **named: asked.update(named))
     fit_folder(tmp_path, tmp_path / "out.parquet")
     (row,) = asked["died"]("b.yaml").to_pylist()
     assert row["result"] == Result.UNREADABLE

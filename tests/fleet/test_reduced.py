@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from populations.linear_arms import LOAD, OPTIONS, POSITION, arm, tried, wave
+from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, tried, wave
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
-from lite6jax.populations.reduced import ReducedArm, order_grid, read_heading
-from lite6jax.populations.terms import PooledTerm, Process
+from lite6jax.fleet.reduced import ReducedArm, order_grid, read_heading
+from lite6jax.fleet.terms import PooledTerm, Process
 
 SOFT, BENT = PooledTerm("soft"), PooledTerm("bent")
 LINE = wave(7.25, 0.9, 0.4)
@@ -104,7 +104,7 @@ def test_a_damaged_file_is_refused_with_the_remedy(made, tmp_path, damage):
 
 
 def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
-    from lite6jax.populations.reduction import reduced
+    from lite6jax.fleet.reduction import reduced
 
     diagnosis = corpus["compliance"].diagnosis
     made = reduced(diagnosis)
@@ -122,7 +122,7 @@ def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
 
 
 def test_processes_are_those_of_the_search_of_the_recording(corpus):
-    from lite6jax.populations.reduction import reduced
+    from lite6jax.fleet.reduction import reduced
 
     diagnosis = corpus["compliance"].diagnosis
     made, problem = reduced(diagnosis), diagnosis.problem
