@@ -3,7 +3,10 @@
 A further reader is one more entry of `READERS`; the benchmark and the tests take all from there.
 """
 
+import contextlib
+import io
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +19,8 @@ from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
+from lite6jax.cli.command import BAD_FIT, BAD_INPUT, DONE, NOT_REACHED
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.recordings import (
     Recording,
     read_recording,
@@ -375,3 +380,70 @@ COMMANDS = (
 def targets() -> dict[str, "Reader | Command"]:
     """All readers and commands by name."""
     return {target.name: target for target in (*READERS, *COMMANDS)}
+
+
+class Trial:
+    """A target with its whole file in a folder of its own."""
+
+    def __init__(self, target: Reader | Command, folder: Path) -> None:
+        self.target = target
+        self.reader = target if isinstance(target, Reader) else target.file
+        self._out = folder / "out"
+        self._out.mkdir(parents=True)
+        inputs = folder / "in"
+        inputs.mkdir()
+        self._path = self.reader.write(inputs)
+        self.damaged = self.reader.damaged(self._path)
+        self.content = self.damaged.read_bytes()
+        self._whole = self.reader.read(self._path)
+        if isinstance(target, Command):
+            outcome, detail = self._run(target)
+            if outcome != "read":
+                raise RuntimeError(f"{target.name}: on the whole file: {outcome}: {detail}")
+
+    def mutation(self, seed: int, index: int) -> tuple[str, str, bytes]:
+        """The outcome of one mutation, a detail, and what was read."""
+        content = damage(self.content, Random(f"{seed} {self.target.name} {index}"))
+        return *self.judged(content), content
+
+    def judged(self, content: bytes) -> tuple[str, str]:
+        """The outcome of reading `content`, and a detail."""
+        self.damaged.write_bytes(content)
+        if isinstance(self.target, Command):
+            return self._run(self.target)
+        try:
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("error")
+                warnings.simplefilter("always", InputWarning)  # what the command line prints as a line
+                seen = self.target.read(self._path)
+        except InputError as error:
+            return ("traceback", repr(str(error))) if "\n" in str(error) else ("refused", "")
+        except Exception as error:
+            return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        silent = not said and self._silent(seen)
+        return ("silent change", self._difference(seen)) if silent else ("read", "")
+
+    def _silent(self, seen: Seen) -> bool:
+        return self.reader.sealed and seen.value != self._whole.value and seen.remarks == self._whole.remarks
+
+    def _difference(self, seen: Seen) -> str:
+        pairs = zip(seen.value, self._whole.value, strict=False)
+        place = next((k for k, (one, other) in enumerate(pairs) if one != other), 0)
+        return f"{self._whole.value[place : place + 40]!r} became {seen.value[place : place + 40]!r}"
+
+    def _run(self, command: Command) -> tuple[str, str]:
+        """A command as the shell runs it, in this process."""
+        from lite6jax import cli
+
+        arguments = command.arguments(self._path, self._out)
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+                code = cli.main(arguments)
+        except Exception as error:
+            return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        if code not in (DONE, NOT_REACHED, BAD_INPUT, BAD_FIT):
+            return "traceback", f"exit code {code}"
+        if code == BAD_INPUT and not (said.getvalue().startswith("error: ") and said.getvalue().count("\n") == 1):
+            return "traceback", f"not one line: {said.getvalue()[-200:]!r}"
+        return ("refused" if code == BAD_INPUT else "read"), ""

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.concealed import campaign, command, hiding, outside, plans, recorded, rivals, trials
+from benchmarks.concealed import campaign, hiding, outside, plans, recorded, rivals, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
-from benchmarks.ending import UNUSABLE
+from benchmarks.measure import UNUSABLE
 from tests import vault_formulas
 from tests.outside_signals import (
     PAYLOAD_CENTER,
@@ -402,7 +402,7 @@ def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
         "--out",
         str(tmp_path / "a.parquet"),
     ]
-    assert command.main(arguments) == UNUSABLE
+    assert campaign.main(arguments) == UNUSABLE
     assert "has trials of open families" in capsys.readouterr().err
 
 

@@ -7,13 +7,13 @@ import json
 from random import Random
 
 import pytest
+from concealed_work import dying_and_waiting
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks import __main__ as harness
-from benchmarks import fuzz, fuzz_worker, fuzzed
-from benchmarks.fuzz_worker import Trial
-from benchmarks.fuzzed import COMMANDS, READERS, Command, Reader, Seen, damage, flip_bit
+from benchmarks import fuzz, fuzzed
+from benchmarks.fuzzed import COMMANDS, READERS, Command, Reader, Seen, Trial, damage, flip_bit
 from lite6jax.errors import InputError
 
 ACCEPTED = ("read", "refused")
@@ -100,26 +100,14 @@ def test_each_outcome_is_what_happened(tmp_path):
         Trial(command, tmp_path / "command")
 
 
-def test_a_process_that_dies_or_waits_is_counted_and_the_next_goes_on(monkeypatch, tmp_path):
-    worker = tmp_path / "worker.py"
-    worker.write_text(
-        "import json, os, sys, time\n"
-        "print('ready', flush=True)\n"
-        "for k in range(int(sys.argv[3]), int(sys.argv[4])):\n"
-        "    if k == 2: os._exit(9)\n"
-        "    if k == 4: time.sleep(60)\n"
-        "    print(json.dumps(('traceback' if k == 5 else 'read', 'why')), flush=True)\n"
-    )
-    start = fuzz.subprocess.Popen
-    popen = lambda command, **rest: start([command[0], str(worker), *command[3:]], **rest)  # noqa: E731
-    monkeypatch.setattr(fuzz.subprocess, "Popen", popen)
+def test_a_process_that_dies_or_waits_is_counted_and_the_next_goes_on(monkeypatch):
     monkeypatch.setattr(fuzz, "HANG_S", 2.0)
-    (found,) = fuzz.fuzz(["csv"], 7)
+    (found,) = fuzz.fuzz(["csv"], 7, work=dying_and_waiting)
     assert dict(found.counts) == {"read": 4, "crash": 1, "hang": 1, "traceback": 1}
     assert [line.split(": ")[:2] for line in found.details] == [
         ["crash", "csv 2"], ["hang", "csv 4"], ["traceback", "csv 5"],
     ]  # fmt: skip
-    wrong = {record.metric: record.failed for record in fuzz.records(found)}
+    wrong = {record.metric: record.failed for record in found.records()}
     assert wrong == {
         "mutations": "", "crashes": "1 of 7", "hangs": "1 of 7", "silent changes": "", "tracebacks": "1 of 7",
     }  # fmt: skip
@@ -139,4 +127,3 @@ def test_the_benchmark_runs_a_reader_and_a_command(capsys, tmp_path, monkeypatch
 def test_names_are_unique_and_commands_take_a_reader_of_the_list():
     assert len(fuzzed.targets()) == len(READERS) + len(COMMANDS)
     assert {command.file for command in COMMANDS} <= set(READERS)
-    assert fuzz.READY == fuzz_worker.READY
