@@ -31,7 +31,6 @@ COMMANDS = {
     "ladder": ("ladder", "pinocchio"),
     "rivals": ("rivals", "sklearn"),
     "sensitivity": ("sensitivity", "mujoco"),
-    "fuzz": ("fuzz", "numpy"),
 }
 """Commands with options of their own: the module that has them, and what it cannot do without."""
 

@@ -1,8 +1,10 @@
 """Campaigns of poses and torques: sealed first, opened last, kept as they come, told in tables and stories."""
 
+import ast
 import hashlib
 import json
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,12 +26,33 @@ from benchmarks.torque_trials import trials as torque_trials
 from benchmarks.torque_trials.campaign import TORQUES
 
 RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1.0_seed8.parquet"
+OURS = ("lite6jax", "jax", "tests")
 DOMAINS = pytest.mark.parametrize("campaign", [POSES, TORQUES], ids=lambda campaign: campaign.name)
 CONTACT = next(
     i
-    for i in torque_plans.indices(4, 30, "faulty")
+    for i in torque_plans.ROUNDS.indices(4, 30, "faulty")
     if torque_plans.draw_plan(4, i, np.random.default_rng(0)).fault == "contact"
 )
+
+
+def test_drawing_a_trial_takes_nothing_of_the_library():
+    """Nothing of it is loaded, and no module of the generator imports it anywhere."""
+    said = (
+        "import json, sys; from benchmarks.concealed import trials; from benchmarks.torque_trials import trials as t;"
+    )
+    said += "trials.draw(0, 5), t.draw(0, 1); loaded = {name: str(getattr(module, '__file__', ''))"
+    said += " for name, module in sys.modules.items()}; print(json.dumps(loaded))"
+    run = subprocess.run([sys.executable, "-c", said], cwd=RECORD.parents[2], capture_output=True, text=True)
+    loaded = json.loads(run.stdout)
+    assert not [name for name in loaded if name.split(".")[0] in OURS]
+    generator = {name: path for name, path in loaded.items() if name.split(".")[0] == "benchmarks"}
+    assert len(generator) > 25
+    for name, path in generator.items():
+        for node in ast.walk(ast.parse(Path(path).read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [each for each in names if each.split(".")[0] in OURS], name
+            assert not [each for each in names if each.startswith("benchmarks.") and each not in generator], name
 
 
 def quietly(campaign, seed, wanted, out, **options):
@@ -51,7 +74,7 @@ def rows():
     poses = [(TRUTH | {"hidden": [WAVE]}, row) for row in hit]
     poses += [(TRUTH | {"hidden": []}, row) for row in clean + bad]
     poses += [(TRUTH | {"hidden": [bump]}, row) for row in out] + [(TRUTH | {"hidden": [WAVE] * 2}, *both)]
-    indices = [CONTACT, *(torque_plans.indices(4, 1, kind)[0] for kind in torque_plans.KINDS)]
+    indices = [CONTACT, *(torque_plans.ROUNDS.indices(4, 1, kind)[0] for kind in torque_plans.KINDS)]
     truths = [torque_trials.draw(4, index).truth for index in dict.fromkeys(indices)]
     rng = np.random.default_rng(0)
     torques = [
@@ -182,7 +205,7 @@ def test_a_file_of_another_seed_is_not_overwritten(campaign, rows, tmp_path, cap
 
 @pytest.mark.long
 def test_one_trial_is_told_from_end_to_end(capsys):
-    index = plans.indices(0, 1, "faulty")[0]
+    index = plans.ROUNDS.indices(0, 1, "faulty")[0]
     assert harness.main(["concealed", "--seed", "0", "--trial", str(index)]) == DONE
     told = capsys.readouterr().out
     assert f"Trial {index} of seed 0: truth sealed, SHA-256" in told

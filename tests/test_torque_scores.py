@@ -12,14 +12,16 @@ from benchmarks.torque_trials import plans, trials
 from benchmarks.torque_trials.campaign import goals, scored
 
 CONTACT = next(
-    i for i in plans.indices(4, 30, "faulty") if plans.draw_plan(4, i, np.random.default_rng(0)).fault == "contact"
+    i
+    for i in plans.ROUNDS.indices(4, 30, "faulty")
+    if plans.draw_plan(4, i, np.random.default_rng(0)).fault == "contact"
 )
 
 
 @pytest.fixture(scope="module")
 def truths():
     """Of a trial or two of each kind, and of a contact."""
-    of_kind = [plans.indices(4, 2 if kind in ("single", "mixture") else 1, kind) for kind in plans.KINDS]
+    of_kind = [plans.ROUNDS.indices(4, 2 if kind in ("single", "mixture") else 1, kind) for kind in plans.KINDS]
     return [trials.draw(4, i).truth for i in (*itertools.chain(*of_kind), CONTACT)]
 
 

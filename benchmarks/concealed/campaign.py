@@ -19,7 +19,7 @@ from benchmarks.campaigns.judgement import (
 )
 from benchmarks.campaigns.shares import WITHIN, Goal, Ratio, Share, at_least, ratio, share
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.plans import KINDS, NAMES_AT_STAKE, NOISES, ROWS, indices
+from benchmarks.concealed.plans import KINDS, NAMES_AT_STAKE, NOISES, ROUNDS, ROWS
 from benchmarks.concealed.trials import draw
 
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
@@ -259,7 +259,7 @@ def beside(name: str, truth: Row) -> tuple[dict[str, str], Row]:
     return {}, {"name": name}
 
 
-POSES = Campaign("concealed", 1000, KINDS, indices, SCHEMA, draw, scored, goals, unseen, story, beside)
+POSES = Campaign("concealed", 1000, KINDS, ROUNDS.indices, SCHEMA, draw, scored, goals, unseen, story, beside)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

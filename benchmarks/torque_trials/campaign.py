@@ -13,7 +13,7 @@ from benchmarks.campaigns.judgement import Row, covered, is_true, scored_by_find
 from benchmarks.campaigns.report import KNOWN
 from benchmarks.campaigns.shares import Goal, Share, at_least, share, short
 from benchmarks.torque_trials.outside import FAMILIES
-from benchmarks.torque_trials.plans import DATA_FAULTS, KINDS, indices
+from benchmarks.torque_trials.plans import DATA_FAULTS, KINDS, ROUNDS
 from benchmarks.torque_trials.trials import draw
 
 _UNTOUCHED = 0.05
@@ -241,7 +241,7 @@ def _told(effect: Row) -> Row:
     return {"effect": _NAMES.get(effect["effect"], effect["effect"]), "args": args}
 
 
-TORQUES = Campaign("torque", 500, KINDS, indices, SCHEMA, draw, scored, goals, unseen, story, beside)
+TORQUES = Campaign("torque", 500, KINDS, ROUNDS.indices, SCHEMA, draw, scored, goals, unseen, story, beside)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
