@@ -10,8 +10,7 @@ from pathlib import Path
 
 import yaml
 
-from benchmarks.command import ROOT
-from benchmarks.measure import Record, timed
+from benchmarks.measure import ROOT, Record, timed
 from benchmarks.problem import simulated_arms
 from lite6jax.arms.factory import write_factory
 

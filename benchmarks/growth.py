@@ -19,9 +19,8 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.stats import t as student
 
-from benchmarks.command import ROOT
 from benchmarks.fits import fit
-from benchmarks.measure import Record
+from benchmarks.measure import ROOT, Record
 from benchmarks.problem import NOISE, Measured, measured, simulated_arms
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms import frames

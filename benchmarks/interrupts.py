@@ -11,10 +11,9 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.measure import Record
+from benchmarks.measure import ROOT, Record
 from lite6jax.cli.command import INTERRUPTED, TERMINATED
 
-ROOT = Path(__file__).resolve().parents[1]
 COMMAND = (sys.executable, "-m", "lite6jax.cli", "design", "lite6", "--poses", "60", "--out", "poses.csv")
 """Longer than the second, with all that a command imports."""
 SAID = {

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 from typed import flat, refused, run
 
-from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.command import check_outputs
 from lite6jax.distribution.batches import write_tables
@@ -18,6 +17,7 @@ from lite6jax.errors import InputError
 from lite6jax.fleet.folder import fit_folder, tabulate_rows
 from lite6jax.fleet.place import Place, list_fleet
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
+from tests.damaged import CSV, FACTORY, LITE6, recording
 
 
 @pytest.fixture(autouse=True)

@@ -1,8 +1,13 @@
-"""Whether what a diagnosis says is true: of each finding, of the verdict, and of the whole statement."""
+"""Whether what a diagnosis says is true: of each finding, of the verdict, of the whole statement, and of many trials.
+
+Of poses and of torques alike; shares no code with the library.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple
+
+from benchmarks.campaigns.shares import WITHIN, Share, share
 
 Row = dict[str, Any]
 Grade = Literal["right", "partial", "misleading"]
@@ -17,6 +22,8 @@ DETECTABLE = 2.0
 """Thresholds from which theory says that an effect can be found; a smaller one may be missed."""
 LARGE, LARGE_IN_FEW, FEW = 1.5, 4.5, 60
 """Times the noise from which a missed effect contradicts the verdict; the second with fewer than `FEW` rows."""
+DISTINGUISHED = 4.0
+"""Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
 _ENDED = ("consistent", "explained")
 """The verdicts that say that nothing is left."""
 
@@ -216,3 +223,130 @@ def _left(truth: Row, diagnosis: Row) -> float:
 
 def _listed(effects: Sequence[Row]) -> str:
     return ", ".join(f"{effect['effect']}@{effect['site']}" for effect in effects)
+
+
+def scored_by_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str, moved: str) -> Row:
+    """The columns of a trial's row that poses and torques share.
+
+    Args:
+        truth: the sealed one.
+        diagnosis: what the library wrote; None where it wrote none.
+        seconds: that diagnosis and prediction took.
+        error: why there is no diagnosis or prediction.
+        moved: the key of what a hidden effect moves.
+    """
+    said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
+    findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
+    hidden = truth["hidden"]
+    top, first = findings[0] if findings else None, hidden[0] if hidden else None
+    keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")
+    return {key: truth[key] for key in keys} | {
+        "error": error,
+        "seconds": seconds,
+        "verdict": said["verdict"],
+        "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
+        "faults": [fault["fault"] for fault in said["data_faults"]],
+        "hidden": [_of_hidden(effect, findings) | {moved: effect[moved]} for effect in hidden],
+        "detected": bool(findings),
+        "found": not error and all_found(hidden, findings),
+        "exact": not error and matched(hidden, findings, same),
+        "exact_in_set": not error and matched(hidden, findings, admits),
+        "top_site": bool(first and top and top["site"] == first["site"]),
+        "top_named": bool(first and top and same(first, top)),
+        "top_in_set": bool(first and top and admits(first, top)),
+        "findings": [_of_finding(finding, hidden) for finding in findings],
+    }
+
+
+def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+    """What of a row says how well an effect was found: its site, its name, and the error of each of its numbers."""
+    ours = next((finding for finding in findings if same(effect, finding)), None)
+    rival = effect["rival"] or {"name": "", "site": "", "apart": None}
+    numbers = []
+    if ours is not None and called(effect) != "unnamed":
+        bounds = effect["bound"]
+        if "order" in ours["parameters"]:
+            # a whole order is no number to be found, but whoever reports it with an interval is to be right
+            bounds = bounds | {"order": bounds.get("order", 0.0)}
+        for name, bound in bounds.items():
+            if name in ours["parameters"]:
+                said, true = ours["parameters"][name], effect["parameters"][name]
+                off = value_of(said) - true
+                off = math.remainder(off, math.tau) if name == "phase_rad" else off
+                numbers.append({"name": name, "true": true, "off": off, "std": float(said["std"]), "bound": bound})
+    return {
+        "effect": effect["effect"],
+        "site": effect["site"],
+        "size": effect["size"],
+        "seen": effect["seen"],
+        "rival": rival["name"],
+        "rival_site": rival["site"],
+        "apart": rival["apart"],
+        "site_found": any(finding["site"] == effect["site"] for finding in findings),
+        "named": ours is not None or is_summed(effect, findings),
+        "in_set": any(admits(effect, finding) for finding in findings) or is_summed(effect, findings),
+        "numbers": numbers,
+    }
+
+
+def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
+    parameters = finding["parameters"]
+    return {
+        "effect": finding["effect"],
+        "site": finding["site"],
+        "driver": finding.get("driver", ""),
+        "p_value": finding["p_value"],
+        "gain": finding.get("log_likelihood_gain"),
+        "order": value_of(parameters["order"]) if "order" in parameters else None,
+        "source_joint": value_of(parameters["source_joint"]) if "source_joint" in parameters else None,
+        "true": any(same(effect, finding) for effect in hidden),
+        "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
+    }
+
+
+def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> list[Row]:
+    """The trials of one named effect whose planned size is between two."""
+    return [row for row in rows if row["kind"] == "single" and least <= row["planned_size"] <= most]
+
+
+def distinguishable(row: Row) -> bool:
+    """Whether the data distinguish the one hidden effect from what it is most easily taken for (`apart`)."""
+    return (row["hidden"][0]["apart"] or 0.0) >= DISTINGUISHED
+
+
+def numbers(rows: Iterable[Row], least: float) -> list[Row]:
+    """The estimated numbers of all effects that were named and are so many thresholds large, those with an interval.
+
+    Reported orders are among them, also where the truth is a whole number and has no bound. Orders that are stated as
+    exact have no interval; `exact_orders` counts them.
+    """
+    return [
+        number | {"effect": effect["effect"], "size": effect["size"]}
+        for row in rows
+        for effect in row["hidden"]
+        if effect["size"] >= least
+        for number in effect["numbers"]
+        if number["std"] > 0 and (number["bound"] > 0 or number["name"] == "order")
+    ]
+
+
+def covered(rows: Iterable[Row], least: float) -> Share:
+    """Of the `numbers` of single effects and mixtures, those within their 95 % intervals."""
+    kept = [row for row in rows if row["kind"] in ("single", "mixture")]
+    return share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(kept, least))
+
+
+def exact_orders(rows: Iterable[Row]) -> Share:
+    """Of the orders that were stated without an interval, those that are exactly so."""
+    return share(
+        abs(number["off"]) < 1e-9
+        for row in rows
+        for effect in row["hidden"]
+        for number in effect["numbers"]
+        if number["name"] == "order" and not number["std"]
+    )
+
+
+def share_found(rows: Iterable[Row]) -> Share:
+    """Of the trials that hide something, those all of whose effects were found; results of version 0.1 do not say."""
+    return share(row["found"] for row in rows if row["hidden"] and row["found"] is not None)

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fits import convert, fit, wrong_fit
-from benchmarks.measure import AGREES, MissingError, Record, disagreement
+from benchmarks.measure import AGREES, Record, disagreement
 from benchmarks.problem import SCALE, measured
 from benchmarks.seed_way import NOMINAL
+from lite6jax.errors import InputError
 
 SOURCE = Path(__file__).with_suffix(".cpp")
 HEADERS = Path("/usr/include/ceres/ceres.h")
@@ -27,7 +28,7 @@ OURS, CERES = "lite6jax", "Ceres in C++"
 def ceres(arms: int = 64, samples: int = 300, threads: int = 2, repeats: int = 7) -> Iterator[Record]:
     """Milliseconds of processor time and of wall time an arm, and their ratios; runs alternate."""
     if shutil.which("g++") is None or not HEADERS.exists():
-        raise MissingError("no C++ compiler or no Ceres here; apt-get install g++ libceres-dev")
+        raise InputError("no C++ compiler or no Ceres here; apt-get install g++ libceres-dev")
     problem = measured(arms, samples, seed=2)
     work = f"fleet of {arms} × {samples}, {threads} threads"
     with tempfile.TemporaryDirectory() as name:
@@ -57,7 +58,7 @@ def ceres(arms: int = 64, samples: int = 300, threads: int = 2, repeats: int = 7
 
 def compiled(folder: Path) -> Path:
     """The rival's program."""
-    program = folder / "ceres_rival"
+    program = folder / "ceres"
     flags = ["-O3", "-march=native", "-DNDEBUG", "-std=c++17", "-I/usr/include/eigen3"]
     subprocess.run(["g++", *flags, SOURCE, "-o", program, "-lceres", "-lglog", "-lpthread"], check=True)
     return program

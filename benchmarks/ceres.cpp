@@ -1,4 +1,4 @@
-// Ceres Solver on the fits of `benchmarks.ceres_rival`: automatic differentiation, dense normal equations, arms side by
+// Ceres Solver on the fits of `benchmarks.ceres`: automatic differentiation, dense normal equations, arms side by
 // side on the threads that are given. Reads doubles from one file and writes doubles to another:
 // in:  arms, samples, threads, repeats, scale of m, scale of rad, start (28), then an arm's joints (sample x 6) and poses
 //      (sample x 12, rows of the rotation and the position) after the other;

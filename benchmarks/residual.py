@@ -1,22 +1,266 @@
-"""Rivals that are linear in physics: ridge regression on Fourier orders and gravity, and a stepwise search by BIC."""
+"""What others learn from the rows that a fitted geometry leaves: a Gaussian process, a neural network, linear physics.
 
+Linear are a ridge regression on Fourier orders and gravity, and a stepwise search of the same columns by BIC.
+"""
+
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from benchmarks.residual.view import Array, Correction, Fitted, View
+from benchmarks.concealed.chain import Chain, vector_from_rotation
+from benchmarks.concealed.plain_physics import moments
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.dh import hayati_to_six_parameter
+from lite6jax.domains.pose.fit import fit
+from lite6jax.fitting.problem import UNDECLARED_NOISE
+from lite6jax.recordings import Recording
 
+Array = NDArray[Any]
+
+_WILD = 8.0
+"""Robust standard deviations beyond which a row is left out of what a rival is fitted to."""
+_GP_TUNED, _GP_ROWS = 800, 3000
+"""Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
 ORDERS = tuple(range(1, 61))
 _BLOCKS = 5
 """Of neighbouring rows, by which a ridge is chosen."""
 _MOST_GROUPS = 80
 _RIDGES = np.logspace(-8, 2, 11)
 _GAUGE = 1e-9
+
+
+class Correction(NamedTuple):
+    """What a rival adds to the geometry's poses.
+
+    Attributes:
+        shift: `(sample, 3)` m, base axes.
+        turn: `(sample, 3)` rad, base axes; zero of one that says nothing of orientation.
+    """
+
+    shift: Array
+    turn: Array
+
+
+class Fitted(NamedTuple):
+    """A rival after it has seen its rows.
+
+    Attributes:
+        correct: what it says of other rows.
+        parameters: how many numbers it has fitted over the geometry; those of a Gaussian process are its weights.
+        names: the physics that it names, as `effect:site`.
+    """
+
+    correct: "Callable[[View], Correction]"
+    parameters: int
+    names: tuple[str, ...] = ()
+
+
+class View(NamedTuple):
+    """Rows of a recording as a fitted geometry sees them, in the base's axes.
+
+    Attributes:
+        recording: the rows.
+        frames: rotations `(sample, joint, 3, 3)` and origins `(sample, joint, 3)` after each joint.
+        tool: rotations `(sample, 3, 3)` and positions `(sample, 3)`.
+        missed: `(sample, 3)` m, measured less predicted; None without poses.
+        turned: `(sample, 3)` rad; None without orientations.
+        moment: `(sample, joint, 3)` Nm about each frame's origin in its axes; None where the masses are not known.
+        base_moment: `(sample, 3)` Nm; likewise.
+        noise: m and rad, what residuals are weighed by.
+    """
+
+    recording: Recording
+    frames: tuple[Array, Array]
+    tool: tuple[Array, Array]
+    missed: Array | None
+    turned: Array | None
+    moment: Array | None
+    base_moment: Array | None
+    noise: tuple[float, float]
+
+    def rows(self, chosen: NDArray) -> "View":
+        """Some of them."""
+
+        def of(array: Array | None) -> Array | None:
+            return None if array is None else array[chosen]
+
+        (R, o), (Rt, p) = self.frames, self.tool
+        return View(
+            self.recording.select(chosen), (R[chosen], o[chosen]), (Rt[chosen], p[chosen]),
+            of(self.missed), of(self.turned), of(self.moment), of(self.base_moment), self.noise,
+        )  # fmt: skip
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """`(sample,)`, rows that are not wild."""
+        assert self.missed is not None
+        far = np.linalg.norm(self.missed - np.median(self.missed, 0), axis=1)
+        return far < _WILD * np.median(far)
+
+
+class Rival(Protocol):
+    """Fits what is left of the geometry's residuals."""
+
+    def __call__(self, seen: View) -> Fitted: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A fitted arm.
+
+    Attributes:
+        chain: its six-parameter form with masses, zero where not known.
+        weighed: whether they are known.
+        sensor: `(4, 4)` T_sensor_base.
+        after: `(4, 4)` from the last joint's frame to the tool.
+        free: whether the chain was fitted; else only frame and tool.
+        parameters: how many numbers were.
+    """
+
+    chain: Chain
+    weighed: bool
+    sensor: Array
+    after: Array
+    free: bool
+    parameters: int
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Geometry":
+        """By robust least squares, as `lite6jax fit` does it."""
+        solution = fit(recording)
+        form, arm = solution.form.chain, solution.arm
+        if isinstance(form, HayatiForm):
+            rows, after = hayati_to_six_parameter(form, solution.parameters)
+        else:
+            rows, after = solution.parameters.reshape(-1, 6), np.eye(4)
+        known = arm.mass is not None and arm.center_of_mass is not None
+        mass = arm.mass if known else np.zeros(arm.dof)
+        center = arm.center_of_mass if known else np.zeros((arm.dof, 3))
+        chain = Chain(arm.name, np.asarray(rows), arm.joint_limits, np.asarray(mass), np.asarray(center))
+        tool = after @ np.asarray(solution.model.T_flange_tool)
+        moved = bool(solution.free[: form.size].any())
+        return cls(chain, known, np.asarray(solution.model.T_sensor_base), tool, moved, int(solution.free.sum()))
+
+    def view(self, recording: Recording) -> View:
+        """Rows of a recording, with residuals where it has poses."""
+        R, o = self.chain.frames(recording.joint_position)
+        Rt, p = R[:, -1] @ self.after[:3, :3], o[:, -1] + R[:, -1] @ self.after[:3, 3]
+        S, s = self.sensor[:3, :3], self.sensor[:3, 3]
+        missed = turned = None
+        if recording.position is not None:
+            missed = (recording.position - s) @ S - p
+        if recording.quaternion is not None:
+            turned = vector_from_rotation(S.T @ rotations(recording.quaternion) @ np.swapaxes(Rt, 1, 2))
+        moment = base = None
+        if self.weighed:
+            center = np.array(recording.settings.payload_com_m)
+            moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
+        told = recording.settings
+        noise = (
+            told.position_noise_m or UNDECLARED_NOISE[0],
+            told.orientation_noise_rad or UNDECLARED_NOISE[1],
+        )
+        return View(recording, (R, o), (Rt, p), missed, turned, moment, base, noise)
+
+
+def rotations(quaternion: Array) -> Array:
+    """`(sample, 3, 3)` of unit quaternions, scalar first."""
+    return Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
+
+
+def geometry_alone(seen: View) -> Fitted:
+    """Nothing more."""
+    return Fitted(lambda view: Correction(np.zeros_like(view.tool[1]), np.zeros_like(view.tool[1])), 0)
+
+
+def features(view: View, angles: bool) -> Array:
+    """What a black box is told of each row: joints (as they are, or as sines and cosines too), and all that varies."""
+    q = view.recording.joint_position
+    r = view.recording
+    columns = [q, np.sin(q), np.cos(q)] if angles else [q]
+    columns += [r.payload[:, None], r.direction_of_motion]
+    columns += [part.reshape(len(q), -1) for part in (r.joint_temperature, r.ambient_temperature) if part is not None]
+    return np.hstack(columns)
+
+
+class _Scaled(NamedTuple):
+    """Columns that vary, to mean zero and deviation one."""
+
+    kept: NDArray[np.bool_]
+    mean: Array
+    size: Array
+
+    def __call__(self, X: Array) -> Array:
+        return (X[:, self.kept] - self.mean) / self.size
+
+
+def _scaled(X: Array) -> _Scaled:
+    kept = X.std(0) > 1e-9
+    return _Scaled(kept, X[:, kept].mean(0), X[:, kept].std(0))
+
+
+def gaussian_process(seen: View) -> Fitted:
+    """The residual's three components over joints, payload, direction and temperature: one length a feature, noise."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    assert seen.missed is not None
+    X, y = features(seen, angles=False), seen.missed
+    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
+    X, y = inputs(X), y / size
+    rng = np.random.default_rng(0)
+    lengths: Any = np.ones(X.shape[1])  # one a feature
+    kernel = ConstantKernel() * RBF(lengths, (0.05, 1e3)) + WhiteKernel(0.1, (1e-6, 10.0))
+    chosen = rng.permutation(len(X))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        tuned = GaussianProcessRegressor(kernel, normalize_y=True, random_state=0)
+        tuned.fit(X[chosen[:_GP_TUNED]], y[chosen[:_GP_TUNED]])
+        kept: Any = chosen[:_GP_ROWS]
+        as_it_is: Any = None
+        process = GaussianProcessRegressor(tuned.kernel_, optimizer=as_it_is, normalize_y=True).fit(X[kept], y[kept])
+
+    def correct(view: View) -> Correction:
+        shift = size * np.asarray(process.predict(inputs(features(view, angles=False))))
+        return Correction(shift, np.zeros_like(shift))
+
+    return Fitted(correct, 3 * len(kept) + 2 + X.shape[1])
+
+
+def neural_network(seen: View) -> Fitted:
+    """Two layers of 64 over joints, their sines and cosines, payload, direction and temperature; stopped early."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPRegressor
+
+    assert seen.missed is not None
+    X, y = features(seen, angles=True), seen.missed
+    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
+    net = MLPRegressor(
+        hidden_layer_sizes=(64, 64),
+        activation="tanh",
+        alpha=1e-4,
+        early_stopping=True,
+        n_iter_no_change=25,
+        max_iter=600,
+        random_state=0,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        net.fit(inputs(X), y / size)
+
+    def correct(view: View) -> Correction:
+        shift = size * np.asarray(net.predict(inputs(features(view, angles=True))))
+        return Correction(shift, np.zeros_like(shift))
+
+    return Fitted(correct, sum(part.size for part in (*net.coefs_, *net.intercepts_)))
 
 
 class Column(NamedTuple):

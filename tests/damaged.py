@@ -1,9 +1,7 @@
-"""What is fuzzed: the readers and commands of the package, with files to damage, and how a file is damaged.
-
-A further reader is one more entry of `READERS`; the benchmark and the tests take all from there.
-"""
+"""Readers with files to damage, and how a file is damaged; a further reader is one more entry of `READERS`."""
 
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.recordings import (
     Recording,
     read_recording,
@@ -55,23 +54,6 @@ class Reader:
     read: Callable[[Path], Seen]
     damaged: Callable[[Path], Path] = lambda path: path
     sealed: bool = False
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command that reads a damaged file.
-
-    Attributes:
-        name: of both.
-        file: the reader whose file it takes.
-        arguments: from the file to be read, and a folder for output, to the command line.
-        weight: the share of the mutations; less where a run takes seconds.
-    """
-
-    name: str
-    file: Reader
-    arguments: Callable[[Path, Path], list[str]]
-    weight: float = 1.0
 
 
 # ------------------------------------------------------------------ damage
@@ -329,49 +311,32 @@ READERS = (
 )
 
 
-def _with_model(command: str) -> Callable[[Path, Path], list[str]]:
-    """A command on a diagnosis and the file; the diagnosis is made once in each folder of output."""
+class Trial:
+    """A reader with its whole file in a folder."""
 
-    def arguments(path: Path, out: Path) -> list[str]:
-        model = out / "model.json"
-        if not model.exists():
-            from lite6jax.cli import main
+    def __init__(self, reader: Reader, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.reader = reader
+        self._path = reader.write(folder)
+        self._damaged = reader.damaged(self._path)
+        self.content = self._damaged.read_bytes()
+        self._whole = reader.read(self._path)
 
-            whole = out / "whole"
-            whole.mkdir(exist_ok=True)
-            assert main(["diagnose", str(CSV.write(whole)), "--out", str(model)]) == 0
-        return [command, str(model), str(path), "--out", str(out / f"{command}.csv"), "--force"]
-
-    return arguments
-
-
-def _plain(command: str, *options: str) -> Callable[[Path, Path], list[str]]:
-    return lambda path, out: [command, str(path), *(option.format(out=out) for option in options)]
-
-
-def _in_folder(command: str) -> Callable[[Path, Path], list[str]]:
-    return lambda path, out: [command, str(path.parent), "--out", str(out / "fleet.parquet"), "--force"]
-
-
-COMMANDS = (
-    Command("init a table", EXPORTED, _plain("init", "--arm", "lite6", "--yes", "--force")),
-    Command("check a csv", CSV_BY_HAND, _plain("check")),
-    Command("check a factory file", FACTORY, _plain("check")),
-    Command("fit a csv", CSV_BY_HAND, _plain("fit", "--out", "{out}/model.json", "--force")),
-    Command("fit a parquet", PARQUET, _plain("fit")),
-    Command("fit a sidecar", SIDECAR_BY_HAND, _plain("fit")),
-    Command("fit a factory file", FACTORY, _plain("fit", "--out", "{out}/model.json", "--force")),
-    Command("fit a table", TABLE, _plain("fit")),
-    Command("identify a csv", CSV_BY_HAND, _plain("identify"), 0.5),
-    Command("convert a description", DESCRIPTION, _plain("convert", "{out}/arm.urdf", "--force")),
-    Command("convert a urdf", URDF, _plain("convert", "{out}/arm.yaml", "--force")),
-    Command("fleet", FACTORY, _in_folder("fleet")),
-    Command("predict", CSV_BY_HAND, _with_model("predict")),
-    Command("compensate", TARGETS, _with_model("compensate")),
-    Command("diagnose a csv", CSV_BY_HAND, _plain("diagnose", "--out", "{out}/d.json", "--force"), 0.05),
-)
-
-
-def targets() -> dict[str, "Reader | Command"]:
-    """All readers and commands by name."""
-    return {target.name: target for target in (*READERS, *COMMANDS)}
+    def judged(self, content: bytes) -> tuple[str, str]:
+        """The outcome of reading `content`, and a detail: read, refused, silent change, or traceback."""
+        self._damaged.write_bytes(content)
+        try:
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("error")
+                warnings.simplefilter("always", InputWarning)  # what the command line prints as a line
+                seen = self.reader.read(self._path)
+        except InputError as error:
+            return ("traceback", repr(str(error))) if "\n" in str(error) else ("refused", "")
+        except Exception as error:
+            return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        whole = self._whole
+        if said or not self.reader.sealed or seen.value == whole.value or seen.remarks != whole.remarks:
+            return "read", ""
+        pairs = zip(seen.value, whole.value, strict=False)
+        place = next((k for k, (one, other) in enumerate(pairs) if one != other), 0)
+        return "silent change", f"{whole.value[place : place + 40]!r} became {seen.value[place : place + 40]!r}"
