@@ -20,18 +20,9 @@ from lite6jax.storage import write_atomically
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.diagnosis import (
-        combined,
-        diagnose,
-        fold_processes,
-        torque_diagnosis,
-    )
-    from lite6jax.diagnosis import (
-        document as diagnosis_file,
-    )
-    from lite6jax.diagnosis import (
-        options as diagnosis_options,
-    )
+    from lite6jax.diagnosis import combined, diagnose, fold_processes, torque_diagnosis
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
     from lite6jax.fitting import source
@@ -254,7 +245,7 @@ class Diagnose:
         run = self._diagnose_each(self.out, asked, also_read)
         rows = fleets.read_diagnoses(run.path)
         report = fleets.diagnoses_report(rows, run.kept)
-        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [run.path])
+        return command.present(self.json, lambda: documents.diagnoses_document(rows), report, [run.path])
 
     def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "batches.Run":
         with screen.progress_of_many("diagnosing") as advance:

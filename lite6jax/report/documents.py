@@ -109,7 +109,7 @@ def _comparison(found: Comparison) -> dict[str, Any]:
     }
 
 
-def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
+def folder_document(rows: Sequence[Row]) -> dict[str, Any]:
     """The document of the fits of a folder."""
     return {
         "schema": "lite6jax/folder/1",
@@ -119,7 +119,7 @@ def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def diagnoses_document(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The document of the diagnoses of a folder's recordings."""
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
@@ -241,7 +241,7 @@ def _calibration(read: CalibrationRead) -> dict[str, Any]:
     }
 
 
-def of_prediction(found: Prediction, registration: Registration | None) -> dict[str, Any]:
+def prediction_document(found: Prediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:
