@@ -245,7 +245,7 @@ class Diagnose:
         run = self._diagnose_each(self.out, asked, also_read)
         rows = fleets.read_diagnoses(run.path)
         report = fleets.diagnoses_report(rows, run.kept)
-        return command.present(self.json, lambda: documents.diagnoses_document(rows), report, [run.path])
+        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [run.path])
 
     def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "batches.Run":
         with screen.progress_of_many("diagnosing") as advance:

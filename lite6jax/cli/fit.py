@@ -245,7 +245,7 @@ class Fleet:
             )
         return command.present(
             self.json,
-            lambda: documents.folder_document(list(fleet.read_rows(run.path))),
+            lambda: documents.of_folder(list(fleet.read_rows(run.path))),
             fleets.folder_report(fleet.read_rows(run.path, parameters=False), run.kept),
             [run.path],
         )

@@ -360,11 +360,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
 
     @property
-    def inertial_loads(self) -> bool:
-        """Whether loads include the inertial forces of the moving arm."""
-        return self.problem.motion.joint_acceleration is not None
-
-    @property
     def estimated_noise(self) -> float:
         """Standard deviation per axis of position, m, estimated from the residuals."""
         scale = float(self.fit.scale[0])
@@ -462,7 +457,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             orientation=problem.rows == 6,
             reference_temperature=problem.recording.settings.reference_temperature_degC,
             motion=problem.recording.motion,
-            accelerated=self.inertial_loads,
+            accelerated=problem.motion.joint_acceleration is not None,
             heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
             reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"], ""),
             sliding=problem.arm.sliding,

@@ -109,7 +109,7 @@ def _comparison(found: Comparison) -> dict[str, Any]:
     }
 
 
-def folder_document(rows: Sequence[Row]) -> dict[str, Any]:
+def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
     """The document of the fits of a folder."""
     return {
         "schema": "lite6jax/folder/1",
@@ -119,7 +119,7 @@ def folder_document(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def diagnoses_document(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The document of the diagnoses of a folder's recordings."""
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
