@@ -83,7 +83,7 @@ class Convert:
         if not export.is_diagnosis(source):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None
-        nominal = nominal or sources.load_nominal(command.find_nominal(document.parsed_document(source), Path(source)))
+        nominal = nominal or sources.load_nominal(command.find_nominal(document.parse_document(source), Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
         if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
             raise InputError(

@@ -13,13 +13,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import Case, explain
-from lite6jax.diagnosis.heldout import (
-    fold_count,
-    held_out_errors,
-    held_out_folds,
-    refitted_errors,
-    verify,
-)
+from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.problem import PoseProblem

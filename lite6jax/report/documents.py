@@ -231,7 +231,7 @@ def _calibration(read: CalibrationRead) -> dict[str, Any]:
     }
 
 
-def of_prediction(found: Prediction, registration: Registration | None) -> dict[str, Any]:
+def prediction_document(found: Prediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:

@@ -257,11 +257,16 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     sentences += [finding["statement"] for finding in shown]
     if hidden > 0:
         sentences.append(f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`.")
-    if not torques:
-        before, after = (_mm(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
-        error = f"{before} mm RMS with the model of the arm alone"
-        error = f"{after} mm RMS with these effects and {error}" if findings else error
-        sentences.append(f"The held-out position error is {error}.")
+    if torques:
+        by_joint = (document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after"))
+        before, after = (each_with_unit(errors, ranking.units(document)) for errors in by_joint)
+        start = "The held-out torque errors of the joints are"
+    else:
+        before, after = (f"{_mm(document[stage]['heldout_position_rms_m'])} mm" for stage in ("before", "after"))
+        start = "The held-out position error is"
+    error = f"{before} RMS with the model of the arm alone"
+    error = f"{after} RMS with these effects and {error}" if findings else error
+    sentences.append(f"{start} {error}.")
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     if faults:
         sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")
