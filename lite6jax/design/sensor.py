@@ -118,14 +118,6 @@ class Sensor:
             along = along / jnp.sqrt(jnp.sum(along**2, 0))
         return jnp.sum(along * shift, 0, keepdims=True) / self.position_noise
 
-    def read(self, tool: Frame) -> Array:
-        """The reading without its orientation, `(1 or 3, sample)` m."""
-        if self.quantity == "axis":
-            return jnp.sum(jnp.array(self.direction)[:, None] * tool.origin, 0, keepdims=True)
-        if self.quantity == "distance":
-            return jnp.sqrt(jnp.sum((tool.origin - jnp.array(self.center)[:, None]) ** 2, 0, keepdims=True))
-        return tool.origin
-
 
 BARE = Sensor("pose", 1.0, 1.0)
 """Reads poses in m and rad: what it sees of a motion of the tool is that motion."""
