@@ -441,32 +441,27 @@ def test_what_is_written_is_a_motion_that_predicts_the_targets(capsys, diagnosis
     np.testing.assert_allclose(position[:-1], poses[:-1, :3, 3], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("names", "options"),
-    [("X,Y,Z", []), ("u,v,w", ["--column", "u=x_mm", "--column", "v=y_mm", "--column", "w=z_mm"])],
-)
 def test_positions_under_names_of_their_own_are_read_in_the_unit_that_the_arm_reaches(
-    capsys, diagnosis, targets, tmp_path, names, options
+    capsys, diagnosis, targets, tmp_path
 ):
-    head, *rows = targets.read_text().strip().split("\n")
-    head = head.split(",")
+    head, *rows = (line.split(",") for line in targets.read_text().strip().split("\n"))
     at = [head.index(name) for name in ("x_m", "y_m", "z_m")]
-    for place, name in zip(at, names.split(","), strict=True):
-        head[place] = name
-    lines = [[f"{1e3 * float(v)!r}" if k in at else v for k, v in enumerate(row.split(","))] for row in rows]
-    own = tmp_path / "own.csv"
-    own.write_text("\n".join(",".join(line) for line in (head, *lines)) + "\n")
-    out, same = tmp_path / "joints.csv", tmp_path / "same.csv"
-    if options:  # what the message says is what helps
-        said = refused_as_typed(capsys, "compensate", diagnosis, own, "--out", out)
-        assert "say which they are: --column NAME=x_mm, and likewise y_mm and z_mm" in said
-    code, said, _ = run(capsys, "compensate", diagnosis, own, *options, "--out", out)
-    assert code == 1
-    if not options:
-        assert "columns are read as X=x_mm, Y=y_mm, Z=z_mm" in flat(said)
-    run(capsys, "compensate", diagnosis, targets, "--out", same)
-    joints, expected = (pyarrow.csv.read_csv(path).to_pandas().filter(regex="^q") for path in (out, same))
-    np.testing.assert_allclose(joints, expected, atol=1e-6)
+    lines = [[f"{1e3 * float(v)!r}" if k in at else v for k, v in enumerate(row)] for row in rows]
+    own, out = tmp_path / "own.csv", tmp_path / "joints.csv"
+    run(capsys, "compensate", diagnosis, targets, "--out", out)
+    expected = pyarrow.csv.read_csv(out).to_pandas().filter(regex="^q")
+    told = ["--column", "u=x_mm", "--column", "v=y_mm", "--column", "w=z_mm"]
+    for names, options in (("XYZ", []), ("uvw", told)):
+        named = [names[at.index(k)] if k in at else name for k, name in enumerate(head)]
+        own.write_text("\n".join(",".join(line) for line in (named, *lines)) + "\n")
+        if options:  # what the message says is what helps
+            said = refused_as_typed(capsys, "compensate", diagnosis, own, "--out", out, "--force")
+            assert "say which they are: --column NAME=x_mm, and likewise y_mm and z_mm" in said
+        code, said, _ = run(capsys, "compensate", diagnosis, own, *options, "--out", out, "--force")
+        assert code == 1
+        assert options or "columns are read as X=x_mm, Y=y_mm, Z=z_mm" in flat(said)
+        joints = pyarrow.csv.read_csv(out).to_pandas().filter(regex="^q")
+        np.testing.assert_allclose(joints, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
