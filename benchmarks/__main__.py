@@ -2,195 +2,89 @@
 
 import argparse
 import importlib.util
-import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measure import MissingError, Record, Workload
-from lite6jax.errors import InputError
-from lite6jax.storage import check_writable, write_atomically
+from benchmarks.measure import DONE, MISSED, UNUSABLE, Record, Workload, ended, write_records
+from lite6jax.storage import check_writable
 
-COMPARED = ("models", "devices")
+WORKLOADS = {
+    **dict.fromkeys(("one", "fleet"), "fits"),
+    **{name: name for name in ("samples", "study", "command", "folders", "growth", "devices", "ceres", "diagnose")},
+    **{name: name for name in ("fleet_diagnosis", "compensation", "models", "regressor", "soak", "interrupts")},
+}
+"""Functions of this folder's modules, by name, in the order in which they run."""
 BY_NAME = ("growth", "devices", "ceres", "fleet_diagnosis")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
-NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
-RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
-
-
-def workloads() -> dict[str, Workload]:
-    """The workloads by name, in the order in which they run."""
-    from benchmarks.ceres_rival import ceres
-    from benchmarks.command import command
-    from benchmarks.compensation import compensation
-    from benchmarks.devices import devices
-    from benchmarks.diagnose import diagnose
-    from benchmarks.fits import fleet, one
-    from benchmarks.fleet_diagnosis import fleet_diagnosis
-    from benchmarks.folders import folders
-    from benchmarks.growth import growth
-    from benchmarks.interrupts import interrupts
-    from benchmarks.models import models
-    from benchmarks.profile import profile
-    from benchmarks.regressor import regressor
-    from benchmarks.samples import samples
-    from benchmarks.soak import soak
-    from benchmarks.study import study
-
-    return {
-        run.__name__: run
-        for run in (
-            one,
-            fleet,
-            samples,
-            study,
-            command,
-            folders,
-            growth,
-            devices,
-            ceres,
-            diagnose,
-            fleet_diagnosis,
-            compensation,
-            models,
-            regressor,
-            profile,
-            soak,
-            interrupts,
-        )
-    }
+COMPARED = ("models", "devices")
+PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}
+"""Those of the extra `benchmark`, by the module that is imported."""
+COMMANDS = {
+    "concealed": ("concealed.campaign", "mujoco"),
+    "torque": ("torque_trials.campaign", "mujoco"),
+    "ladder": ("ladder", "pinocchio"),
+    "rivals": ("rivals", "sklearn"),
+    "sensitivity": ("sensitivity", "mujoco"),
+}
+"""Commands with options of their own: the module that has them, and what it cannot do without."""
 
 
 def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:
     """The exit code: 0, 1 where an answer was wrong, 2 where the benchmarks cannot run."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    if arguments[:1] == ["concealed"]:
-        return _concealed(arguments[1:])
-    if arguments[:1] == ["torque"]:
-        return _torque(arguments[1:])
-    if arguments[:1] == ["ladder"]:
-        return _ladder(arguments[1:])
-    if arguments[:1] == ["rivals"]:
-        return _rivals(arguments[1:])
-    if arguments[:1] == ["sensitivity"]:
-        return _sensitivity(arguments[1:])
-    if arguments[:1] == ["fuzz"]:
-        from benchmarks.fuzz import main as fuzz
-
-        return fuzz(arguments[1:])
-    missing = [package for module, package in NEEDS.items() if importlib.util.find_spec(module) is None]
+    module, *needed = COMMANDS.get(arguments[0] if arguments else "", ("", *list(PACKAGES)[:3]))
+    missing = [PACKAGES[each] for each in needed if importlib.util.find_spec(each) is None]
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.devices import DEVICES, absent
+        return UNUSABLE
+    if module:
+        return importlib.import_module(f"benchmarks.{module}").main(arguments[1:])
+    return ended(partial(_run, arguments, dict(known or {name: partial(_workload, name) for name in WORKLOADS})))
 
-    known = dict(known or workloads())
+
+def _workload(name: str, **options: Any) -> Iterator[Record]:
+    return getattr(importlib.import_module(f"benchmarks.{WORKLOADS[name]}"), name)(**options)
+
+
+def _run(arguments: Sequence[str], known: dict[str, Workload]) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: "
-        "concealed --help.",
+        epilog=f"{', '.join(COMMANDS)} have options of their own: concealed --help.",
     )
     parser.add_argument(
         "name", nargs="?", choices=list(known), help=f"one workload; without it all but {', '.join(BY_NAME)}"
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
-        "--recordings", type=int, metavar="N", help="of `diagnose`: so many with nothing missing, 300 where not given"
+        "--device", choices=("cpu", "gpu"), help="compare this device with the processor: runs `devices` only"
     )
-    parser.add_argument("--device", choices=DEVICES, help="compare this device with the processor: runs `devices` only")
     options = parser.parse_args(arguments)
     if options.device is not None:
         if options.name not in (None, "devices"):
             parser.error("--device: is of `devices`; leave the name out")
-        if said := absent(options.device):
-            print(f"benchmarks: {said}", file=sys.stderr)
-            return 2
         options.name = "devices"
         known["devices"] = partial(known["devices"], device=options.device)
-    if options.recordings is not None:
-        if options.recordings < 1 or options.name not in (None, "diagnose"):
-            parser.error("--recordings: give 1 or more, and none but `diagnose`")
-        known["diagnose"] = partial(known["diagnose"], recordings=options.recordings)
     if options.json:
-        try:
-            check_writable(options.json, overwrite=True)
-        except InputError as error:
-            print(f"benchmarks: {error}", file=sys.stderr)
-            return 2
-
+        check_writable(options.json, overwrite=True)
     console, records = Console(), []
     for name in [options.name] if options.name else [name for name in known if name not in BY_NAME]:
-        try:
-            with console.status(f"{name} …"):
-                found = list(known[name]())
-        except MissingError as error:
-            print(f"benchmarks: {name}: {error}", file=sys.stderr)
-            return 2
+        with console.status(f"{name} …"):
+            found = list(known[name]())
         console.print(table(name, found))
         records += found
     if options.json:
-        text = json.dumps([record.as_json() for record in records], indent=1, allow_nan=False)
-        write_atomically(options.json, text, overwrite=True)
+        write_records(options.json, records)
     failed = [record for record in records if record.failed]
     for record in failed:
         console.print(f"wrong: {record.workload}, {record.subject}, {record.metric}: {record.failed}", style="red")
-    return 1 if failed else 0
-
-
-def _concealed(arguments: Sequence[str]) -> int:
-    """The concealed trials, which take an hour and are run by name only."""
-    if importlib.util.find_spec("mujoco") is None:
-        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.concealed.command import main as concealed
-
-    return concealed(arguments)
-
-
-def _torque(arguments: Sequence[str]) -> int:
-    """The concealed torque trials, which are run by name only."""
-    if importlib.util.find_spec("mujoco") is None:
-        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.torque_trials.command import main as torque
-
-    return torque(arguments)
-
-
-def _ladder(arguments: Sequence[str]) -> int:
-    """Real torques beside least squares of friction terms, which needs data and is run by name only."""
-    if importlib.util.find_spec("pinocchio") is None:
-        print("benchmarks: pin missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.ladder import main as ladder
-
-    return ladder(arguments)
-
-
-def _sensitivity(arguments: Sequence[str]) -> int:
-    """What a diagnosis depends on, which takes long and is run by name only."""
-    if importlib.util.find_spec("mujoco") is None:
-        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.sensitivity import main as sensitivity
-
-    return sensitivity(arguments)
-
-
-def _rivals(arguments: Sequence[str]) -> int:
-    """The diagnosis beside what others would do, which needs data or an hour and is run by name only."""
-    missing = [package for module, package in RIVALS.items() if importlib.util.find_spec(module) is None]
-    if missing:
-        print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
-        return 2
-    from benchmarks.residual.command import main as rivals
-
-    return rivals(arguments)
+    return MISSED if failed else DONE
 
 
 def table(name: str, records: Sequence[Record]) -> Table:

@@ -13,11 +13,10 @@ from statistics import median
 import numpy as np
 
 from benchmarks import seed_way
-from benchmarks.measure import Record, disagreement, timed
+from benchmarks.measure import ROOT, Record, disagreement, timed
 from benchmarks.problem import chain_error, simulated_arms
 from lite6jax.arms.factory import write_factory
 
-ROOT = Path(__file__).resolve().parents[1]
 EXACT = 1e-13
 """m, and of a rotation's entries: the 1e-10 mm to which a fit reproduces a calibration."""
 

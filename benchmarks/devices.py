@@ -21,23 +21,10 @@ from benchmarks.seed_way import sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.sensor import Sensor
+from lite6jax.errors import InputError
 from lite6jax.fitting.gauss_newton import inverse
 from lite6jax.fitting.residual import Observations, evaluate, linearise, observe, over_blocks
 from lite6jax.model import ArmModel, ModelForm
-
-DEVICES = ("cpu", "gpu")
-
-
-def absent(device: str) -> str:
-    """Why there is no such device; empty where there is one."""
-    try:
-        jax.devices(device)
-    except RuntimeError:
-        return (
-            f"--device {device}: JAX sees none here; on a machine with an NVIDIA card pip install 'lite6jax[gpu]', or "
-            "leave it out"
-        )
-    return ""
 
 
 def devices(
@@ -51,13 +38,23 @@ def devices(
     """Fits of many arms and of many samples, and the information of many poses, on the processor and the device.
 
     Args:
-        device: one of `DEVICES`.
+        device: cpu or gpu.
         arms: of 300 samples each.
         samples: of one arm.
         poses: whose information is computed.
         order: of the square matrices that are multiplied.
         repeats: of each measurement, after one that compiles.
+
+    Raises:
+        InputError: there is no such device here.
     """
+    try:
+        jax.devices(device)
+    except RuntimeError as error:
+        raise InputError(
+            f"--device {device}: JAX sees none here; on a machine with an NVIDIA card pip install 'lite6jax[gpu]', or "
+            "leave it out"
+        ) from error
     experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
     q = sample_joints(poses, np.random.default_rng(0))
     information = None

@@ -1,21 +1,83 @@
-"""One arm and fleets of them, fitted to noisy measured poses: the library against the rivals, and the closed form."""
+"""One arm and fleets of them, fitted to noisy measured poses: the library against the rivals."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from scipy.optimize import least_squares
 
+from benchmarks import seed_way
 from benchmarks.measure import AGREES, Record, disagreement, median_time, timed, unlikely
-from benchmarks.problem import NOISE, Measured, chain_error, measured
-from benchmarks.rivals import OPTIMISTIX, RIVALS, Rival, plain_optimistix_fleet
-from benchmarks.seed_way import sample_joints
+from benchmarks.problem import NOISE, SCALE, Measured, chain_error, measured
+from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.fitting.fleet import FleetSolution, fit_fleet
 from lite6jax.fitting.quality import Result
+from lite6jax.fitting.residual import Observations, observe, residuals
+from lite6jax.model import ModelForm, arm_model
 
-OURS, CLOSED_FORM = "lite6jax", "lite6jax, closed form"
-VMAPPED = 8
-"""Arms that a vmapped rival gets at a time, of which each takes it half a second and more."""
+OURS = "lite6jax"
+TOLERANCE = 1e-12
+"""Of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place."""
+
+
+class Rival(NamedTuple):
+    """Another way to fit one arm to the same whitened residual, from the nominal parameters.
+
+    Attributes:
+        name: for the table.
+        solve: of joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` the seed's 28 parameters.
+        arms: of a fleet, how many it is given; the slower, the fewer.
+        compiles: whether its first call is to be kept out of the timing.
+    """
+
+    name: str
+    solve: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    arms: int
+    compiles: bool = False
+
+
+def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """The seed's way, which takes SciPy's default method."""
+    return seed_way.fit(joint_position, pose, SCALE, TOLERANCE)
+
+
+FORM = ModelForm(HayatiForm(6, (1,)))
+
+
+@jax.jit
+def _residuals(parameters: Array, observed: Observations) -> Array:
+    return residuals(FORM, arm_model(parameters), observed).reshape(-1)
+
+
+_jacobian = jax.jit(jax.jacfwd(_residuals))
+
+
+def jax_jacobian(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """MINPACK's Levenberg–Marquardt, SciPy's fastest method here, with the forward-mode Jacobian of the residual."""
+    weight = jnp.ones(len(pose))
+    blocks = observe(FORM, jnp.asarray(joint_position), jnp.asarray(pose), weight, jnp.array(SCALE), len(pose))
+    observed = jax.tree.map(lambda leaf: leaf[0], blocks)
+    return least_squares(
+        lambda x: np.asarray(_residuals(x, observed)),
+        NOMINAL,
+        jac=lambda x: np.asarray(_jacobian(x, observed)),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        x_scale="jac",
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
+        gtol=TOLERANCE,
+    ).x
+
+
+SEED = Rival("seed's way", python_loop, 1)
+JACOBIAN = Rival("SciPy, JAX Jacobian", jax_jacobian, 4, compiles=True)
+RIVALS = (SEED, JACOBIAN)
 
 
 def fit(problem: Measured) -> FleetSolution:
@@ -37,76 +99,35 @@ def wrong_fit(solution: FleetSolution, truth: np.ndarray) -> str:
     return unlikely(solution.parameters, solution.covariance, truth)
 
 
-def wrong_truth(problem: Measured, truth: np.ndarray) -> str:
-    """Why the closed form is not right: its chains, walked in NumPy, are not the true ones."""
-    error = chain_error(problem.kinematics, truth, sample_joints(50, np.random.default_rng(2)))
-    return disagreement(np.array(error), np.array(0.0), 1e-12, "flange poses")
-
-
 def one(samples: int = 300, repeats: int = 7, rivals: Sequence[Rival] = RIVALS) -> Iterator[Record]:
     """One arm: milliseconds a fit, and how many times slower each rival is."""
-    problem = measured(1, samples, seed=1)
-    truth = convert(problem)
-    first, _ = timed(lambda: fit(problem))
-    seconds, solution = median_time(lambda: fit(problem), repeats)
-    wrong = wrong_fit(solution, truth) or wrong_truth(problem, truth)
-    yield Record("one", OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
-    yield Record("one", OURS, "fit", 1e3 * seconds, "ms", "lower", wrong)
-    for rival in rivals:
-        taken, wrong = _race(rival, problem, solution, 1)
-        yield Record("one", rival.name, "fit", 1e3 * taken, "ms", "lower", wrong)
-        yield Record("one", OURS, f"faster than {rival.name}", taken / seconds, "×", "higher", wrong)
+    yield from _raced("one", measured(1, samples, seed=1), repeats, rivals)
 
 
 def fleet(
     sizes: Sequence[int] = (64, 1024), samples: int = 300, repeats: int = 7, rivals: Sequence[Rival] = RIVALS
 ) -> Iterator[Record]:
-    """Many arms, each with its own joint positions: milliseconds an arm.
-
-    Rivals get some arms of the first fleet, as many as their subject says.
-    """
-    taken: dict[str, tuple[float, str]] = {}
+    """Many arms, each with its own joint positions: milliseconds an arm; rivals get as many arms as they say."""
     for arms in sizes:
-        problem = measured(arms, samples, seed=2)
-        work, truth = f"fleet of {arms}", convert(problem)
-        first, _ = timed(lambda problem=problem: fit(problem))
-        seconds, solution = median_time(lambda problem=problem: fit(problem), repeats)
-        exact, _ = median_time(lambda problem=problem: convert(problem), repeats)
-        wrong = wrong_fit(solution, truth)
-        if arms == sizes[0]:
-            yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
-        yield Record(work, OURS, "fit an arm", 1e3 * seconds / arms, "ms", "lower", wrong)
-        yield Record(work, OURS, "steps an arm", float(solution.steps.mean()), "", "lower", wrong)
-        wrong = wrong_truth(problem, truth)
-        yield Record(work, CLOSED_FORM, "conversion an arm", 1e3 * exact / arms, "ms", "lower", wrong)
-        yield Record(work, CLOSED_FORM, "faster than the fit", seconds / exact, "×", "higher", wrong)
-        if arms == sizes[0]:
-            for rival in rivals:
-                count = min(rival.arms, arms)
-                taken[f"{rival.name} (on {count})"] = _race(rival, problem, solution, count)
-            if OPTIMISTIX in rivals:
-                count = min(VMAPPED, arms)
-                taken[f"{OPTIMISTIX.name}, vmapped (on {count})"] = _race_vmapped(problem, solution, count)
-            for name, (rival_seconds, wrong) in taken.items():
-                yield Record(work, name, "fit an arm", 1e3 * rival_seconds, "ms", "lower", wrong)
-        for name, (rival_seconds, wrong) in taken.items():
-            yield Record(work, OURS, f"faster than {name}", rival_seconds * arms / seconds, "×", "higher", wrong)
+        yield from _raced(f"fleet of {arms}", measured(arms, samples, seed=2), repeats, rivals)
 
 
-def _race(rival: Rival, problem: Measured, solution: FleetSolution, arms: int) -> tuple[float, str]:
-    """Seconds a rival takes for an arm, the mean of some, and why its answer is wrong: it is not the library's."""
-    if rival.compiles:
-        rival.solve(problem.joint_position[0], problem.pose[0])
-    pairs = list(zip(problem.joint_position, problem.pose, strict=True))[:arms]
-    seconds, answers = timed(lambda: np.array([rival.solve(q, pose) for q, pose in pairs]))
-    return seconds / arms, _disagrees(answers, solution)
-
-
-def _race_vmapped(problem: Measured, solution: FleetSolution, arms: int) -> tuple[float, str]:
-    plain_optimistix_fleet(problem.joint_position[:arms], problem.pose[:arms])
-    seconds, answers = timed(lambda: plain_optimistix_fleet(problem.joint_position[:arms], problem.pose[:arms]))
-    return seconds / arms, _disagrees(answers, solution)
-
-
-def _disagrees(answers: np.ndarray, solution: FleetSolution) -> str:
-    return disagreement(answers, solution.parameters[: len(answers)], AGREES, "parameters (m, rad)")
+def _raced(work: str, problem: Measured, repeats: int, rivals: Sequence[Rival]) -> Iterator[Record]:
+    arms, truth = len(problem.pose), convert(problem)
+    first, _ = timed(lambda: fit(problem))
+    seconds, solution = median_time(lambda: fit(problem), repeats)
+    # the truth itself is checked: the chains of the closed form, walked in NumPy, are those that were measured
+    error = chain_error(problem.kinematics, truth, sample_joints(50, np.random.default_rng(2)))
+    wrong = wrong_fit(solution, truth) or disagreement(np.array(error), np.array(0.0), 1e-12, "flange poses")
+    yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
+    yield Record(work, OURS, "fit an arm", 1e3 * seconds / arms, "ms", "lower", wrong)
+    yield Record(work, OURS, "steps an arm", float(solution.steps.mean()), "", "lower", wrong)
+    for rival in rivals:
+        given = list(zip(problem.joint_position, problem.pose, strict=True))[: rival.arms]
+        if rival.compiles:
+            rival.solve(*given[0])
+        taken, answers = timed(lambda rival=rival, given=given: np.array([rival.solve(*each) for each in given]))
+        wrong = disagreement(answers, solution.parameters[: len(given)], AGREES, "parameters (m, rad)")
+        yield Record(work, rival.name, "fit an arm", 1e3 * taken / len(given), "ms", "lower", wrong)
+        ratio = taken / len(given) * arms / seconds
+        yield Record(work, OURS, f"faster than {rival.name}", ratio, "×", "higher", wrong)

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaigns.shares import Share, share
-from benchmarks.command import ROOT
 from benchmarks.concealed.fleets import Shared, write_fleet
 from benchmarks.concealed.plain_physics import Hidden
-from benchmarks.measure import Record
+from benchmarks.measure import ROOT, Record
 
 HALF = 0.5
 """Thresholds of one recording, of an effect that all arms have."""

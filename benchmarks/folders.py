@@ -1,26 +1,22 @@
 """A folder of factory files by the command, with one process and with two, against PyYAML's C loader on one core."""
 
-import os
 import resource
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import yaml
 
-from benchmarks.command import ROOT
-from benchmarks.measure import Record, timed
+from benchmarks.measure import ROOT, Record, timed
 from benchmarks.problem import simulated_arms
 from lite6jax.arms.factory import write_factory
-from lite6jax.folders.place import BATCH
 
 
 def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
-    """Least wall seconds of the command, whose tables are to have the same bytes; then after a kill.
+    """Least wall seconds of the command, whose tables are to have the same bytes.
 
     Args:
         files: in the folder.
@@ -49,7 +45,6 @@ def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
         yield Record(work, "fleet, processes 2", "faster than one", taken[1] / taken[2], "×", "higher")
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**10
         yield Record(work, "fleet", "largest process", peak, "MiB", "lower")
-        yield from _after_a_kill(work, arms, Path(name, "killed.parquet"), tables[0])
 
 
 def fleet(arms: Path, out: Path, processes: int) -> float:
@@ -69,16 +64,3 @@ def _loaded(paths: list[Path]) -> None:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     for path in paths:
         yaml.load(path.read_bytes(), Loader=loader)
-
-
-def _after_a_kill(work: str, arms: Path, out: Path, table: bytes) -> Iterator[Record]:
-    """Whether a run that is killed half-way goes on with what it kept."""
-    parts, third = out.with_name(f"{out.name}.parts"), -(-len(os.listdir(arms)) // BATCH) // 3
-    started = subprocess.Popen(_command(arms, out, 2), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while started.poll() is None and not (parts.exists() and len(os.listdir(parts)) > third):
-        time.sleep(0.01)
-    started.kill()
-    started.wait()
-    seconds = fleet(arms, out, 2)
-    wrong = "" if out.read_bytes() == table else "a run that was killed goes on with other bytes"
-    yield Record(work, "fleet, after a kill", "wall time", seconds, "s", "lower", wrong)

@@ -19,9 +19,8 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.stats import t as student
 
-from benchmarks.command import ROOT
 from benchmarks.fits import fit
-from benchmarks.measure import Record
+from benchmarks.measure import ROOT, Record
 from benchmarks.problem import NOISE, Measured, measured, simulated_arms
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms import frames
@@ -34,7 +33,7 @@ from lite6jax.design.selection import Pool, choose
 from lite6jax.design.sensor import Sensor
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.place import BATCH
+from lite6jax.fleet.place import BATCH
 
 MILLION = 10**6
 KNOWN_WITHIN = 0.5

@@ -11,11 +11,10 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.measure import Record
+from benchmarks.measure import ROOT, Record
 from lite6jax.cli.command import INTERRUPTED, TERMINATED
 
-ROOT = Path(__file__).resolve().parents[1]
-COMMAND = (sys.executable, "-m", "lite6jax.cli", "identify", "lite6", "--poses", "60", "--refits", "200000")
+COMMAND = (sys.executable, "-m", "lite6jax.cli", "design", "lite6", "--poses", "60", "--out", "poses.csv")
 """Longer than the second, with all that a command imports."""
 SAID = {
     signal.SIGINT: ("interrupted: nothing is left half-written\n", INTERRUPTED),

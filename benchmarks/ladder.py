@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
 
-from benchmarks.ending import DONE, ended
+from benchmarks.measure import DONE, ended
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.filtering import sample_rate

@@ -1,21 +1,26 @@
-"""A measured number with unit and direction, how it is timed, and whether the answer behind it is right."""
+"""A measured number with unit and direction, how it is timed and kept, whether its answer is right, how a run ends."""
 
+import json
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from statistics import median
 from typing import Literal, TypeVar
 
 import numpy as np
 
+from lite6jax.errors import InputError
+from lite6jax.storage import write_atomically
+
 T = TypeVar("T")
+
+ROOT = Path(__file__).resolve().parents[1]
+DONE, MISSED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 AGREES = 1e-9
 """m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open."""
-
-
-class MissingError(Exception):
-    """What a workload takes is not on this machine; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -86,3 +91,26 @@ def unlikely(parameters: np.ndarray, covariance: np.ndarray, truth: np.ndarray) 
         each = squares / size
         return f"misses the truth: χ² a degree of freedom is {each.mean():.3g}, {each.max():.3g} at worst"
     return ""
+
+
+def write_records(path: Path, records: Sequence[Record]) -> None:
+    """The records as JSON, over an older file."""
+    write_atomically(path, json.dumps([each.as_json() for each in records], indent=1, allow_nan=False), overwrite=True)
+
+
+def ended(work: Callable[[], int], refused: tuple[type[Exception], ...] = (InputError,), kept: str = "") -> int:
+    """The exit code of a command.
+
+    Args:
+        work: of the command, to its exit code.
+        refused: exceptions that say what cannot be used.
+        kept: what an interrupt leaves, a clause that begins with its punctuation.
+    """
+    try:
+        return work()
+    except refused as problem:
+        print(f"benchmarks: {problem}", file=sys.stderr)
+        return UNUSABLE
+    except KeyboardInterrupt:
+        print(f"benchmarks: interrupted{kept}", file=sys.stderr)
+        return INTERRUPTED

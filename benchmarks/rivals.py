@@ -1,173 +1,228 @@
-"""Other ways to fit the same arm to the same whitened residual, each in a few lines of our own code.
+"""`python -m benchmarks rivals`: the diagnosis beside what others would do, on real series.
 
-A rival takes one arm's joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` and returns the seed's 28
-parameters, from the nominal ones. SciPy runs MINPACK's Levenberg–Marquardt, its fastest method here, but for the seed's
-way, which takes the default as the seed does.
+Each rival sees the rows outside a contiguous fold and predicts the fold from its joints, payload, temperature and time;
+the errors of all folds together are its score, all rows counted. Every one starts from the same fitted geometry, and
+corrects it: a displacement and a turn of the tool in the base's axes.
 """
 
-from collections.abc import Callable
+import argparse
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from pathlib import Path
 
-import jax
-import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
-import pinocchio
-from jax import Array
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
 
-from benchmarks import seed_way
-from benchmarks.problem import SCALE
-from benchmarks.seed_way import D2, NOMINAL
-from lite6jax.arms.chains import HayatiForm
-from lite6jax.arms.se3 import rotation_log
-from lite6jax.fitting.residual import Observations, observe, residuals
-from lite6jax.model import ModelForm, arm_model
-from tests.oracles.chains import hayati_links, seed_model, seed_poses
+from benchmarks.concealed.chain import rotation_from_vector
+from benchmarks.measure import DONE, Record, ended, timed, write_records
+from benchmarks.residual import (
+    Array,
+    Fitted,
+    Geometry,
+    Rival,
+    gaussian_process,
+    geometry_alone,
+    neural_network,
+    ridge,
+    rotations,
+    stepwise,
+)
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.document import read_model, write_document
+from lite6jax.domains.pose.registration import register, register_model
+from lite6jax.errors import InputError
+from lite6jax.fitting.compiled import keep_compiled_code
+from lite6jax.recordings import Recording, read_recording, sidecar_path
+from lite6jax.storage import check_writable
 
-TOLERANCE = 1e-12
-"""Of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place."""
-pin: Any = pinocchio  # a compiled module, which a type checker cannot look into
+OURS = "lite6jax"
+FOLDS = 5
+REAL = "LITE6JAX_REAL"
+"""The variable that names the folder of real series."""
+_NAMED = 8
 
-Solve = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code: 0, 2 for arguments that cannot be used, 130 where interrupted."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks rivals",
+        description="The geometry alone; over it a Gaussian process, a neural network, ridge regression on Fourier "
+        "orders and gravity, stepwise regression; and the diagnosis: by contiguous held-out fifths, and from each "
+        "series to the next with sensor frame and tool registered anew.",
+    )
+    parser.add_argument(
+        "--real", type=Path, metavar="DIR", help=f"recordings (.csv with .yaml) of one arm; ${REAL} where not given"
+    )
+    parser.add_argument("--every", type=int, default=1, metavar="K", help="of a series: every K-th row")
+    parser.add_argument("--rivals-only", action="store_true", help="leave the diagnosis out, which takes longest")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
+    options = parser.parse_args(arguments)
+    real = options.real or os.environ.get(REAL)
+    if not real:
+        parser.error(f"name what to compare on: --real DIR (or the variable {REAL})")
+    if options.every < 1:
+        parser.error("--every: give 1 or more")
+    keep_compiled_code()
+    return ended(partial(_compare, options, Path(real)))
 
 
-class Rival(NamedTuple):
-    """A way to fit.
+def _compare(options: argparse.Namespace, real: Path) -> int:
+    console, records = Console(highlight=False), []
+    if options.json:
+        check_writable(options.json, overwrite=True)
+    paths = sorted(path for path in real.glob("*.csv") if sidecar_path(path).exists())
+    if not paths:
+        raise InputError(f"{real}: holds no recording (.csv with .yaml beside it); put the real series there")
+    with console.status("…") as status:
+        for title, outcomes in series(paths, options.every, not options.rivals_only, status.update):
+            console.print(table(title, outcomes))
+            records += [record for outcome in outcomes for record in outcome.records(title)]
+    if options.json:
+        write_records(options.json, records)
+    return DONE
+
+
+def series(
+    paths: Sequence[Path], every: int, ours: bool, progress: Callable[[str], object]
+) -> Iterator[tuple[str, list["Outcome"]]]:
+    """A title and the outcomes: each series by itself, and from each to the next."""
+    recordings = [read_recording(path) for path in paths]
+    recordings = [each.select(np.arange(0, each.samples, every)) for each in recordings]
+    for path, recording, after, other in zip(
+        paths, recordings, [*paths[1:], None], [*recordings[1:], None], strict=True
+    ):
+
+        def said(who: str, where: str = path.name) -> object:
+            return progress(f"{where}: {who}")
+
+        outcomes = list(compare(recording, progress=said))
+        elsewhere = [] if other is None else list(transfer(recording, other, progress=said))
+        if ours:
+            said(OURS)
+            seconds, found = timed(partial(diagnose, recording))
+            names = tuple(finding.effect.label for finding in found.findings)
+            outcomes.append(Outcome(OURS, found.after, found.fit.terms.size, names, seconds))
+            if other is not None:
+                with tempfile.TemporaryDirectory() as folder:
+                    model = read_model(write_document(found.document(), Path(folder) / "d.json"))
+                elsewhere.append(replace(outcomes[-1], errors=register_model(model, other)[1].distance))
+        yield f"{path.name}, {recording.samples} rows, held-out fifths", outcomes
+        if after is not None:
+            yield f"from {path.name} to {after.name}, frame and tool registered anew", elsewhere
+
+
+def rivals(free: bool) -> dict[str, Rival]:
+    """By name."""
+    return {
+        "geometry alone": geometry_alone,
+        "geometry and Gaussian process": gaussian_process,
+        "geometry and neural network": neural_network,
+        "ridge, orders 1–60": partial(ridge, free),
+        "stepwise, BIC": partial(stepwise, free),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one of them makes of a recording.
 
     Attributes:
-        name: for the table.
-        solve: one arm's parameters.
-        arms: of a fleet, how many it is given; the slower, the fewer.
-        compiles: whether its first call is to be kept out of the timing.
+        subject: which.
+        errors: `(sample,)` m, each row predicted by a fit of the other folds.
+        parameters: of the fit of all rows, over the geometry's.
+        names: of the fit of all rows.
+        seconds: of all fits, the geometry's included.
     """
 
-    name: str
-    solve: Solve
-    arms: int
-    compiles: bool = False
+    subject: str
+    errors: Array
+    parameters: int
+    names: tuple[str, ...]
+    seconds: float
+
+    def figures(self) -> dict[str, float]:
+        """mm, of the errors that are there."""
+        e = 1e3 * self.errors
+        return {
+            "RMS": float(np.sqrt(np.nanmean(e**2))),
+            "p95": float(np.nanpercentile(e, 95)),
+            "largest": float(np.nanmax(e)),
+        }
+
+    def told(self) -> str:
+        """The names, those of one kind together."""
+        kinds: dict[str, list[str]] = {}
+        for name in self.names:
+            kinds.setdefault(name.split(":")[0], []).append(name.split(":")[1].removeprefix("joint"))
+        told = [f"{kind} {', '.join(sites)}" for kind, sites in kinds.items()]
+        return "; ".join(told[:_NAMED]) + ("; …" if len(told) > _NAMED else "") or "none"
+
+    def records(self, work: str) -> Iterator[Record]:
+        """For the JSON."""
+        for name, value in self.figures().items():
+            yield Record(work, self.subject, f"error, {name}", value, "mm", "lower")
+        yield Record(work, self.subject, "numbers", float(self.parameters), "", "lower")
+        yield Record(work, self.subject, f"names: {self.told()}", float(len(self.names)), "", "higher")
+        yield Record(work, self.subject, "time", self.seconds, "s", "lower")
 
 
-def minimise(function: Callable[[np.ndarray], np.ndarray], jacobian: Any = "2-point") -> np.ndarray:
-    """SciPy from the nominal parameters."""
-    return least_squares(
-        function, NOMINAL, jac=jacobian, method="lm", x_scale="jac", xtol=TOLERANCE, ftol=TOLERANCE, gtol=TOLERANCE
-    ).x
+def compare(recording: Recording, folds: int = FOLDS, progress: Callable[[str], object] = str) -> Iterator[Outcome]:
+    """All rivals on one recording, by contiguous folds, and on all of it for their names.
+
+    Args:
+        recording: with poses.
+        folds: how many.
+        progress: is told who is at work.
+    """
+    held = recording.contiguous_folds(folds)
+    geometries = [timed(partial(Geometry.of, recording.select(~fold))) for fold in held]
+    whole = timed(partial(Geometry.of, recording))
+    for name in rivals(whole[1].free):
+        progress(name)
+        errors, seconds = np.zeros(recording.samples), sum(s for s, _ in (*geometries, whole))
+        for fold, (_, geometry) in zip(held, geometries, strict=True):
+            taken, fitted = timed(partial(_fitted, geometry, name, recording.select(~fold)))
+            view = geometry.view(recording.select(fold))
+            assert view.missed is not None
+            errors[fold] = np.linalg.norm(fitted.correct(view).shift - view.missed, axis=1)
+            seconds += taken
+        taken, fitted = timed(partial(_fitted, whole[1], name, recording))
+        yield Outcome(name, errors, fitted.parameters, fitted.names, seconds + taken)
 
 
-def whitened(predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Residuals `(6 × sample,)` of poses `(sample, 4, 4)`."""
-    relative = np.swapaxes(measured[:, :3, :3], 1, 2) @ predicted[:, :3, :3]
-    spin = Rotation.from_matrix(relative).as_rotvec()
-    return np.concatenate([SCALE[0] * (predicted[:, :3, 3] - measured[:, :3, 3]), SCALE[1] * spin], 1).ravel()
+def _fitted(geometry: Geometry, name: str, recording: Recording) -> Fitted:
+    view = geometry.view(recording)
+    with threadpool_limits(1):  # small matrices: more threads would wait for each other
+        return rivals(geometry.free)[name](view.rows(np.flatnonzero(view.usable)))
 
 
-def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """The seed's way."""
-    return seed_way.fit(joint_position, pose, SCALE, TOLERANCE)
+def transfer(recording: Recording, other: Recording, progress: Callable[[str], object] = str) -> Iterator[Outcome]:
+    """Fitted to one recording, errors on another of the same arm, its sensor frame and tool registered anew."""
+    taken, geometry = timed(partial(Geometry.of, recording))
+    for name in rivals(geometry.free):
+        progress(name)
+        seconds, fitted = timed(partial(_fitted, geometry, name, recording))
+        view = geometry.view(other)
+        shift, turn = fitted.correct(view)
+        tool = np.tile(np.eye(4), (len(shift), 1, 1))
+        tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(turn) @ view.tool[0], view.tool[1] + shift
+        assert other.position is not None
+        R = None if other.quaternion is None else rotations(other.quaternion)
+        found = register(tool @ np.linalg.inv(geometry.after), other.position, R, view.noise)
+        yield Outcome(name, found.distance, fitted.parameters, fitted.names, taken + seconds)
 
 
-def vectorised_numpy(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """SciPy with finite differences over NumPy arrays of all samples."""
-    return minimise(lambda x: whitened(seed_poses(x, joint_position), pose))
-
-
-def pinocchio_chain(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """SciPy with finite differences over Pinocchio's forward kinematics, whose placements are the parameters."""
-    model = pin.Model()
-    for i in range(6):
-        model.addJoint(i, pin.JointModelRZ(), pin.SE3.Identity(), f"joint{i + 1}")
-    data = model.createData()
-    predicted = np.empty_like(pose)
-
-    def function(x: np.ndarray) -> np.ndarray:
-        base, links = hayati_links(*seed_model(x))
-        for i, fixed in enumerate([base, *links[:-1]]):
-            model.jointPlacements[i + 1] = pin.SE3(fixed)
-        for k, q in enumerate(joint_position):
-            pin.forwardKinematics(model, data, q)
-            predicted[k] = data.oMi[6].homogeneous
-        return whitened(predicted @ links[-1], pose)
-
-    return minimise(function)
-
-
-FORM = ModelForm(HayatiForm(6, (1,)))
-
-
-@jax.jit
-def _residuals(parameters: Array, observed: Observations) -> Array:
-    return residuals(FORM, arm_model(parameters), observed).reshape(-1)
-
-
-_jacobian = jax.jit(jax.jacfwd(_residuals))
-
-
-def jax_jacobian(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """SciPy with the forward-mode Jacobian of the library's residual."""
-    weight = jnp.ones(len(pose))
-    blocks = observe(FORM, jnp.asarray(joint_position), jnp.asarray(pose), weight, jnp.array(SCALE), len(pose))
-    observed = jax.tree.map(lambda leaf: leaf[0], blocks)
-    return minimise(lambda x: np.asarray(_residuals(x, observed)), lambda x: np.asarray(_jacobian(x, observed)))
-
-
-def naive_pose(parameters: Array, q: Array) -> Array:
-    """(4, 4) flange pose, a product of matrices as one would first write it in JAX."""
-
-    def turn(axis: int, angle: Array) -> Array:
-        i, j = ((1, 2), (2, 0), (0, 1))[axis]
-        c, s = jnp.cos(angle), jnp.sin(angle)
-        return jnp.eye(4).at[i, i].set(c).at[j, j].set(c).at[j, i].set(s).at[i, j].set(-s)
-
-    def move(x: Array | float, y: Array | float, z: Array | float) -> Array:
-        return jnp.eye(4).at[:3, 3].set(jnp.stack([jnp.asarray(v, float) for v in (x, y, z)]))
-
-    T = move(parameters[0], parameters[1], 0.0) @ turn(1, parameters[3]) @ turn(0, parameters[2])
-    table = jnp.insert(parameters[4:27], D2, 0.0).reshape(6, 4)
-    for i in range(6):
-        theta, d, a, alpha = table[i]
-        T = T @ turn(2, q[i] + theta) @ move(a, 0.0, d) @ turn(0, alpha)
-        if i == 1:
-            T = T @ turn(1, parameters[27])
-    return T
-
-
-def _naive_residuals(parameters: Array, data: tuple[Array, Array]) -> Array:
-    joint_position, pose = data
-    predicted = jax.vmap(partial(naive_pose, parameters))(joint_position)
-    relative = jnp.swapaxes(pose[:, :3, :3], 1, 2) @ predicted[:, :3, :3]
-    shift = predicted[:, :3, 3] - pose[:, :3, 3]
-    return jnp.concatenate([SCALE[0] * shift, SCALE[1] * rotation_log(relative)], 1)
-
-
-def _optimistix(joint_position: Array, pose: Array) -> Array:
-    # its default, a QR of all residuals, takes twice as long for one arm, and under vmap eight times
-    linear = lx.Normal(lx.Cholesky())
-    solver = optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE, linear_solver=linear)
-    data, options = (joint_position, pose), {"jac": "fwd"}
-    return optx.least_squares(_naive_residuals, solver, jnp.asarray(NOMINAL), data, options=options, throw=False).value
-
-
-_optimistix_one = jax.jit(_optimistix)
-_optimistix_many = jax.jit(jax.vmap(_optimistix))
-
-
-def plain_optimistix(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """optimistix' Levenberg–Marquardt over the naive chain."""
-    return np.asarray(_optimistix_one(joint_position, pose))
-
-
-def plain_optimistix_fleet(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """The same, `vmap`ped over the arms: `(arm, 28)`."""
-    return np.asarray(_optimistix_many(joint_position, pose))
-
-
-SEED = Rival("seed's way", python_loop, 1)
-VECTORISED = Rival("SciPy, vectorised NumPy", vectorised_numpy, 2)
-PINOCCHIO = Rival("SciPy, Pinocchio chain", pinocchio_chain, 1)
-JACOBIAN = Rival("SciPy, JAX Jacobian", jax_jacobian, 4, compiles=True)
-OPTIMISTIX = Rival("plain optimistix", plain_optimistix, 1, compiles=True)
-RIVALS = (SEED, VECTORISED, PINOCCHIO, JACOBIAN, OPTIMISTIX)
+def table(title: str, outcomes: Sequence[Outcome]) -> Table:
+    """A row each."""
+    shown = Table(title=title, title_justify="left")
+    for column in ("", "RMS mm", "p95 mm", "max mm", "numbers", "s", "names"):
+        shown.add_column(column, justify="left" if column in ("", "names") else "right")
+    for outcome in outcomes:
+        figures = (f"{value:.4f}" for value in outcome.figures().values())
+        shown.add_row(outcome.subject, *figures, str(outcome.parameters), f"{outcome.seconds:.0f}", outcome.told())
+    return shown

@@ -9,9 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.measure import Record, median_time, timed
-
-ROOT = Path(__file__).resolve().parents[1]
+from benchmarks.measure import ROOT, Record, median_time, timed
 
 
 def samples(sizes: Sequence[int] = (100_000, 1_000_000)) -> Iterator[Record]:

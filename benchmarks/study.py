@@ -1,39 +1,33 @@
-"""What poses determine, which to record, and refits by the thousand: the library against NumPy and SciPy."""
+"""What poses determine and which to record: the library against NumPy."""
 
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE
 from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.design.criteria import Determinant
-from lite6jax.design.identify import refit
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.design.selection import Pool, choose
 from lite6jax.design.sensor import Sensor
 from tests.oracles.chains import seed_poses
 
-OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"
+OURS, NUMPY = "lite6jax", "NumPy, finite differences"
 LIMIT = "limit"
 GREEDY = "NumPy, exchange over all candidates"
 STEP = 1e-6
 """m and rad of the rival's forward differences."""
 DIFFERENCES = 1e-4
 """How near forward differences come to a derivative, relative."""
-REFITS_AGREE = 1e-4
-"""Standard deviations between two solvers' refits of the same readings."""
 
 
-def study(poses: int = 100_000, chosen: int = 40, refits: int = 1000, rival_refits: int = 5) -> Iterator[Record]:
-    """Information and singular values, a design, and Monte-Carlo refits."""
+def study(poses: int = 100_000, chosen: int = 40) -> Iterator[Record]:
+    """Information and singular values, and a design."""
     experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
     q = sample_joints(poses, np.random.default_rng(0))
     yield from _information(experiment, q)
     yield from _design(experiment, q, chosen)
-    yield from _refits(experiment, q[:60], refits, rival_refits)
 
 
 def _information(experiment: Experiment, q: np.ndarray) -> Iterator[Record]:
@@ -72,24 +66,6 @@ def _design(experiment: Experiment, q: np.ndarray, count: int) -> Iterator[Recor
     drawn = [log_determinant(rows[random.choice(len(q), count, replace=False)]) for _ in range(200)]
     gain = np.exp((ours - np.median(drawn)) / rows.shape[2])
     yield Record(work, OURS, "worth so many times as many random poses", float(gain), "×", "higher", wrong)
-
-
-def _refits(experiment: Experiment, q: np.ndarray, count: int, rival_count: int) -> Iterator[Record]:
-    seed = 3
-    work = f"{count} refits of {len(q)} poses"
-    first, _ = timed(lambda: refit(experiment, q, count, seed))
-    seconds, found = median_time(lambda: refit(experiment, q, count, seed), 3)
-    sigma = found.determination.standard_deviation
-    noise = np.random.default_rng(seed).standard_normal((count, 6, len(q))) * experiment.sensor.noise[:, None]
-    taken, errors = timed(lambda: np.stack([plain_refit(q, each) for each in noise[:rival_count]]))
-    wrong = disagreement(found.errors[:rival_count] / sigma, errors / sigma, REFITS_AGREE, "refits (in σ)")
-    if not found.settled.all():
-        wrong = wrong or f"{int((~found.settled).sum())} refits did not settle"
-    each = taken / rival_count
-    yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
-    yield Record(work, OURS, "a refit", 1e3 * seconds / count, "ms", "lower", wrong)
-    yield Record(work, SCIPY, "a refit", 1e3 * each, "ms", "lower")
-    yield Record(work, OURS, f"faster than {SCIPY}", each * count / seconds, "×", "higher", wrong)
 
 
 def _raced(
@@ -152,17 +128,3 @@ def plain_exchange(rows: np.ndarray, count: int, rounds: int = 1) -> np.ndarray:
             chosen[k] = best(without, chosen[:k] + chosen[k + 1 :])
             M = without + rows[chosen[k]].T @ rows[chosen[k]]
     return np.array(chosen)
-
-
-def plain_refit(q: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """The error `(28,)` of SciPy's fit to readings with `noise` `(6, sample)`, by finite differences."""
-    true = seed_poses(NOMINAL, q)
-    position = true[:, :3, 3] + noise[:3].T
-    rotation = Rotation.from_rotvec(noise[3:].T).as_matrix() @ true[:, :3, :3]
-
-    def residuals(parameters: np.ndarray) -> np.ndarray:
-        poses = seed_poses(parameters, q)
-        spin = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ poses[:, :3, :3]).as_rotvec()
-        return np.concatenate([(poses[:, :3, 3] - position) / NOISE[0], spin / NOISE[1]], 1).ravel()
-
-    return least_squares(residuals, NOMINAL, method="lm", x_scale="jac").x - NOMINAL

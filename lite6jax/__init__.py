@@ -82,10 +82,7 @@ if TYPE_CHECKING:
     from lite6jax.design.identify import identify as identify, identify_recording as identify_recording
     from lite6jax.design.information import Experiment as Experiment, plan_experiment as plan_experiment
     from lite6jax.design.poses import plan_poses as plan_poses
-    from lite6jax.design.sensitivity import (
-        global_sensitivity as global_sensitivity,
-        sensitivity as sensitivity,
-    )
+    from lite6jax.design.sensitivity import sensitivity as sensitivity
     from lite6jax.design.sensor import Sensor as Sensor
     from lite6jax.recordings import (
         Recording as Recording,
@@ -133,7 +130,7 @@ _NAMES = {
     "lite6jax.design.identify": ("identify", "identify_recording"),
     "lite6jax.design.information": ("Experiment", "plan_experiment"),
     "lite6jax.design.poses": ("plan_poses",),
-    "lite6jax.design.sensitivity": ("global_sensitivity", "sensitivity"),
+    "lite6jax.design.sensitivity": ("sensitivity",),
     "lite6jax.design.sensor": ("Sensor",),
     "lite6jax.recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
     "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),

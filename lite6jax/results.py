@@ -33,13 +33,11 @@ class Description(NamedTuple):
     Attributes:
         title: a few words.
         sentences: whole ones, with units.
-        rows: of the table: quantity with its unit, and value.
         notes: what was assumed, a sentence each.
     """
 
     title: str
     sentences: tuple[str, ...]
-    rows: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = ()
 
 
@@ -164,16 +162,12 @@ class PublicResult:
         return self.summary()
 
     def _repr_html_(self) -> str:
-        """The table with its notes, without styles, scripts or links."""
-        title, _, rows, notes = self._description
-        lines = [f"<table><caption>{escape(title)}</caption><tbody>"]
-        lines += [f"<tr><th scope=row>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows]
-        lines.append("</tbody></table>")
-        if notes:
-            more = [f"{len(notes) - MOST_NOTES} more notes"] if len(notes) > MOST_NOTES else []
-            shown = [*notes[:MOST_NOTES], *more]
-            lines.append(f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in shown)}</ul>")
-        return "".join(lines)
+        """The sentences and the notes, each an entry of a list, without styles, scripts or links."""
+        title, sentences, notes = self._description
+        more = [f"{len(notes) - MOST_NOTES} more notes"] if len(notes) > MOST_NOTES else []
+        lists = (sentences, [*notes[:MOST_NOTES], *more])
+        shown = ("".join(f"<li>{escape(line)}</li>" for line in lines) for lines in lists if lines)
+        return f"<p><b>{escape(title)}</b></p>" + "".join(f"<ul>{entries}</ul>" for entries in shown)
 
     @cached_property
     def _description(self) -> Description:

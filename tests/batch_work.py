@@ -69,14 +69,10 @@ def dead(value):
     return pa.table({"input": [str(value)], "length": [-1]})
 
 
-def content(inputs):
-    return "\0".join(map(str, inputs)).encode()
-
-
 def diagnosed(names, place, folder):
     """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
     from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import make_refusal, make_row
+    from lite6jax.fleet.diagnoses import make_refusal, make_row
 
     rows = []
     for name in names:
@@ -98,9 +94,9 @@ def reduced(names, place, command):
     import numpy as np
 
     from lite6jax.distribution.batches import concatenate
-    from lite6jax.folders.diagnoses import make_row
-    from lite6jax.populations.terms import PooledTerm
-    from tests.populations.linear_arms import arm
+    from lite6jax.fleet.diagnoses import make_row
+    from lite6jax.fleet.terms import PooledTerm
+    from tests.fleet.linear_arms import arm
 
     rows = []
     for name in names:
@@ -126,12 +122,20 @@ def document_of(verdict):
     }
 
 
-def folded(fold, what):
-    """A fold `(1,)` and the process that worked on it. `die` ends it, `fail` raises, `slow` takes a minute."""
-    if what == "die":
+def work_here():
+    time.sleep(0.05)
+
+
+def folded(fold, what, mother):
+    """A fold `(1,)` and the process that worked on it. In all processes but `mother`, `die` ends it, `fail` raises, and
+    `slow` takes a minute.
+    """
+    if os.getpid() == mother:
+        work_here()
+    elif what == "die":
         os.kill(os.getpid(), signal.SIGKILL)
-    if what == "fail":
+    elif what == "fail":
         raise KeyError(what)
-    if what == "slow":
+    elif what == "slow":
         time.sleep(60)
     return int(fold[0]), os.getpid()

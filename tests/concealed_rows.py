@@ -1,6 +1,6 @@
 """Truths, diagnoses and rows of concealed trials, made by hand."""
 
-from benchmarks.concealed import scores
+from benchmarks.concealed.campaign import scored
 
 TRUTH = {
     "seed": 1,
@@ -60,7 +60,7 @@ def a_row(hidden=(), *findings, kind="single", faults=(), fault="", size=2.0, in
     truth |= {"sizes": [size] if hidden else []}
     said = {"x_m": [0.1 + off, 0.2], "y_m": [0.2, 0.2], "z_m": [0.3, 0.2]}
     said |= {"qw": [1.0, 0.0], "qx": [0.0, -1.0], "qy": [0.0, 0.0], "qz": [0.0, 0.0]}
-    return scores.scored(truth, a_diagnosis(*findings, faults=faults), said, 1.0, "") | {"sha256": "0" * 64}
+    return scored(truth, a_diagnosis(*findings, faults=faults), said, 1.0, "") | {"sha256": "0" * 64}
 
 
 WAVE = a_hidden(

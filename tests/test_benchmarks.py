@@ -1,43 +1,23 @@
 """The benchmarks' own honesty: what they simulate, when they call an answer wrong, and what they write."""
 
+import importlib
 import json
 import subprocess
 import sys
 from functools import partial
 
+import jax
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from domains.torque.moved import hidden, recorded
 
 from benchmarks import __main__ as harness
-from benchmarks import (
-    command,
-    diagnose,
-    fits,
-    folders,
-    measure,
-    one_by_one,
-    problem,
-    profile,
-    regressor,
-    rivals,
-    samples,
-    seed_way,
-)
+from benchmarks import ceres, command, devices, diagnose, fits, folders, growth, measure, problem, regressor, seed_way
+from benchmarks.ladder import STEPS, LowPass, climbed, half_of, main, rms
 from benchmarks.measure import Record
 from lite6jax.arms import dynamics
-from lite6jax.diagnosis.result import Finding
-from lite6jax.effects.catalogue import catalogue
-from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.estimation.score_test import Score
-from lite6jax.recordings.fault import DataFault
-from lite6jax.report.data_faults import fault_statement
-from lite6jax.search.state import SelectedTerm
-from tests.oracles.arms import ASSEMBLY
 from tests.oracles.chains import seed_poses, six_parameter_poses
-from tests.oracles.effects import predicted_poses
-from tests.oracles.transforms import displacement
 
 KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
 RNG_SEED = 11
@@ -62,9 +42,6 @@ def test_the_rivals_chains_are_those_of_the_oracle():
     )
     np.testing.assert_allclose(
         [seed_way.effective_pose(parameters, each) for each in q], seed_poses(parameters, q), atol=1e-14
-    )
-    np.testing.assert_allclose(
-        [rivals.naive_pose(parameters, each) for each in q[:3]], seed_poses(parameters, q[:3]), atol=1e-14
     )
 
 
@@ -124,32 +101,22 @@ def test_not_a_number_disagrees():
     assert measure.disagreement(np.array([2.0]), np.zeros(1), 1.0, "numbers (m)") == "numbers (m) off by 2, more than 1"
 
 
-def test_a_rival_that_finds_something_else_is_marked():
-    honest = rivals.VECTORISED
+@pytest.mark.parametrize(("run", "subject"), [(fits.one, "one"), (partial(fits.fleet, sizes=(2,)), "fleet of 2")])
+def test_a_rival_that_finds_something_else_is_marked(run, subject):
+    honest = fits.JACOBIAN
     liar = honest._replace(name="liar", solve=lambda q, pose: honest.solve(q, pose) + 1e-8)
-    records = list(fits.one(samples=40, repeats=1, rivals=(honest, liar)))
+    records = list(run(samples=40, repeats=1, rivals=(honest, liar)))
     assert {record.subject for record in records if record.failed} == {"liar", "lite6jax"}
     assert {r.metric for r in records if r.failed and r.subject == "lite6jax"} == {"faster than liar"}
     assert all(record.value is not None and record.value > 0 for record in records)
-
-
-def test_a_fleet_is_compared_with_the_closed_form():
-    records = list(fits.fleet(sizes=(1,), samples=40, repeats=1, rivals=()))
-    assert [record.failed for record in records] == [""] * len(records)
-    assert {record.subject for record in records} == {fits.OURS, fits.CLOSED_FORM}
+    assert {record.workload for record in records} == {subject}
 
 
 @pytest.mark.long
 def test_a_folder_is_fitted_alike_by_one_process_and_two():
     records = list(folders.folders(files=40, repeats=1))
     assert [record.failed for record in records] == [""] * len(records)
-    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2", "fleet, after a kill"}
-
-
-def test_the_parts_of_a_fit_are_right():
-    records = list(profile.profile(samples=40, repeats=1))
-    assert [record.failed for record in records] == [""] * len(records)
-    assert "whole fit over JᵀJ alone" in {record.metric for record in records}
+    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2"}
 
 
 def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):
@@ -168,7 +135,7 @@ def test_peak_memory_is_what_the_process_held_itself():
         "import numpy as np; from benchmarks.samples import peak_memory; before = peak_memory();"
         "held = np.ones(12_500_000); print(before, peak_memory())"
     )
-    run = subprocess.run([sys.executable, "-c", program], cwd=samples.ROOT, capture_output=True, text=True, check=True)
+    run = subprocess.run([sys.executable, "-c", program], cwd=measure.ROOT, capture_output=True, text=True, check=True)
     before, after = map(int, run.stdout.split())
     assert before < ballast.nbytes
     assert 95e6 < after - before < 110e6
@@ -193,123 +160,157 @@ def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
     assert capsys.readouterr().err.startswith("benchmarks: ")
 
 
-def plain_parameters(effect, values):
-    """As the oracle takes them: where the effect acts, and its parameters by name."""
-    where = {name: value for name in ("joint", "link") if (value := getattr(effect, name, None)) is not None}
-    return {**where, **{name: estimate.value for name, estimate in effect.reported(values).items()}}
-
-
-def test_the_naive_search_bends_the_arm_as_the_oracle_does(tmp_path):
-    rng = np.random.default_rng(RNG_SEED)
-    arm, samples, dof = diagnose.LITE6, 5, 6
-    start = np.eye(4)
-    start[:3, :3], start[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), [1.0, -2.0, 0.1]
-    tool = np.eye(4)
-    tool[:3, 3] = 0.02, -0.01, 0.06
-    q = seed_way.sample_joints(samples, rng)
-    motion = {
-        "joint_position": q,
-        "joint_velocity": np.zeros_like(q),
-        "direction": rng.choice([-1.0, 1.0], q.shape),
-        "time": 8.0 * np.arange(samples),
-        "joint_temperature": np.full(q.shape, 25.0),
-        "payload": np.zeros(samples),
-    }
-    inertia = {
-        "mass": arm.mass,
-        "center_of_mass": arm.center_of_mass,
-        "payload_center": np.zeros(3),
-        "gravity": np.array([0.0, 0.0, -9.81]),
-    }
-    readings = one_by_one.Readings(
-        q, motion["direction"], motion["time"], np.zeros((samples, 3)), 1.0, arm.kinematics, start, tool, False,
-        arm.mass, arm.center_of_mass,
-    )  # fmt: skip
-    links = ASSEMBLY * rng.standard_normal((5, 6))
-    frame = np.array([1e-3, -2e-3, 3e-3, 1e-3, -2e-3, 3e-3])
-    shifted = [3e-3, -1e-3, 2e-3]
-    T_sensor_base, T_flange_tool = start @ displacement(frame), tool.copy()
-    T_flange_tool[:3, 3] += shifted
-    skipped = ("joint_lag", "link_thermal_expansion", "joint_thermal_offset", "time_offset")
-    tried = [effect for effect in catalogue(dof) if effect.name not in skipped]
-    for effect in tried:
-        values = rng.uniform(0.5, 1.0, effect.size) * [coordinate.typical for coordinate in effect.coordinates]
-        # gravity's moments are those of the declared chain
-        moved = np.zeros((5, 6)) if "compliance" in effect.name else links
-        kinematics = arm.kinematics + np.concatenate([np.zeros((1, 6)), moved])
-        predicted = readings.residual(np.concatenate([frame, shifted, moved.ravel(), values]), effect)
-        expected = predicted_poses(
-            kinematics, T_sensor_base, T_flange_tool, motion, inertia, [(effect.name, plain_parameters(effect, values))]
-        )
-        position = predicted[: 3 * samples].reshape(-1, 3)
-        np.testing.assert_allclose(position, expected[:, :3, 3], atol=1e-13, err_msg=effect.label)
-    with pytest.raises(NotImplementedError, match="time_offset"):
-        readings.bent(TimeOffset(), np.zeros(1))
-
-
-def test_the_naive_search_finds_what_is_hidden(tmp_path):
-    recording = diagnose.hidden(tmp_path, "known", 60)
-    case = diagnose.pose_problem(recording)
-    texts = (diagnose.TRUE, "joint_compliance:joint=3", "joint_backlash:joint=2", "payload_error")
-    candidates = tuple(parse_effect(text, neutral=True)[0] for text in texts)
-    found, value = diagnose.refitted(diagnose.readings_of(case, "known"), candidates)
-    assert found == candidates[0]
-    np.testing.assert_allclose(value, 2e-5, rtol=0.1)
-
-
-def test_every_kind_of_recording_comes_once_a_round_and_is_what_it_says(tmp_path):
-    kinds = list(diagnose.clean_recordings(145))
-    assert [clean.seed for clean in kinds] == list(range(145))
-    assert len({clean[1:] for clean in kinds}) == 144
-    assert kinds[0][1:] == next(diagnose.clean_recordings(1))[1:]
-    for clean in kinds[:4] + kinds[72:76]:
-        recording = clean.recording(tmp_path)
-        settings = recording.settings
-        assert recording.motion == clean.motion
-        assert (settings.factory_calibration is None) == (clean.geometry == "unknown")
-        assert (settings.factory_uncertainty is None) == (clean.geometry != "uncertain")
-        assert (recording.quaternion is None) == (clean.sensor == "tracker")
-        assert (settings.pose_frame, settings.tool) == (("unknown",) * 2 if clean.mounted else ("base", "none"))
-
-
-def test_false_alarms_are_listed_and_too_many_are_wrong(tmp_path, monkeypatch):
-    effect, _ = parse_effect(diagnose.TRUE)
-    term = SelectedTerm(effect, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)))
-    fault = DataFault("repeated_rows", (3,), {"first_rows": [1]})
-    answers = iter([((term,), ()), ((), ()), ((), (fault,)), ((term,), ())])
-    monkeypatch.setattr(diagnose, "searched", lambda recording: next(answers))
-    records = list(diagnose.false_alarms(4, tmp_path))
-    alarms = [record for record in records if record.workload == "false alarm"]
-    assert [record.subject[:6] for record in alarms] == ["seed 0", "seed 2", "seed 3"]
-    assert [record.metric for record in alarms] == [
-        effect.label,
-        f"repeated_rows: {fault_statement(fault)}",
-        effect.label,
-    ]
-    counts = {record.metric: record for record in records if record.workload != "false alarm"}
-    assert counts["with a finding"].value == 2
-    assert counts["with a finding"].failed == "2 of 4 show something, more than 1"
-    assert counts["with a fault of the data, other than outliers"].value == 1
-    assert sum(record.value for name, record in counts.items() if name.startswith("— ")) == 2
-
-
 def test_a_finding_is_right_only_where_it_is_what_was_hidden():
     effect, _ = parse_effect(diagnose.TRUE)
     other, _ = parse_effect("joint_harmonic:joint=2,order=2", neutral=True)
-    findings = [Finding(each, np.zeros(each.size), np.eye(each.size), 1e-4, 20.0, ()) for each in (effect, other)]
-    assert diagnose.wrong_findings(findings[:1]) == ""
-    assert diagnose.wrong_findings([]) == "found nothing, not joint_compliance:joint2"
-    assert "joint_harmonic:joint2, order 2" in diagnose.wrong_findings(findings)
+    assert diagnose.wrong_findings((effect,)) == ""
+    assert diagnose.wrong_findings(()) == "found nothing, not joint_compliance:joint2"
+    assert "joint_harmonic:joint2" in diagnose.wrong_findings((effect, other))
 
 
-def test_recordings_are_counted_for_the_diagnosis_alone(capsys):
-    def counted(recordings=300):
-        yield Record("diagnose", "lite6jax", "recordings", float(recordings), "", "lower")
+def test_every_workload_and_command_is_there():
+    for module, name in harness.WORKLOADS.items():
+        assert callable(getattr(importlib.import_module(f"benchmarks.{name}"), module))
+    for module, _ in harness.COMMANDS.values():
+        assert callable(importlib.import_module(f"benchmarks.{module}").main)
 
-    known = {"diagnose": counted, "models": partial(wrong_workload, "")}
-    assert harness.main(["diagnose", "--recordings", "7"], known) == 0
-    assert "7" in capsys.readouterr().out
-    for refused in (["diagnose", "--recordings", "0"], ["models", "--recordings", "7"]):
-        with pytest.raises(SystemExit):
-            harness.main(refused, known)
-        assert "--recordings: give 1 or more" in capsys.readouterr().err
+
+def test_what_the_timed_recordings_hide_is_known_or_unknown_as_said(tmp_path):
+    for known in (True, False):
+        settings = diagnose.hidden(tmp_path, known, 20).settings
+        assert (settings.factory_calibration is not None) is known
+        assert (settings.pose_frame, settings.tool) == ("unknown",) * 2
+
+
+SMALL = {"arms": (4,), "samples": (300,), "poses": 500, "order": 64, "repeats": 1}
+
+
+def has(device):
+    try:
+        return bool(jax.devices(device))
+    except RuntimeError:
+        return False
+
+
+def figures(device):
+    found = list(devices.devices(device, **SMALL))
+    assert [record.failed for record in found] == [""] * len(found)
+    assert all(record.value > 0 for record in found)
+    return {subject: [r.metric for r in found if r.subject == subject] for subject in {r.subject for r in found}}
+
+
+@pytest.mark.long
+def test_the_processor_alone_has_one_column():
+    assert figures("cpu").keys() == {"cpu"}
+    assert jax.config.jax_default_device is None
+
+
+@pytest.mark.skipif(not has("gpu"), reason="JAX sees no GPU here: what runs on one is not tested")
+def test_a_gpu_has_a_column_beside_the_processors_with_right_answers():
+    found = figures("gpu")
+    assert found.keys() == {"cpu", "gpu"}
+    assert found["cpu"] == found["gpu"]
+
+
+def test_a_device_that_is_not_there_is_refused_in_one_line(capsys, monkeypatch):
+    def none(device):
+        raise RuntimeError(f"Unknown backend: '{device}' requested")
+
+    monkeypatch.setattr(jax, "devices", none)
+    assert harness.main(["--device", "gpu"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "--device gpu: JAX sees none here; on a machine with an NVIDIA card pip install 'lite6jax[gpu]'" in said
+
+
+def test_a_device_runs_its_own_workload_alone():
+    asked = []
+
+    def counted(device="cpu"):
+        asked.append(device)
+        return iter(())
+
+    def other():
+        asked.append("other")
+        return iter(())
+
+    known = {"devices": counted, "other": other}
+    assert harness.main(["--device", "cpu"], known) == 0
+    assert asked == ["cpu"]
+    assert harness.main([], known) == 0
+    assert asked == ["cpu", "other"]
+    with pytest.raises(SystemExit, match="2"):
+        harness.main(["other", "--device", "cpu"], known)
+
+
+def test_a_rival_that_is_not_installed_is_named_in_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(ceres.shutil, "which", lambda name: None)
+    assert harness.main(["ceres"]) == 2
+    said = capsys.readouterr().err
+    assert said == "benchmarks: no C++ compiler or no Ceres here; apt-get install g++ libceres-dev\n"
+
+
+@pytest.mark.skipif(not ceres.HEADERS.exists(), reason="Ceres (libceres-dev) is not installed here")
+def test_ceres_and_the_library_agree():
+    found = list(ceres.ceres(arms=2, samples=40, repeats=1))
+    assert [record.failed for record in found] == [""] * len(found)
+    assert all(record.value > 0 for record in found)
+
+
+SIZES = (100, 300, 1000, 3000, 10_000)
+
+
+@pytest.mark.parametrize(("constant", "exponent"), [(0.0, 1.0), (0.5, 1.0), (0.02, 2.0), (0.0, 1.5)])
+def test_the_exponent_of_a_known_law_is_inside_its_interval(constant, exponent):
+    rng = np.random.default_rng(4)
+    seconds = (constant + (np.array(SIZES) / 1000) ** exponent) * np.exp(0.02 * rng.standard_normal(len(SIZES)))
+    found = growth.fitted("work", SIZES, seconds, start=constant > 0)
+    assert abs(found.exponent - exponent) <= found.interval
+    assert 0 < found.interval < 0.5
+    million = constant + 1000.0**exponent
+    assert found.at(1e6) == pytest.approx(million, rel=0.6)
+
+
+def test_an_exponent_takes_four_sizes():
+    with pytest.raises(ValueError, match="work: 3 sizes; give 4 or more"):
+        growth.fitted("work", (1, 2, 3), (1, 2, 3))
+
+
+def test_the_figure_shows_every_law(tmp_path):
+    laws = [growth.fitted(of, SIZES, np.array(SIZES) * 1e-3 * (k + 1)) for k, of in enumerate(("files", "joints"))]
+    growth.draw(laws, tmp_path / "growth.png")
+    assert (tmp_path / "growth.png").stat().st_size > 5000
+
+
+def halves(recording, low):
+    early = np.arange(recording.samples) < recording.samples // 2
+    return [half_of(recording.select(rows), low.rate, low) for rows in (early, ~early)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("effect", "joint", "step"),
+    [
+        (hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=2.0), 2, 1),
+        (hidden("joint_spring", "joint3", stiffness_Nm_per_rad=3.0, rest_rad=0.2), 3, 2),
+    ],
+)
+def test_each_step_explains_what_it_is_made_for(effect, joint, step):
+    (recording, arm), low = recorded([effect]), LowPass(50.0, 10.0)
+    train, test = halves(recording, low)
+    gravity = recording.settings.gravity_m_per_s2
+    errors = {name: rms(off, test)[joint - 1] for name, off in climbed(arm, train, test, gravity, low)}
+    assert errors[STEPS[step - 1]] > 10 * errors[STEPS[step]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["missing.csv"], "missing.csv"), (["missing.csv", "--cut", "0"], "give a frequency above zero")],
+)
+def test_what_cannot_be_compared_is_said_in_a_line(arguments, message, capsys):
+    try:
+        code = main(arguments)
+    except SystemExit as stopped:
+        code = stopped.code
+    assert code == 2
+    assert message in capsys.readouterr().err

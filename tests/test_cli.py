@@ -23,7 +23,7 @@ from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.errors import InputError
 from lite6jax.fitting import compiled
 from lite6jax.fitting.quality import Result
-from lite6jax.folders import fit
+from lite6jax.fleet import fit
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses
@@ -106,8 +106,8 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
 def test_ctrl_c_leaves_nothing_behind(tmp_path, calibration):
     before = set(tmp_path.iterdir())
     slow = (
-        "import sys, time; from lite6jax.cli import main; from lite6jax.folders import fleet;"
-        "fleet.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
+        "import sys, time; from lite6jax.cli import main; from lite6jax.fleet import folder;"
+        "folder.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
         "sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", slow, "fleet", str(tmp_path), "--out", str(tmp_path / "fleet.parquet")]

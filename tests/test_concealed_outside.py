@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.concealed import campaign, command, hiding, outside, plans, recorded, rivals, trials
+from benchmarks.concealed import campaign, hiding, outside, plans, recorded, rivals, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
-from benchmarks.concealed.outside import FAMILIES, families
+from benchmarks.concealed.outside import FAMILIES, families, places
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
-from benchmarks.ending import UNUSABLE
+from benchmarks.measure import UNUSABLE
 from tests import vault_formulas
 from tests.outside_signals import (
     PAYLOAD_CENTER,
@@ -363,7 +363,7 @@ def test_families_not_looked_at_are_sealed_and_drawn_on_request_only(seed):
     opened, sealed = families(seed), families(seed, sealed=True)
     assert sealed
     assert not set(opened) & set(sealed)
-    wanted = plans.indices(seed, 3 * len(FAMILIES), "outside")
+    wanted = plans.ROUNDS.indices(seed, 3 * len(FAMILIES), "outside")
     for chosen, allowed in ((False, opened), (True, sealed)):
         drawn = [plans.draw_plan(seed, index, np.random.default_rng(0), chosen) for index in wanted]
         assert {plan.effects[0] for plan in drawn} == set(allowed)
@@ -382,8 +382,8 @@ def test_a_seed_means_the_same_families_whatever_was_opened_since():
 
 
 def test_every_family_that_was_written_is_drawn_some_day():
-    places = (outside.joint, outside.link, outside.base, outside.tool, outside.sensor, outside.workshop, outside.vault)
-    written = [name for place in places for name in place.FAMILIES]
+    of_places = (places.JOINT, places.LINK, places.BASE, places.TOOL, places.SENSOR, outside.workshop.FAMILIES)
+    written = [name for place in (*of_places, outside.vault.FAMILIES) for name in place]
     assert len(written) == len(set(written))
     assert set(written) == set(FAMILIES)
 
@@ -402,12 +402,14 @@ def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
         "--out",
         str(tmp_path / "a.parquet"),
     ]
-    assert command.main(arguments) == UNUSABLE
+    assert campaign.main(arguments) == UNUSABLE
     assert "has trials of open families" in capsys.readouterr().err
 
 
 def test_rows_are_from_fifteen_to_three_thousand_and_mostly_moderate():
-    drawn = [plans.draw_plan(6, i, np.random.default_rng(i)) for i in plans.indices(6, 120, *plans.NAMES_AT_STAKE)]
+    drawn = [
+        plans.draw_plan(6, i, np.random.default_rng(i)) for i in plans.ROUNDS.indices(6, 120, *plans.NAMES_AT_STAKE)
+    ]
     rows = [plan.rows for plan in drawn]
     assert min(rows) >= plans.FEWEST
     assert 1000 < max(rows) <= 3000
@@ -517,7 +519,9 @@ def test_a_tool_that_turns_is_no_offset_of_it(scene):
 
 
 def a_plan(edge):
-    index = next(i for i in plans.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge)
+    index = next(
+        i for i in plans.ROUNDS.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge
+    )
     return index, plans.draw_plan(7, index, np.random.default_rng(0))
 
 

@@ -336,7 +336,7 @@ def test_report_repeats_the_page_and_certifies(capsys, diagnosed, tmp_path):
     page = diagnosed[1].splitlines()
     assert said.splitlines()[1:20] == page[1:20]
     pdf = tmp_path / "c.pdf"
-    code, said, _ = run(capsys, "report", diagnosed[0], "--certificate", pdf, "--date", "2026-11-21")
+    code, said, _ = run(capsys, "report", diagnosed[0], "--certificate", pdf)
     assert code == 0
     assert pdf.read_bytes().startswith(b"%PDF-")
     assert f"Wrote {pdf}" in said.replace("\n", "")
@@ -353,10 +353,6 @@ def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
     )
     said = refused(capsys, "report", diagnosed[0], "--certificate", tmp_path / "c.txt")
     assert said == f"{tmp_path / 'c.txt'}: what is written here is pdf; let the name end in .pdf"
-    said = refused(capsys, "report", diagnosed[0], "--certificate", pdf, "--date", "21.11.2026")
-    assert said == "--date 21.11.2026: give a day as YYYY-MM-DD, such as 2026-11-21"
-    said = refused(capsys, "report", diagnosed[0], "--instrument", "AT960")
-    assert said == "--date, --instrument: stand on a certificate; add --certificate FILE.pdf"
     document = json.loads(diagnosed[0].read_text())
     broken = tmp_path / "broken.json"
     for lost in ("before", "findings", "left"):

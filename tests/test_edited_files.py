@@ -308,7 +308,7 @@ def written_files(folder, diagnosis):
 
 
 def silent(read, numbers, original, path):
-    """Whether a file is read without a warning and as something else than the original; for `benchmarks fuzz` too."""
+    """Whether a file is read without a warning and as something else than the original; for `damaged` too."""
     found = outcome(read, path)
     return found is not None and not found[1] and numbers(found[0]) != numbers(original)
 

@@ -1,20 +1,13 @@
-"""Every reader on damaged files: a value or one line that says what is wrong, nothing else, and no change in silence.
+"""Every reader on damaged files: a value or one line that says what is wrong, and no change in silence."""
 
-The long run of the same is `python -m benchmarks fuzz`.
-"""
-
-import json
 from random import Random
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks import __main__ as harness
-from benchmarks import fuzz, fuzz_worker, fuzzed
-from benchmarks.fuzz_worker import Trial
-from benchmarks.fuzzed import COMMANDS, READERS, Command, Reader, Seen, damage, flip_bit
 from lite6jax.errors import InputError
+from tests.damaged import READERS, Reader, Seen, Trial, damage, flip_bit
 
 ACCEPTED = ("read", "refused")
 
@@ -68,9 +61,6 @@ def test_damage_is_the_same_for_the_same_seed_and_of_every_kind():
     assert sum(bin(a ^ b).count("1") for a, b in zip(content, flipped, strict=True)) == 1
 
 
-# ------------------------------------------------------------------ the benchmark's own honesty
-
-
 def write_number(folder):
     path = folder / "number.txt"
     path.write_text("7")
@@ -95,48 +85,3 @@ def test_each_outcome_is_what_happened(tmp_path):
     assert outcomes == ["read", "silent change", "refused", "traceback", "traceback", "read"]
     lenient = Trial(Reader("bad", write_number, read_badly), tmp_path / "lenient")
     assert lenient.judged(b"8") == ("read", "")
-    command = Command("bad", Reader("bad", write_number, lambda path: Seen("")), lambda path, out: ["fit", str(path)])
-    with pytest.raises(RuntimeError, match="bad: on the whole file: refused"):
-        Trial(command, tmp_path / "command")
-
-
-def test_a_process_that_dies_or_waits_is_counted_and_the_next_goes_on(monkeypatch, tmp_path):
-    worker = tmp_path / "worker.py"
-    worker.write_text(
-        "import json, os, sys, time\n"
-        "print('ready', flush=True)\n"
-        "for k in range(int(sys.argv[3]), int(sys.argv[4])):\n"
-        "    if k == 2: os._exit(9)\n"
-        "    if k == 4: time.sleep(60)\n"
-        "    print(json.dumps(('traceback' if k == 5 else 'read', 'why')), flush=True)\n"
-    )
-    start = fuzz.subprocess.Popen
-    popen = lambda command, **rest: start([command[0], str(worker), *command[3:]], **rest)  # noqa: E731
-    monkeypatch.setattr(fuzz.subprocess, "Popen", popen)
-    monkeypatch.setattr(fuzz, "HANG_S", 2.0)
-    (found,) = fuzz.fuzz(["csv"], 7)
-    assert dict(found.counts) == {"read": 4, "crash": 1, "hang": 1, "traceback": 1}
-    assert [line.split(": ")[:2] for line in found.details] == [
-        ["crash", "csv 2"], ["hang", "csv 4"], ["traceback", "csv 5"],
-    ]  # fmt: skip
-    wrong = {record.metric: record.failed for record in fuzz.records(found)}
-    assert wrong == {
-        "mutations": "", "crashes": "1 of 7", "hangs": "1 of 7", "silent changes": "", "tracebacks": "1 of 7",
-    }  # fmt: skip
-
-
-def test_the_benchmark_runs_a_reader_and_a_command(capsys, tmp_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
-    out = tmp_path / "out.json"
-    names = ["--only", "csv", "--only", "check a factory file"]
-    assert harness.main(["fuzz", "--mutations", "12", *names, "--json", str(out), "--processes", "2"]) == 0
-    counts = {(r["subject"], r["metric"]): r["value"] for r in json.loads(out.read_text())}
-    assert counts["csv", "mutations"] == 10
-    assert counts["check a factory file", "mutations"] == 2
-    assert "check a factory file" in capsys.readouterr().out
-
-
-def test_names_are_unique_and_commands_take_a_reader_of_the_list():
-    assert len(fuzzed.targets()) == len(READERS) + len(COMMANDS)
-    assert {command.file for command in COMMANDS} <= set(READERS)
-    assert fuzz.READY == fuzz_worker.READY

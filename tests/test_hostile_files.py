@@ -10,14 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 from typed import flat, refused, run
 
-from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.command import check_outputs
 from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.folders.fleet import fit_folder, tabulate_rows
-from lite6jax.folders.place import Place, list_fleet
+from lite6jax.fleet.folder import fit_folder, tabulate_rows
+from lite6jax.fleet.place import Place, list_fleet
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
+from tests.damaged import CSV, FACTORY, LITE6, recording
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_a_fleet_survives_a_name_that_is_not_utf8(tmp_path):
     folder.mkdir()
     shutil.copy(FACTORY.write(tmp_path), folder / os.fsdecode(b"\xff.yaml"))
     os.mkfifo(folder / "pipe.csv")
-    path = fit_folder(folder, tmp_path / "fleet.parquet", processes=0).path
+    path = fit_folder(folder, tmp_path / "fleet.parquet", processes=0)
     (row,) = pq.read_table(path).to_pylist()
     assert row["file"] == "\\udcff.yaml"
     assert row["message"].endswith("its name is not UTF-8; rename the file or its folder")

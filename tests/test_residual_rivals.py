@@ -1,19 +1,18 @@
 """The rivals' own honesty: their columns are what the physics does, and what is held out they have not seen."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
+from diagnosis.recorded import LITE6, Made, static_motion, with_effects
 from threadpoolctl import threadpool_limits
 from typed import flat
 
 from benchmarks import __main__ as harness
+from benchmarks import residual, rivals
 from benchmarks.concealed.chain import Chain
-from benchmarks.residual import black_boxes, command, linear, score
-from benchmarks.residual.view import Geometry
-from lite6jax.recordings import read_recording, write_recording
+from benchmarks.residual import Geometry
+from lite6jax.recordings import write_recording
 
 SAMPLES = 120
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
@@ -69,8 +68,8 @@ def moved(arm, motion, text, size):
     ],
 )
 def test_a_column_is_what_the_effect_does(arm, motion, view, text, group, place):
-    (found,) = (g for g in (*linear.gravity(view), *linear.other_physics(view)) if g.name == group)
-    J = linear.design(view, found.columns)[:, :, place]
+    (found,) = (g for g in (*residual.gravity(view), *residual.other_physics(view)) if g.name == group)
+    J = residual.design(view, found.columns)[:, :, place]
     shift, turn = moved(arm, motion, text, 1e-6)
     scale = np.abs(shift).max()
     np.testing.assert_allclose(J[:, :3] * view.noise[0], shift, atol=2e-5 * scale)
@@ -78,9 +77,9 @@ def test_a_column_is_what_the_effect_does(arm, motion, view, text, group, place)
 
 
 def test_a_wave_is_a_joints_sine(motion, view):
-    groups = [g for g in linear.waves(view, (3,)) if g.name == "joint_harmonic:joint5"]
-    J = linear.design(view, groups[0].columns)
-    lever = linear.design(view, [linear.Column(5, 5, lambda v: np.ones(v.recording.samples))])[:, :, 0]
+    groups = [g for g in residual.waves(view, (3,)) if g.name == "joint_harmonic:joint5"]
+    J = residual.design(view, groups[0].columns)
+    lever = residual.design(view, [residual.Column(5, 5, lambda v: np.ones(v.recording.samples))])[:, :, 0]
     angle = 3 * motion["joint_position"][:, 4]
     np.testing.assert_allclose(J[:, :, 0], lever * np.sin(angle)[:, None], atol=1e-9)
     np.testing.assert_allclose(J[:, :, 1], lever * np.cos(angle)[:, None], atol=1e-9)
@@ -92,12 +91,12 @@ def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, mo
 
     def spy(view):
         seen.append(set(view.recording.row))
-        return black_boxes.geometry_alone(view)
+        return residual.geometry_alone(view)
 
-    chosen = {"spy": spy, "stepwise": lambda view: linear.stepwise(False, view)}
-    monkeypatch.setattr(score, "rivals", lambda free: chosen)
-    monkeypatch.setattr(linear, "ORDERS", (1, 2, 3))
-    spied, stepwise = score.compare(soft, folds=2)
+    chosen = {"spy": spy, "stepwise": lambda view: residual.stepwise(False, view)}
+    monkeypatch.setattr(rivals, "rivals", lambda free: chosen)
+    monkeypatch.setattr(residual, "ORDERS", (1, 2, 3))
+    spied, stepwise = rivals.compare(soft, folds=2)
     half = set(range(1, SAMPLES // 2 + 1))
     assert seen[0].isdisjoint(half)
     assert seen[1] <= half
@@ -111,14 +110,14 @@ def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, mo
 
 
 @pytest.mark.long
-def test_black_boxes_and_a_ridge_learn_what_they_can(arm, monkeypatch):
-    monkeypatch.setattr(black_boxes, "_GP_TUNED", 100)
+def test_residual_and_a_ridge_learn_what_they_can(arm, monkeypatch):
+    monkeypatch.setattr(residual, "_GP_TUNED", 100)
     many = with_effects(arm, COMPLIANCE).recording(static_motion(2, 300))
     geometry = true_geometry(arm)
     train, other = many.select(np.arange(250)), many.select(np.arange(250, 300))
     view = geometry.view(train)
     with threadpool_limits(1):
-        fitted = {name: rival(view) for name, rival in score.rivals(geometry.free).items() if "BIC" not in name}
+        fitted = {name: rival(view) for name, rival in rivals.rivals(geometry.free).items() if "BIC" not in name}
     there = geometry.view(other)
     error = {name: rms_of(there, f.correct(there)) for name, f in fitted.items()}
     assert error["geometry and Gaussian process"] < 0.9 * error["geometry alone"]
@@ -140,9 +139,9 @@ def rms_of(view, correction):
 @pytest.fixture
 def few(monkeypatch):
     """Two rivals, so that a command ends soon."""
-    chosen = {"geometry alone": black_boxes.geometry_alone, "stepwise, BIC": lambda view: linear.stepwise(False, view)}
-    monkeypatch.setattr(score, "rivals", lambda free: chosen)
-    monkeypatch.setattr(linear, "ORDERS", (1, 2))
+    chosen = {"geometry alone": residual.geometry_alone, "stepwise, BIC": lambda view: residual.stepwise(False, view)}
+    monkeypatch.setattr(rivals, "rivals", lambda free: chosen)
+    monkeypatch.setattr(residual, "ORDERS", (1, 2))
     monkeypatch.setenv("COLUMNS", "140")
 
 
@@ -161,34 +160,11 @@ def test_real_series_are_compared_and_carried_over(few, capsys, soft, tmp_path):
     assert {"error, RMS", "error, p95", "error, largest", "numbers", "time"} <= {record["metric"] for record in records}
 
 
-def test_a_trial_is_scored_where_none_has_seen_it(few, capsys, arm, soft, tmp_path):
-    folder = tmp_path / "trial"
-    folder.mkdir()
-    write_recording(soft, folder / "recording.csv")
-    later = static_motion(9, 30)
-    shown = with_effects(arm, COMPLIANCE).poses(later)
-    motion = with_effects(arm, COMPLIANCE).recording(later, poses=shown, noise=None)
-    path = write_recording(replace(motion, position=None, quaternion=None), folder / "unseen.csv")
-    path.with_suffix(".yaml").unlink()
-    rows = np.hstack([shown[:, :3, 3], quaternions(shown)])
-    np.savetxt(
-        folder / "unseen_truth.csv", rows, delimiter=",", header="x_m,y_m,z_m,qw,qx,qy,qz", comments="", fmt="%.17g"
-    )
-    hidden = [{"effect": "joint_compliance", "args": {"joint": 2, "c": 9e-5}}]
-    (folder / "truth.json").write_text(json.dumps({"effects": hidden}))
-    (outcome, stepwise), truth = command.on_trial(folder, False, str)
-    assert truth.names == {"joint_compliance:joint2"}
-    assert np.sqrt(np.mean(stepwise.errors**2)) < 0.3 * np.sqrt(np.mean(outcome.errors**2))
-    assert harness.main(["rivals", "--trials", str(tmp_path), "--rivals-only"]) == 0
-    assert "1 concealed trials, a motion that none of them saw" in flat(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "name what to compare on: --real DIR (or the variable LITE6JAX_REAL), --concealed N or --trials DIR"),
+        ([], "name what to compare on: --real DIR (or the variable LITE6JAX_REAL)"),
         (["--real", ".", "--every", "0"], "--every: give 1 or more"),
-        (["--concealed", "-1"], "--concealed: give 0 or more"),
     ],
 )
 def test_options_that_cannot_be(capsys, monkeypatch, options, says):
@@ -198,14 +174,7 @@ def test_options_that_cannot_be(capsys, monkeypatch, options, says):
     assert says in capsys.readouterr().err
 
 
-def test_folders_without_what_is_needed(capsys, monkeypatch, tmp_path, soft):
+def test_a_folder_without_recordings(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("LITE6JAX_REAL", str(tmp_path))
     assert harness.main(["rivals"]) == 2
     assert "holds no recording (.csv with .yaml beside it); put the real series there" in capsys.readouterr().err
-    monkeypatch.delenv("LITE6JAX_REAL")
-    assert harness.main(["rivals", "--trials", str(tmp_path)]) == 2
-    assert "holds no trial (recording.csv and unseen.csv)" in capsys.readouterr().err
-    write_recording(soft, tmp_path / "recording.csv")
-    write_recording(replace(read_recording(tmp_path / "recording.csv")), tmp_path / "unseen.csv")
-    assert harness.main(["rivals", "--trials", str(tmp_path)]) == 2
-    assert "has no truth, sealed or open" in capsys.readouterr().err

@@ -49,7 +49,7 @@ def found(tmp_path_factory):
         compare([read_factory(path, LITE6) for path in files[:2]]),
         *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12, refined=False)),
         plan_discrimination(experiment, rivals, q, 12, refined=False),
-        *(lite6jax.sensitivity("lite6", samples=200), lite6jax.global_sensitivity("lite6", arms=16, poses=4)),
+        lite6jax.sensitivity("lite6", samples=200),
         *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted_torques(torques.model, motion)),
         lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),
         lite6jax.register_model(poses.model, recording)[1],

@@ -59,13 +59,6 @@ def test_identify_says_why_positions_tell_less(capsys):
     assert "These poses determine 27 of 34 unknown parameters. By theory no poses determine more than 27." in offset
 
 
-def test_identify_refits(capsys):
-    text = flat(run(capsys, "identify", "lite6", "--poses", 30, "--refits", 400, "--frame", "known")[1])
-    assert "400 refits of simulated readings spread 0." in text
-    assert "times as far as predicted (chance alone: ±0.11)." in text
-    assert "did not converge" not in text
-
-
 def test_identify_with_physics(capsys):
     arguments = ("--effect", "joint_compliance:joint=2", "--effect", "joint_offset:joint=3", "--frame", "known")
     text = flat(run(capsys, "identify", "lite6", *arguments)[1])
@@ -120,11 +113,11 @@ def test_identify_names_a_joint_that_hardly_moves(capsys, tmp_path):
 
 
 def test_identify_json(capsys, measured):
-    code, said, _ = run(capsys, "identify", measured, "--json", "--refits", 50)
+    code, said, _ = run(capsys, "identify", measured, "--json")
     assert code == 0
     document = json.loads(said)
     recording = read_recording(measured, dof=6)
-    found = identify_recording(recording, refits=50)
+    found = identify_recording(recording)
     assert document == json.loads(json.dumps(found.to_dict())) | {"written": []}
     assert document["schema"] == "lite6jax/identification/1"
     assert document["rank"] == 24
@@ -132,8 +125,6 @@ def test_identify_json(capsys, measured):
     assert document["sensor"] == {"quantity": "position", "position_noise": 3e-5, "joint_noise": 0.0}
     held = [p["name"] for p in document["parameters"] if p["std"] is None]
     assert held == [d["held"] for d in document["dependencies"]]
-    assert document["refits"]["count"] == document["refits"]["settled"] == 50
-    assert len(document["refits"]["std_over_predicted"]) == 24
 
 
 def test_identify_draws(capsys, tmp_path):
@@ -159,7 +150,6 @@ def test_identify_an_arm_of_seven_joints_on_a_narrow_screen(capsys):
     [
         (("lite7",), "neither a bundled arm nor a file"),
         (("lite6", "--poses", "0"), "--poses 0: give at least 1"),
-        (("lite6", "--refits", "1"), "1 refits: a spread needs at least 2"),
         (("lite6", "--position-noise", "0"), "position noise 0.0: give one standard deviation in m, above 0"),
         (("lite6", "--orientation-noise", "0.1"), "a sensor of position measures no orientation; leave it out"),
         (("lite6", "--sensor", "dial_gauge", "--axis", "0", "0", "0"), "give three numbers that are not all zero"),
@@ -195,19 +185,11 @@ def test_sensitivity(capsys, tmp_path):
         assert (tmp_path / f"lite6_{what}.png").stat().st_size > 10_000
 
 
-def test_sensitivity_over_arms(capsys):
-    pytest.importorskip("SALib", reason="Sobol indices are an extra: pip install 'lite6jax[sensitivity]'")
-    text = flat(run(capsys, "sensitivity", "lite6", "--global-indices", "--arms", 64, "--chain", "hayati")[1])
-    assert "median of 64 arms" in text
-    assert "alone, in all: Sobol's indices" in text
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (("--length", "-1"), "--length -1.0: give one standard deviation, not below 0"),
         (("--length", "0", "--angle", "0"), "not both 0"),
-        (("--global-indices", "--arms", "100"), "100 arms: Sobol's sequence fills space evenly at powers of 2"),
     ],
 )
 def test_what_sensitivity_refuses(capsys, arguments, says):

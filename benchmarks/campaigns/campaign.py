@@ -1,7 +1,6 @@
 """The run of many trials: sealed first, diagnosed by workers, opened last, kept as they come."""
 
 import contextlib
-import functools
 import hashlib
 import io
 import json
@@ -10,7 +9,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -19,14 +18,17 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lite6jax.distribution.batches import Workers, run_batches, write_tables
-
-Row = dict[str, Any]
+from benchmarks.campaigns.columns import read_columns
+from benchmarks.campaigns.judgement import Row
+from benchmarks.campaigns.shares import Goal
+from lite6jax.distribution.batches import Workers, write_tables
 
 LONGEST = 600
 """s: a trial that takes longer has failed."""
 
 TEXT, NUMBER, FLAG = pa.string(), pa.float64(), pa.bool_()
+Section = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+"""Title, head and rows of a table."""
 
 
 def fields(kinds: dict[str, pa.DataType]) -> list[pa.Field]:
@@ -34,63 +36,122 @@ def fields(kinds: dict[str, pa.DataType]) -> list[pa.Field]:
     return [pa.field(name, kind) for names, kind in kinds.items() for name in names.split()]
 
 
-class Drawn(NamedTuple):
-    """A trial as it is written.
+def schema_of(moved: str, kinds: dict[str, pa.DataType]) -> pa.Schema:
+    """Of the results, a row a trial.
 
-    Attributes:
-        files: name to text, all that the diagnosis is given.
-        truth: the sealed file's text, byte for byte the same whenever it is drawn.
+    Args:
+        moved: the column of what a hidden effect moves.
+        kinds: columns of the domain.
     """
+    estimate = pa.struct(fields({"name": TEXT, "true off std bound": NUMBER}))
+    hidden = {
+        "effect site rival rival_site": TEXT,
+        f"size seen apart {moved}": NUMBER,
+        "site_found named in_set": FLAG,
+        "numbers": pa.list_(estimate),
+    }
+    finding = {
+        "effect site driver": TEXT,
+        "p_value gain order source_joint": NUMBER,
+        "true": FLAG,
+        "rivals": pa.list_(TEXT),
+    }
+    common = {
+        "seed index rows": pa.int64(),
+        "kind engine arm noise fault sha256 error verdict edge": TEXT,
+        "sealed detected found exact exact_in_set top_site top_named top_in_set fault_found": FLAG,
+        "seconds planned_size": NUMBER,
+        "faults": pa.list_(TEXT),
+        "hidden": pa.list_(pa.struct(fields(hidden))),
+        "findings": pa.list_(pa.struct(fields(finding))),
+    }
+    return pa.schema(fields(common | kinds))
 
-    files: dict[str, str]
-    truth: str
+
+def diagnose_and_predict(given: Path) -> None:
+    """As the command line does, in the folder of a trial's files: the diagnosis, and what it predicts of `unseen`."""
+    from lite6jax.cli.diagnose import Diagnose
+    from lite6jax.cli.diagnosis import Predict
+    from lite6jax.fitting.compiled import keep_compiled_code
+
+    keep_compiled_code()
+    diagnosis = given / "diagnosis.json"
+    Diagnose(given / "recording.csv", out=diagnosis, force=True).run()
+    Predict(diagnosis, given / "unseen.csv", out=given / "predicted.csv", force=True).run()
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a kind of trials is made of; its functions stand in modules, so that other processes find them.
+    """A kind of trials; its functions stand in modules, so that other processes find them.
 
     Attributes:
-        schema: of the results, a row a trial; `seed`, `index`, `kind`, `sealed` and `sha256` are among its columns.
-        draw: a trial, of a seed, an index, and whether what is outside is of the sealed families.
+        name: of its command.
+        count: how many trials, if not said.
+        kinds: among which `--kind` chooses.
+        indices: of a seed, so many, and kinds.
+        schema: of the results, a row a trial; as `schema_of`.
+        draw: a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed
+            families.
+        score: the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error.
+        goals: those that are set on rows.
+        unseen: a table on the errors of the unseen motion.
+        story: of a truth and its row, what is particular to the domain: a line of its own, and lines on the errors.
+        beside: of a truth, the files that an exported trial has beside it, and what is added to the truth.
         answer: diagnoses the files of a folder and writes what comes of it there.
-        score: the row of a truth, of what `answer` left in a folder, of the seconds that it took and of its error.
     """
 
+    name: str
+    count: int
+    kinds: Sequence[str]
+    indices: Callable[..., list[int]]
     schema: pa.Schema
-    draw: Callable[[int, int, bool], Drawn]
-    answer: Callable[[Path], None]
-    score: Callable[[Row, Path, float, str], Row]
+    draw: Callable[[int, int, bool], Any]
+    score: Callable[[Row, Row | None, Row | None, float, str], Row]
+    goals: Callable[[Sequence[Row]], list[Goal]]
+    unseen: Callable[[Sequence[Row]], Section]
+    story: Callable[[Row, Row], tuple[str, Iterable[str]]]
+    beside: Callable[[str, Row], tuple[dict[str, str], Row]]
+    answer: Callable[[Path], None] = diagnose_and_predict
 
     def seal(self, seed: int, index: int, folder: Path, sealed_families: bool = False) -> str:
         """Draws a trial, writes what the diagnosis is given, puts the truth aside, and gives only its SHA-256."""
-        return self._put_aside(index, self.draw(seed, index, sealed_families), folder)
+        trial = self.draw(seed, index, sealed_families)
+        return self._put_aside(index, trial.files, sealed_text(trial.truth), folder)
 
     def sealed_by_process(self, seed: int, index: int, folder: Path, sealed_families: bool) -> str:
         """As `seal`, drawn by a process as the trials of a run are: the truth is then the same to the last bit."""
-        given = (self, seed, sealed_families)
+        given = (self.draw, seed, sealed_families)
         with Workers(processes=1) as workers:
             ((_, table),) = workers.outcomes(drawn, [(0, [index])], given, died=_not_drawn)
         (row,) = table.to_pylist()
-        return self._put_aside(index, Drawn(dict(row["files"]), row["truth"]), folder)
+        return self._put_aside(index, dict(row["files"]), row["truth"], folder)
 
-    def _put_aside(self, index: int, drawn: Drawn, folder: Path) -> str:
-        write_files(drawn.files, given_in(folder, index))
+    def _put_aside(self, index: int, files: dict[str, str], truth: str, folder: Path) -> str:
+        write_files(files, given_in(folder, index))
         sealed = sealed_in(folder, index)
         sealed.parent.mkdir(parents=True, exist_ok=True)
-        sealed.write_bytes(drawn.truth.encode())
-        return hashlib.sha256(drawn.truth.encode()).hexdigest()
+        sealed.write_bytes(truth.encode())
+        return hashlib.sha256(truth.encode()).hexdigest()
+
+    def export(self, seed: int, index: int, sealed_families: bool, folder: Path) -> Path:
+        """Writes a trial with its open truth into a folder of its own, which it names: to look for what went wrong."""
+        trial = self.draw(seed, index, sealed_families)
+        case = folder / f"{seed}_{index:05d}_{trial.truth['kind']}"
+        files, more = self.beside(case.name, trial.truth)
+        write_files(trial.files | files | {"truth.json": sealed_text(trial.truth | more)}, case)
+        return case
 
     def judge(self, folder: Path, index: int, digest: str) -> Row:
         """Diagnoses a trial, predicts the unseen motion, then opens the truth and scores."""
-        (said,) = answered([_Given(index, _read_files(given_in(folder, index)))], self).to_pylist()
+        (said,) = answered([_Given(index, _read_files(given_in(folder, index)))], self.answer).to_pylist()
         return self._scored(folder, digest, said)
 
     def _scored(self, folder: Path, digest: str, said: Row) -> Row:
-        with tempfile.TemporaryDirectory() as name:
-            write_files(dict(said["files"]), Path(name))
-            truth = opened(folder, said["index"], digest)
-            return self.score(truth, Path(name), said["seconds"], said["error"]) | {"sha256": digest}
+        files = dict(said["files"])
+        diagnosis = json.loads(files["diagnosis.json"]) if "diagnosis.json" in files else None
+        predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
+        truth = opened(folder, said["index"], digest)
+        return self.score(truth, diagnosis, predicted, said["seconds"], said["error"]) | {"sha256": digest}
 
     def run(
         self,
@@ -122,53 +183,35 @@ class Campaign:
         Raises:
             ValueError: the file has trials of another seed, or of families that are sealed where these are not.
         """
-        folder, more = out.with_suffix(".trials"), out.with_suffix(".more.parquet")
-        rows = {row["index"]: row for file in (out, more) if file.exists() for row in self.read_rows(file)}
+        folder = out.with_suffix(".trials")
+        rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             raise ValueError(
                 f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file"
             )
-        if more.exists():  # of a run that was ended before it had added them
-            self._add(rows, more, out)
         left = [index for index in wanted if index not in rows]
         if not left:
             return [rows[index] for index in wanted]
         digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
-        done = [len(wanted) - len(left)]
-
-        def score(given: Sequence[_Given], answer: pa.Table) -> pa.Table:
-            (said,) = answer.to_pylist()
-            return self._table([self._scored(folder, digests[given[0].trial], said)])
-
-        def advanced(count: int) -> None:
-            done[0] += count
-            advance("diagnosed", done[0], len(wanted))
-
-        run_batches(
-            answered,
-            _Trials(folder, left),
-            (self,),
-            out=more,
-            content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
-            died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
-            store=score,
-            processes=processes,
-            scheduler=scheduler,
-            progress=advanced,
-            overwrite=True,
-        )
-        rows |= {row["index"]: row for row in self.read_rows(more)}
-        self._add(rows, more, out)
+        if len(left) < len(wanted):
+            advance("diagnosed", len(wanted) - len(left), len(wanted))
+        with Workers(scheduler, processes, len(left)) as workers:
+            work = workers.outcomes(
+                answered,
+                enumerate(_Trials(folder, left)),
+                (self.answer,),
+                died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
+            )
+            for count, (number, answer) in enumerate(work, len(wanted) - len(left) + 1):
+                (said,) = answer.to_pylist()
+                rows[left[number]] = self._scored(folder, digests[left[number]], said)
+                self.write_rows(list(rows.values()), out)  # a run that is ended has those that are done
+                advance("diagnosed", count, len(wanted))
         for index in left:
             shutil.rmtree(given_in(folder, index), ignore_errors=True)
         return [rows[index] for index in wanted]
-
-    def _add(self, rows: dict[int, Row], more: Path, out: Path) -> None:
-        """Writes all rows, among them those of the file `more`, which goes."""
-        self.write_rows(list(rows.values()), out)
-        more.unlink()
 
     def _sealed(
         self,
@@ -186,13 +229,13 @@ class Campaign:
         listed = out.with_suffix(".sha256")
         digests = _listed(listed)
         todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
-        given = (self, seed, sealed_families)
+        given = (self.draw, seed, sealed_families)
         with Workers(scheduler, processes, len(todo)) as workers:
             work = workers.outcomes(drawn, enumerate([index] for index in todo), given, died=_not_drawn)
             for done, (_, table) in enumerate(work, 1):
                 (row,) = table.to_pylist()
                 index = row["index"]
-                digest = self._put_aside(index, Drawn(dict(row["files"]), row["truth"]), folder)
+                digest = self._put_aside(index, dict(row["files"]), row["truth"], folder)
                 if digests.get(index, digest) != digest:
                     raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
                 digests[index] = digest
@@ -278,26 +321,29 @@ _DRAWN = pa.schema({"index": pa.int64(), "files": _FILES, "truth": TEXT})
 _ANSWER = pa.schema({"index": pa.int64(), "files": _FILES, "seconds": NUMBER, "error": TEXT})
 
 
-def drawn(indices: Sequence[int], campaign: Campaign, seed: int, sealed_families: bool) -> pa.Table:
+def drawn(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> pa.Table:
     """The files and the truths of trials, by a worker."""
-    found = ((index, campaign.draw(seed, index, sealed_families)) for index in indices)
-    rows = [{"index": index, "files": list(trial.files.items()), "truth": trial.truth} for index, trial in found]
+    found = ((index, draw(seed, index, sealed_families)) for index in indices)
+    rows = [
+        {"index": index, "files": list(trial.files.items()), "truth": sealed_text(trial.truth)}
+        for index, trial in found
+    ]
     return pa.Table.from_pylist(rows, _DRAWN)
 
 
-def answered(given: Sequence[_Given], campaign: Campaign) -> pa.Table:
+def answered(given: Sequence[_Given], answer: Callable[[Path], None]) -> pa.Table:
     """What the diagnosis of trials wrote, by a worker, with its time and its error."""
-    return pa.concat_tables([_answered(trial, campaign) for trial in given])
+    return pa.concat_tables([_answered(trial, answer) for trial in given])
 
 
-def _answered(trial: _Given, campaign: Campaign) -> pa.Table:
+def _answered(trial: _Given, answer: Callable[[Path], None]) -> pa.Table:
     with tempfile.TemporaryDirectory() as name:
         folder, error = Path(name), ""
         write_files(trial.files, folder)
         start = time.perf_counter()
         try:
             with _limit(LONGEST), contextlib.redirect_stdout(io.StringIO()):
-                campaign.answer(folder)
+                answer(folder)
         except ImportError:  # a library that is not whole is no trial's failure
             raise
         except Exception as problem:
@@ -318,15 +364,6 @@ def _not_drawn(index: int) -> pa.Table:
 
 def _read_files(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.is_file()}
-
-
-@functools.cache
-def _source() -> str:
-    """The SHA-256 of the benchmarks' source, on which results depend besides the library."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 @contextlib.contextmanager

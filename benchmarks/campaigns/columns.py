@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +14,8 @@ def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
     return "\n".join([",".join(columns), *map(",".join, lines)]) + "\n"
 
 
-def read_columns(path: Path) -> dict[str, list[float]]:
-    """The columns of a file; NaN where a cell is empty."""
-    names, *rows = path.read_text().splitlines()
+def read_columns(text: str) -> dict[str, list[float]]:
+    """The columns of such a text; NaN where a cell is empty."""
+    names, *rows = text.splitlines()
     values = [[float(cell) if cell else math.nan for cell in row.split(",")] for row in rows]
     return dict(zip(names.split(","), map(list, zip(*values, strict=True)), strict=True))

@@ -2,87 +2,33 @@
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmarks.campaigns.campaign import Campaign, Row, opened
-from benchmarks.campaigns.shares import Goal
-from benchmarks.campaigns.tables import Section, markdown, tables
-from benchmarks.ending import DONE, MISSED, ended
+from benchmarks.campaigns.campaign import Campaign, opened
+from benchmarks.campaigns.judgement import Row
+from benchmarks.campaigns.report import detection, markdown, sections, story, tables
+from benchmarks.measure import DONE, MISSED, ended
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
 
-@dataclass(frozen=True)
-class Trials:
-    """A kind of trials as its command needs it.
-
-    Attributes:
-        name: of the command.
-        description: of it.
-        count: how many trials, if not said.
-        kinds: among which `--kind` chooses.
-        indices: of a seed, so many, and kinds.
-        campaign: of them.
-        sections: the tables of rows.
-        goals: those that are set on rows.
-        story: of a truth and its row, line by line.
-        differences: of earlier rows and these, line by line; None where it has none.
-        figures: drawn of rows into a folder; None where it has none.
-        export: writes a trial of a seed and an index into a folder, truth and all; None where it cannot.
-    """
-
-    name: str
-    description: str
-    count: int
-    kinds: Sequence[str]
-    indices: Callable[..., list[int]]
-    campaign: Campaign
-    sections: Callable[[Sequence[Row]], Iterable[Section]]
-    goals: Callable[[Sequence[Row]], list[Goal]]
-    story: Callable[[Row, Row], Iterator[str]]
-    differences: Callable[[Sequence[Row], Sequence[Row]], Iterator[str]] | None = None
-    figures: Callable[[Sequence[Row], Path], Iterator[Path]] | None = None
-    export: Callable[[int, int, bool, Path], Path] | None = None
-
-
-def main(trials: Trials, arguments: Sequence[str] | None = None) -> int:
+def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     """The exit code: 0, 1 where a goal is missed, 2 for arguments that cannot be used, 130 where interrupted."""
-    parser = _parser(trials)
-    options = parser.parse_args(arguments)
-    if options.trial is not None and any(getattr(options, name, None) for name in ("kind", "out", "figures")):
-        also = "--kind, --out and --figures" if trials.figures else "--kind and --out"
-        parser.error(f"--trial: runs one and keeps nothing; leave {also} out")
-    if options.out and options.out.suffix != ".parquet":
-        parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
-    kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
-    return ended(partial(_run, trials, options), (InputError, ValueError, OSError), kept)
-
-
-def _run(trials: Trials, options: argparse.Namespace) -> int:
-    console = Console(highlight=False)
-    if options.out:
-        check_writable(options.out, overwrite=True)
-    if getattr(options, "export", None):
-        return _export(trials, options, console)
-    if options.trial is not None:
-        return _one(trials, options.seed, options.trial, options.sealed, console)
-    return _many(trials, options, console)
-
-
-def _parser(trials: Trials) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks {trials.name}", description=trials.description)
-    parser.add_argument(
-        "--trials", type=_count, default=trials.count, metavar="N", help=f"how many, {trials.count} if not given"
+    parser = argparse.ArgumentParser(
+        prog=f"python -m benchmarks {campaign.name}",
+        description="Recordings of simulated arms whose hidden physics is drawn by a generator that shares no code "
+        "with the library, sealed before the diagnosis begins and opened after it; and what the diagnosis is worth.",
     )
+    count = campaign.count
+    parser.add_argument("--trials", type=_count, default=count, metavar="N", help=f"how many, {count} if not given")
     parser.add_argument("--seed", type=_whole, default=0, metavar="S", help="of the campaign; 0 if not given")
     parser.add_argument(
-        "--kind", choices=trials.kinds, action="append", help="only trials of this kind; give it again for one more"
+        "--kind", choices=campaign.kinds, action="append", help="only trials of this kind; give it again for one more"
     )
     parser.add_argument(
         "--sealed",
@@ -96,78 +42,101 @@ def _parser(trials: Trials) -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped"
     )
-    if trials.differences:
-        parser.add_argument(
-            "--compare", type=Path, metavar="BEFORE.parquet", help="say what differs from earlier results"
-        )
-    if trials.figures:
-        parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures into this folder")
-    if trials.export:
-        parser.add_argument(
-            "--export",
-            type=Path,
-            metavar="DIR",
-            help="diagnose nothing; write the files here, truth and all",
-        )
+    parser.add_argument("--compare", type=Path, metavar="BEFORE.parquet", help="say what differs from earlier results")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw what is found by the size of the effect")
+    parser.add_argument(
+        "--export", type=Path, metavar="DIR", help="diagnose nothing; write the files here, truth and all"
+    )
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument("--processes", type=_count, metavar="P", help="that work at a time; one a core if not given")
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
     )
-    return parser
+    options = parser.parse_args(arguments)
+    if options.trial is not None and (options.kind or options.out or options.figure or options.compare):
+        parser.error("--trial: runs one and keeps nothing; leave --kind, --out, --figure and --compare out")
+    if options.out and options.out.suffix != ".parquet":
+        parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
+    kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
+    work = _exported if options.export else _many if options.trial is None else _one
+    return ended(partial(work, campaign, options, Console(highlight=False)), (InputError, ValueError, OSError), kept)
 
 
-def _many(trials: Trials, options: argparse.Namespace, console: Console) -> int:
-    wanted = trials.indices(options.seed, options.trials, *(options.kind or ()))
+def _many(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
+    if options.out:
+        check_writable(options.out, overwrite=True)
+    wanted = campaign.indices(options.seed, options.trials, *(options.kind or ()))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     shown = Console(stderr=True)
     with (
         tempfile.TemporaryDirectory() as folder,
         Progress(*columns, console=shown, transient=True, disable=not shown.is_terminal) as bar,
     ):
-        out = options.out or Path(folder) / f"{trials.name}.parquet"
+        out = options.out or Path(folder) / f"{campaign.name}.parquet"
         task = bar.add_task("")
 
         def advance(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        rows = trials.campaign.run(
+        rows = campaign.run(
             options.seed, wanted, out, options.processes, console.print, advance, options.sealed, options.scheduler
         )
-    if trials.differences and options.compare:
-        for line in trials.differences(trials.campaign.read_rows(options.compare), rows):
+    if options.compare:
+        for line in differences(campaign.read_rows(options.compare), rows):
             console.print(line, soft_wrap=True)
-    if trials.figures and options.figures:
-        for path in trials.figures(rows, options.figures):
-            console.print(f"Wrote {path}", soft_wrap=True)
+    if options.figure:
+        console.print(f"Wrote {detection(rows, options.figure)}", soft_wrap=True)
     if options.markdown:
-        print(markdown(trials.sections(rows)))
+        print(markdown(sections(campaign, rows)))
     else:
-        for table in tables(trials.sections(rows)):
+        for table in tables(sections(campaign, rows)):
             console.print(table)
-    return MISSED if any(goal.met is False for goal in trials.goals(rows)) else DONE
+    return MISSED if any(goal.met is False for goal in campaign.goals(rows)) else DONE
 
 
-def _one(trials: Trials, seed: int, index: int, sealed: bool, console: Console) -> int:
+def _one(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
     """Runs a trial and prints what was hidden and what was said."""
+    seed, index = options.seed, options.trial
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        digest = trials.campaign.sealed_by_process(seed, index, folder, sealed)
+        digest = campaign.sealed_by_process(seed, index, folder, options.sealed)
         console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)
-        row = trials.campaign.judge(folder, index, digest)
-        for line in trials.story(opened(folder, index, digest), row):
+        row = campaign.judge(folder, index, digest)
+        for line in story(campaign, opened(folder, index, digest), row):
             console.print(line, soft_wrap=True, markup=False)
     return DONE
 
 
-def _export(trials: Trials, options: argparse.Namespace, console: Console) -> int:
-    """Writes trials with their truths beside them, for those who look for what went wrong."""
-    assert trials.export
-    wanted = trials.indices(options.seed, options.trials, *(options.kind or ()))
+def _exported(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
+    wanted = campaign.indices(options.seed, options.trials, *(options.kind or ()))
     for index in wanted if options.trial is None else [options.trial]:
-        path = trials.export(options.seed, index, options.sealed, options.export)
+        path = campaign.export(options.seed, index, options.sealed, options.export)
         console.print(f"Wrote {path}", soft_wrap=True)
     return DONE
+
+
+def differences(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
+    """A line for each trial whose findings or data faults differ, and how many agree.
+
+    Args:
+        before: rows of an earlier result.
+        after: rows of this one; trials of another truth are left out.
+    """
+    earlier = {(row["seed"], row["index"], row["sha256"]): row for row in before}
+    pairs = [(earlier[key], row) for row in after if (key := (row["seed"], row["index"], row["sha256"])) in earlier]
+    agreeing = 0
+    for old, new in pairs:
+        said = _said(old), _said(new)
+        agreeing += said[0] == said[1]
+        if said[0] != said[1]:
+            yield f"trial {new['index']} ({new['kind']}): before {said[0]}, now {said[1]}"
+    yield f"{agreeing} of {len(pairs)} trials have the same findings and data faults."
+
+
+def _said(row: Row) -> tuple[list[str], list[str]]:
+    orders = ("" if f["order"] is None else f" of order {f['order']:.1f}" for f in row["findings"])
+    findings = [f"{f['effect']}:{f['site']}{order}" for f, order in zip(row["findings"], orders, strict=True)]
+    return sorted(findings), sorted(set(row["faults"]))
 
 
 def _whole(text: str) -> int:

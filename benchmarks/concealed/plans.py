@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.campaigns.rounds import Rounds, turn
 from benchmarks.concealed.chain import MADE
 from benchmarks.concealed.mujoco_physics import OFFERED
 from benchmarks.concealed.outside import FAMILIES, families
@@ -13,8 +14,7 @@ from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE
 
 Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
 KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
-_SHARES: dict[Kind, int] = {"clean": 10, "single": 8, "mixture": 3, "outside": 1, "edge": 1, "faulty": 2}
-_ROUND = tuple(kind for kind, count in _SHARES.items() for _ in range(count))
+ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 1, "edge": 1, "faulty": 2}, 1)
 SIZES = (1.0, 1.5, 2.0, 2.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 """Times the threshold; twice it is drawn three times as often, for a goal is set there."""
 OUTSIDE_SIZES = (3.0, 5.0, 10.0, 20.0)
@@ -115,38 +115,6 @@ class Plan:
         return {name: value for name, value in asdict(self).items() if name not in absent or value != absent[name]}
 
 
-def kind_of(seed: int, index: int) -> Kind:
-    """The kind of a trial: every round of 25 has each in its share, in an order of its own."""
-    lap, place = divmod(index, len(_ROUND))
-    return _ROUND[np.random.default_rng([seed, 1, lap]).permutation(len(_ROUND))[place]]
-
-
-def indices(seed: int, trials: int, *kinds: Kind) -> list[int]:
-    """The first trials of a campaign, or the first of some kinds."""
-    if not kinds:
-        return list(range(trials))
-    found: list[int] = []
-    index = 0
-    while len(found) < trials:
-        if kind_of(seed, index) in kinds:
-            found.append(index)
-        index += 1
-    return found
-
-
-def _ordinal(seed: int, index: int, kind: Kind) -> int:
-    """How many trials of its kind come before it."""
-    lap, place = divmod(index, len(_ROUND))
-    order = np.random.default_rng([seed, 1, lap]).permutation(len(_ROUND))
-    return lap * _ROUND.count(kind) + sum(_ROUND[k] == kind for k in order[:place])
-
-
-def _turn(seed: int, stream: int, ordinal: int, choices: Sequence[Any]) -> Any:
-    """A choice that goes round: each comes once a round, in an order of its own."""
-    lap, place = divmod(ordinal, len(choices))
-    return choices[np.random.default_rng([seed, stream, lap]).permutation(len(choices))[place]]
-
-
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
     """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
 
@@ -156,11 +124,11 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         rng: draws what no goal is set on.
         sealed: draws what is outside the catalogue from the sealed families, and from no other.
     """
-    kind = kind_of(seed, index)
-    ordinal = _ordinal(seed, index, kind)
-    noise = _turn(seed, 2, ordinal, NOISES) if kind == "clean" else NOISES[0]
-    fault = _turn(seed, 7, ordinal, FAULTS) if kind == "faulty" else ""
-    edge = _turn(seed, 8, ordinal, EDGES) if kind == "edge" else ""
+    kind = ROUNDS.kind_of(seed, index)
+    ordinal = ROUNDS.ordinal(seed, index, kind)
+    noise = turn(seed, 2, ordinal, NOISES) if kind == "clean" else NOISES[0]
+    fault = turn(seed, 7, ordinal, FAULTS) if kind == "faulty" else ""
+    edge = turn(seed, 8, ordinal, EDGES) if kind == "edge" else ""
     effects, sizes = _effects(kind, fault or edge, seed, ordinal, rng, families(seed, sealed))
     forces = kind != "faulty" and all(name in OFFERED for name in effects) and noise != "factory file off"
     moving = bool(rng.random() < 0.45)
@@ -231,9 +199,9 @@ def _effects(
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names and sizes in thresholds; `trouble` is a fault or what makes a trial one at the edge."""
     if kind == "single":
-        return (_turn(seed, 3, ordinal, SINGLE),), (_turn(seed, 4, ordinal, SIZES),)
+        return (turn(seed, 3, ordinal, SINGLE),), (turn(seed, 4, ordinal, SIZES),)
     if kind == "outside":
-        return (_turn(seed, 5, ordinal, outside),), (_turn(seed, 6, ordinal, OUTSIDE_SIZES),)
+        return (turn(seed, 5, ordinal, outside),), (turn(seed, 6, ordinal, OUTSIDE_SIZES),)
     if kind == "mixture":
         count = 2 + ordinal % 2
         sizes = [float(size) for size in rng.choice(SIZES[2:], count)]

@@ -9,11 +9,11 @@ from itertools import chain, combinations
 
 import numpy as np
 
+from benchmarks.campaigns.judgement import is_driven
 from benchmarks.campaigns.threshold import across, apart, beyond
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import FAMILIES, Drivers
 from benchmarks.concealed.plain_physics import Hidden, poses, signals_of
-from benchmarks.concealed.statements import is_driven
 from benchmarks.concealed.view import View, source
 
 _EQUAL, _EQUAL_ROWS = 0.03, 150

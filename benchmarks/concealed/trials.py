@@ -1,11 +1,11 @@
 """One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.campaigns.rounds import Trial, first_made
 from benchmarks.concealed import chain as chains
 from benchmarks.concealed.chain import Array, Chain, quaternion_from_rotation, vector_from_rotation
 from benchmarks.concealed.hiding import described, hide
@@ -17,24 +17,8 @@ from benchmarks.concealed.plans import LOOSE, NAMES_AT_STAKE, OFF, SENSORS, UNCE
 from benchmarks.concealed.recorded import PAYLOAD_CENTER, UNSEEN_ROWS, draw_motion, files_of, measure
 from benchmarks.concealed.view import Open, View, turned
 
-_TRIES = 200
 MASS_ERROR = 0.1
 """One standard deviation of the masses' errors where they are off, relative; twice that is the most."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A trial as it is written.
-
-    Attributes:
-        plan: what was drawn.
-        truth: for the sealed file.
-        files: name to text, all that the diagnosis is given.
-    """
-
-    plan: Plan
-    truth: dict[str, Any]
-    files: dict[str, str]
 
 
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
@@ -45,13 +29,7 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
         index: of the trial in it.
         sealed: draws what is outside the catalogue from the sealed families, and from no other.
     """
-    for again in range(_TRIES):
-        rng = np.random.default_rng([seed, 0, index, again])
-        plan = draw_plan(seed, index, rng, sealed)
-        made = _make(plan, rng)
-        if made is not None:
-            return made
-    raise RuntimeError(f"trial {index} of seed {seed}: nothing visible drawn in {_TRIES} tries")
+    return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 0, index)
 
 
 def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:

@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from benchmarks.campaigns.rounds import Rounds, turn
 from benchmarks.torque_trials.effects import NAMED
 from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
 
 Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
 KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
-_SHARES: dict[Kind, int] = {"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}
-_ROUND = tuple(kind for kind, count in _SHARES.items() for _ in range(count))
+ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}, 21)
 SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
 """Times the threshold; twice it is drawn twice as often, for a goal is set there."""
 OUTSIDE_SIZES = (4.0, 8.0, 20.0)
@@ -80,36 +80,6 @@ class Plan:
     sealed: bool = False
 
 
-def kind_of(seed: int, index: int) -> Kind:
-    """The kind of a trial: every round of 25 has each in its share, in an order of its own."""
-    lap, place = divmod(index, len(_ROUND))
-    return _ROUND[np.random.default_rng([seed, 21, lap]).permutation(len(_ROUND))[place]]
-
-
-def indices(seed: int, trials: int, *kinds: Kind) -> list[int]:
-    """The first trials of a campaign, or the first of some kinds."""
-    found: list[int] = []
-    index = 0
-    while len(found) < trials:
-        if not kinds or kind_of(seed, index) in kinds:
-            found.append(index)
-        index += 1
-    return found
-
-
-def _ordinal(seed: int, index: int, kind: Kind) -> int:
-    """How many trials of its kind come before it."""
-    lap, place = divmod(index, len(_ROUND))
-    order = np.random.default_rng([seed, 21, lap]).permutation(len(_ROUND))
-    return lap * _ROUND.count(kind) + sum(_ROUND[k] == kind for k in order[:place])
-
-
-def _turn(seed: int, stream: int, ordinal: int, choices: Sequence[Any]) -> Any:
-    """A choice that goes round: each comes once a round, in an order of its own."""
-    lap, place = divmod(ordinal, len(choices))
-    return choices[np.random.default_rng([seed, stream, lap]).permutation(len(choices))[place]]
-
-
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
     """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
 
@@ -119,14 +89,14 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         rng: draws what no goal is set on.
         sealed: draws what is outside the catalogue from the sealed families, and from no other.
     """
-    kind = kind_of(seed, index)
-    ordinal = _ordinal(seed, index, kind)
-    edge = _turn(seed, 28, ordinal, EDGES) if kind == "edge" else ""
+    kind = ROUNDS.kind_of(seed, index)
+    ordinal = ROUNDS.ordinal(seed, index, kind)
+    edge = turn(seed, 28, ordinal, EDGES) if kind == "edge" else ""
     other = str(rng.choice(NOISES[:2], p=[0.65, 0.35]))
-    noise = _turn(seed, 22, ordinal, NOISES) if kind == "clean" else other
+    noise = turn(seed, 22, ordinal, NOISES) if kind == "clean" else other
     effects, sizes = _effects(kind, edge, seed, ordinal, rng, SEALED if sealed else OPEN)
     inertial = str(rng.choice(["declared", "uncertain", "unknown"], p=[0.6, 0.15, 0.25]))
-    fault = _turn(seed, 30, ordinal, FAULTS) if kind == "faulty" else ""
+    fault = turn(seed, 30, ordinal, FAULTS) if kind == "faulty" else ""
     if set(effects) & set(MASSES) or fault in DATA_FAULTS:
         inertial = "declared"
     rate = float(rng.choice(RATES))
@@ -160,9 +130,9 @@ def _effects(
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names and sizes in thresholds."""
     if kind == "single":
-        return (_turn(seed, 23, ordinal, SINGLE),), (_turn(seed, 24, ordinal, SIZES),)
+        return (turn(seed, 23, ordinal, SINGLE),), (turn(seed, 24, ordinal, SIZES),)
     if kind == "outside":
-        return (_turn(seed, 25, ordinal, families),), (_turn(seed, 26, ordinal, OUTSIDE_SIZES),)
+        return (turn(seed, 25, ordinal, families),), (turn(seed, 26, ordinal, OUTSIDE_SIZES),)
     if kind == "mixture":
         count = 2 + ordinal % 2
         return tuple(str(n) for n in rng.choice(SINGLE, count)), tuple(float(s) for s in rng.choice(SIZES[2:], count))

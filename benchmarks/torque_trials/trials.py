@@ -1,10 +1,11 @@
 """One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from benchmarks.campaigns.rounds import Trial, first_made
 from benchmarks.concealed.chain import Array, rotation_from_vector
 from benchmarks.torque_trials.arms import drawn_arm
 from benchmarks.torque_trials.faults import described_arm, friction, spoil
@@ -17,7 +18,6 @@ from benchmarks.torque_trials.physics import Setup, torques
 from benchmarks.torque_trials.plans import AUTOCORRELATION, DATA_FAULTS, Plan, draw_plan, warms
 from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure
 
-_TRIES = 200
 UNSEEN_SECONDS = 10.0
 PAYLOAD_CENTER = (0.0, 0.0, 0.03)
 _GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -29,21 +29,6 @@ _OUTSIDE_BOUND = 0.25
 """Of what an effect outside the catalogue adds."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A trial as it is written.
-
-    Attributes:
-        plan: what was drawn.
-        truth: for the sealed file.
-        files: name to text, all that the diagnosis is given.
-    """
-
-    plan: Plan
-    truth: dict[str, Any]
-    files: dict[str, str]
-
-
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
     """The trial of an index: what is hidden is drawn again until some sensor there could see it.
 
@@ -52,12 +37,7 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
         index: of the trial in it.
         sealed: draws what is outside the catalogue from the sealed families, and from no other.
     """
-    for again in range(_TRIES):
-        rng = np.random.default_rng([seed, 20, index, again])
-        made = _make(draw_plan(seed, index, rng, sealed), rng)
-        if made is not None:
-            return made
-    raise RuntimeError(f"trial {index} of seed {seed}: nothing visible drawn in {_TRIES} tries")
+    return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 20, index)
 
 
 def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:

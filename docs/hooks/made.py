@@ -27,8 +27,8 @@ from lite6jax.controller import rows
 from lite6jax.effects import catalogue, drivers, user_effects
 from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
-from lite6jax.folders import diagnoses
-from lite6jax.folders.fleet import tabulate_rows
+from lite6jax.fleet import diagnoses
+from lite6jax.fleet.folder import tabulate_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
 from lite6jax.report import remedies
 
@@ -179,7 +179,6 @@ PYTHON = {
     "Plan a measurement": (
         "plan_experiment", "Experiment", "Sensor", "identify", "identify_recording", "plan_poses", "candidates",
         "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
-        "global_sensitivity",
     ),
     "Effects of your own": (
         "Effect", "JointEffect", "Bending", "JointTorque", "TorqueEffect", "Coordinate", "Driver", "Motion", "Loads",

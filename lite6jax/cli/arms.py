@@ -116,7 +116,7 @@ class Effects:
         if self.json:
             _print_json([effect.to_dict() for effect in found])
         else:
-            screen.show(listings.effects_report(found, screen.console().width))
+            screen.show(listings.effects_report(found))
         return command.DONE
 
 

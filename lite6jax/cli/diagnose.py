@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place, attempt, hash_files, list_recordings, restore_url
+from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
 from lite6jax.storage import write_atomically
 
 with import_lazily():
@@ -35,8 +35,7 @@ with import_lazily():
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
     from lite6jax.fitting import source
-    from lite6jax.folders import diagnoses
-    from lite6jax.populations import options, reduction
+    from lite6jax.fleet import diagnoses, options, reduction
     from lite6jax.report import (
         canvas,
         diagnosis_figures,
@@ -141,7 +140,7 @@ class Diagnose:
                 self._check_figures(domain)
             with screen.stages() as follow:
                 found: Any = search(progress=follow)
-        document, files = self._document(found, domain), ranking.Files(self.source, self.out, self.effects)
+        document, files = self._document(found), ranking.Files(self.source, self.out, self.effects)
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if self.report or self.figures:
             written += self._draw(found, domain, document, files)
@@ -192,20 +191,16 @@ class Diagnose:
         compared = [] if other is None else [other]
         return recording, domain, partial(against if compared else alone, recording, *compared, arm, **given)
 
-    def _document(self, found: Any, domain: Domain) -> dict[str, Any]:
+    def _document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
-        document = found.to_dict() if domain == "both" else found.document()
         inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
         for file in self.more:
             inputs += [one for one in command.list_inputs(file) if one not in inputs]
-        document |= {"inputs": inputs}
-        if domain != "both" and found.against is not None:
-            document["against"] = found.against.to_dict()
-        return statements.with_statements(document)
+        return statements.with_statements(found.to_dict() | {"inputs": inputs})
 
     def _check_figures(self, domain: Domain) -> None:
         if self.figures:
-            names = [f"{self.source.stem}_{name}" for name in _name_figures(domain)]
+            names = [f"{self.source.stem}_{name}" for name in diagnosis_figures.NAMES[domain]]
             command.check_figures(self.figures, names, self.force)
 
     def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
@@ -219,7 +214,7 @@ class Diagnose:
         """
         against = self.reference if domain == "both" else found.against and found.against.file
         sides = f"{self.source} against {against}" if against else str(self.source)
-        written, drawn, most = [], {}, len(_name_figures(domain))
+        written, drawn, most = [], {}, len(diagnosis_figures.NAMES[domain])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -248,43 +243,30 @@ class Diagnose:
                 f"{self.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
             )
         command.check_processes(self.processes, self.scheduler)
-        # what the diagnoses depend on, and the checksums of the files that they all read
-        alike = {"source": Path(), "out": None, "force": True}
-        alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
-        files = [Path(file.partition("#")[0]) for file in (self.arm, self.effects and str(self.effects)) if file]
-        asked, also_read = replace(self, **alike), hash_files(files)
         if self.fleet:
-            return self._diagnose_fleet(self.out, asked, also_read)
-        run = self._diagnose_each(self.out, asked, also_read)
-        rows = fleets.read_diagnoses(run.path)
-        report = fleets.diagnoses_report(rows, run.kept)
-        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [run.path])
+            return self._diagnose_fleet(self.out)
+        table = self._diagnose_each(self.out)
+        rows = fleets.read_diagnoses(table)
+        report = fleets.diagnoses_report(rows)
+        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [table])
 
-    def _diagnose_each(self, out: Path, asked: "Diagnose", also_read: bytes) -> "batches.Run":
+    def _diagnose_each(self, out: Path) -> Path:
         with screen.progress_of_many("diagnosing") as advance:
             return diagnoses.diagnose_folder(
                 self.source,
                 out,
                 diagnose_names,
-                (asked,),
-                also_read=also_read,
+                (self,),
                 scheduler=self.scheduler,
                 processes=self.processes,
                 progress=advance,
                 overwrite=self.force,
             )
 
-    def _diagnose_fleet(self, out: Path, asked: "Diagnose", also_read: bytes) -> int:
-        import pyarrow as pa
-
-        place, path = Place.of(self.source), out / diagnoses.POOLED
-        names = list_recordings(place)
-        diagnoses.check_pooled(out, names, self.force)
-        parts = batches.Parts(path, asked)
-        key = parts.key(place.content(names) + also_read)
-        if parts.find(key) is None:  # a run that was ended while it pooled has them all
-            run = self._diagnose_each(out, asked, also_read)
-            parts.keep(key, pa.table({"recordings": [run.rows]}))
+    def _diagnose_fleet(self, out: Path) -> int:
+        path = out / diagnoses.POOLED
+        diagnoses.check_pooled(out, list_recordings(Place.of(self.source)), self.force)
+        self._diagnose_each(out)
         effects = [0]
         with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
             document = diagnoses.pool_folder(
@@ -297,7 +279,6 @@ class Diagnose:
                 lambda count: effects.__setitem__(0, count),
             ).to_dict()
         write_atomically(path, diagnosis_file.document_text(document), overwrite=self.force)
-        parts.remove()
         if self.json:
             print(diagnosis_file.document_text(document))
         else:
@@ -310,20 +291,12 @@ class Diagnose:
 
         A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        _, domain, search = self._prepare(both=not self.fleet)
+        _, _, search = self._prepare(both=not self.fleet)
         found = search()
-        text = diagnosis_file.document_text(self._document(found, domain))
+        text = diagnosis_file.document_text(self._document(found))
         if not self.fleet:
             return text, None
         return text, reduction.reduced(found).to_bytes()
-
-
-def _name_figures(domain: Domain) -> list[str]:
-    """The names of the figures of a diagnosis of poses, of torques or of both."""
-    poses, torques = diagnosis_figures.NAMES, diagnosis_figures.TORQUE_NAMES
-    if domain == "both":
-        return [*poses, *(diagnosis_figures.PREFIX + name for name in torques)]
-    return [*(torques if domain == "torques" else poses)]
 
 
 def _is_folder(source: Path) -> bool:

@@ -4,7 +4,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date as Date  # noqa: N812 (a field is called date)
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
@@ -23,7 +22,7 @@ with import_lazily():
     from lite6jax.domains.pose import files as pose_files
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
-    from lite6jax.populations import schema as population_schema
+    from lite6jax.fleet import schema as population_schema
     from lite6jax.recordings import writing
     from lite6jax.report import (
         compensation,
@@ -52,18 +51,13 @@ class Report:
 
         lite6jax report diagnosis.json
         lite6jax report results/fleet.json
-        lite6jax report diagnosis.json --certificate certificate.pdf --date 2026-11-21 --instrument "Leica AT960"
+        lite6jax report diagnosis.json --certificate certificate.pdf
     """
 
     diagnosis: DiagnosisFile
     """What `diagnose` wrote (.json), of one recording or of a fleet."""
     certificate: command.OutFile = None
-    """Write one A4 page here (.pdf), of one recording."""
-    date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
-    """When it was measured, for the certificate; the sidecar's date where not given."""
-    instrument: Annotated[str | None, arg(metavar="TEXT")] = None
-    """With what it was measured, for the certificate; where not given what the sidecar declares, or else the kind of
-    sensor."""
+    """Write one A4 page here (.pdf), of one recording; date and instrument are those of its sidecar."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
     json: command.Json = False
@@ -72,12 +66,6 @@ class Report:
     def run(self) -> int:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
-        if not self.certificate and (self.date is not None or self.instrument is not None):
-            raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
-        try:
-            measured = None if self.date is None else Date.fromisoformat(self.date)
-        except ValueError as error:
-            raise InputError(f"--date {self.date}: give a day as YYYY-MM-DD, such as 2026-11-21") from error
         document, written = diagnosis_file.parsed_document(self.diagnosis), []
         of_fleet = population_schema.is_of_fleet(document)
         if self.certificate and of_fleet:
@@ -93,8 +81,7 @@ class Report:
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
-                    stated = pages.Stated(measured, self.instrument)
-                    written.append(pages.write_certificate(said, self.certificate, stated, self.force))
+                    written.append(pages.write_certificate(said, self.certificate, self.force))
         if self.json:
             print(diagnosis_file.document_text(document))
         else:

@@ -23,7 +23,7 @@ with import_lazily():
     from lite6jax.fitting import fit, solution
     from lite6jax.fitting import fleet as comparing
     from lite6jax.fitting import source as sources
-    from lite6jax.folders import fleet
+    from lite6jax.fleet import folder
     from lite6jax.report import data_faults, documents, figures, fits, fleets, live, screen
 
 
@@ -207,8 +207,7 @@ class Compare:
 
 @dataclass(frozen=True)
 class Fleet:
-    """Fit every calibration and recording of a folder; a bad file becomes a row that says why. A run that was ended
-    goes on where it stopped.
+    """Fit every calibration and recording of a folder; a bad file becomes a row that says why.
 
     For example:
 
@@ -234,7 +233,7 @@ class Fleet:
         command.check_processes(self.processes, self.scheduler)
         nominal = None if self.arm is None else sources.load_nominal(self.arm)
         with screen.progress_of_many("fitting") as advance:
-            run = fleet.fit_folder(
+            table = folder.fit_folder(
                 self.folder,
                 self.out,
                 nominal,
@@ -245,7 +244,7 @@ class Fleet:
             )
         return command.present(
             self.json,
-            lambda: documents.of_folder(list(fleet.read_rows(run.path))),
-            fleets.folder_report(fleet.read_rows(run.path, parameters=False), run.kept),
-            [run.path],
+            lambda: documents.of_folder(list(folder.read_rows(table))),
+            fleets.folder_report(folder.read_rows(table, parameters=False)),
+            [table],
         )

@@ -138,7 +138,8 @@ class Init:
             notes.append(f"the jaw is left out, as its column is a gripper's: the arm is {arm}")
         if not (self.yes or self.json) and _on_a_terminal():
             screen.show(inspection.inspection_report(found, str(file)))
-            arm = arm or _ask_arm(found)
+            if not arm and found.arm is None:
+                arm = input("Arm (a bundled name or a file; nothing for later): ").strip() or None
             if arm and not self.arm:  # the joint states of a log are in the units of its joints
                 table = open_source()
                 notes = [*table.notes]
@@ -208,12 +209,6 @@ def _find_gross_faults(
 
 def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _ask_arm(found: "pose_inspection.Inspection") -> str | None:
-    if found.arm is not None:
-        return None
-    return input("Arm (a bundled name or a file; nothing for later): ").strip() or None
 
 
 def _leave_out_jaw(arm: str, found: "pose_inspection.Inspection") -> str | None:

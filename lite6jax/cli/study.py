@@ -19,9 +19,8 @@ with import_lazily():
     from lite6jax.design import readings as touching
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
-    from lite6jax.effects.dynamic import catalogue
     from lite6jax.fitting import source
-    from lite6jax.report import documents, figures, study, words
+    from lite6jax.report import figures, study, words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -187,8 +186,8 @@ class TorqueSetup:
     torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
     """One standard deviation of a torque, Nm, one number or one per joint (N of a prismatic one); of a recording as its
     sidecar declares, else 0.05, and 0.5 N."""
-    inertial: Literal["declared", "unknown"] | None = None
-    """Whether the links' masses and inertias are known as declared, or unknown; declared for --discriminate only."""
+    inertial: Literal["declared", "unknown"] = "unknown"
+    """Whether the links' masses and inertias are known as declared, or unknown."""
     gravity: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
     """Gravity in the arm's base frame, m/s²; of a recording as its sidecar declares, else 0 0 -9.81."""
     duration: Annotated[float, arg(metavar="S")] = 10.0
@@ -203,22 +202,15 @@ class TorqueSetup:
     acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
     """The greatest acceleration, likewise."""
 
-    def model(
-        self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None, unknown: bool = True
-    ) -> "torques.TorqueModel":
-        """What is unknown of an arm, and the noise.
-
-        Args:
-            declared: of a recording.
-            unknown: whether the links' parameters are, where --inertial does not say.
+    def model(self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None) -> "torques.TorqueModel":
+        """What is unknown of an arm, and the noise, of a recording as `declared`.
 
         Raises:
             InputError: as `torque_model`.
         """
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
-        inertial = unknown if self.inertial is None else self.inertial == "unknown"
-        return torques.torque_model(arm, noise, gravity, inertial)
+        return torques.torque_model(arm, noise, gravity, self.inertial == "unknown")
 
     def room(
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
@@ -269,12 +261,7 @@ class Identify:
     poses: int = 100
     """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
-    """Seed of the poses and of simulated readings."""
-    refits: int = 0
-    """Number of sets of simulated readings that are fitted to test the prediction."""
-    processes: command.Processes = None
-    """Processes of this machine that fit them, each with one thread; none but this one where not given."""
-    scheduler: command.Scheduler = None
+    """Seed of the poses."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
@@ -290,9 +277,6 @@ class Identify:
     def run(self) -> int:
         """Computes, draws, prints."""
         command.check_seed(self.seed)
-        command.check_processes(self.processes, self.scheduler)
-        if not self.refits and (self.processes is not None or self.scheduler is not None):
-            raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
         names = [f"{command.stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
         command.check_figures(self.figures, names, self.force)
         nominal = recording = None
@@ -313,7 +297,6 @@ class Identify:
     def _identify_poses(
         self, recording: "recordings.Recording | None", nominal: "arms.Arm | None", names: list[str]
     ) -> int:
-        refits: dict[str, Any] = {name: getattr(self, name) for name in ("refits", "seed", "processes", "scheduler")}
         if recording is None:
             if self.poses < 1:
                 raise InputError(f"--poses {self.poses}: give at least 1")
@@ -323,11 +306,9 @@ class Identify:
             q = None if recording is None else recording.joint_position
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
             if self.setup.reads:
-                if self.refits:
-                    raise InputError(f"--refits: are not simulated of {self.setup.sensor}; leave it out")
                 experiment = self.setup.choose_places(experiment, self.poses, self.seed)
                 q = touching.draw_readings(experiment, self.poses, self.seed).joint_position if q is None else q
-            found = identify.identify(experiment, q, poses=self.poses, **refits)
+            found = identify.identify(experiment, q, poses=self.poses, seed=self.seed)
         else:
             if replace(self.setup, effect=()) != Setup():
                 raise InputError(
@@ -335,17 +316,19 @@ class Identify:
                     " but --effect"
                 )
             effects = [serialization.parse_effect(text, neutral=True)[0] for text in self.setup.effect]
-            found = identify.identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
+            found = identify.identify_recording(
+                recording, nominal, geometry=self.geometry, effects=effects, seed=self.seed
+            )
         written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         report = study.identification_report(found, self.source, drawn=recording is None)
         return command.present(self.json, found, report, written)
 
     def _identify_torques(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> int:
-        poses = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
+        poses = self.setup != Setup() or self.poses != 100 or self.geometry != "declared"
         if poses or self.figures is not None:
             raise InputError(
-                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the"
-                " options of a sensor"
+                f"{self.source}: torques are studied; leave out --poses, --geometry, --figures and the options of a"
+                " sensor"
             )
         arm, notes = self._read_arm(recording, nominal), []
         if recording is None:
@@ -393,10 +376,6 @@ class Sensitivity:
     """Tolerance of a length, one standard deviation, mm."""
     angle: Annotated[float, arg(metavar="DEG")] = 0.15
     """Tolerance of an angle, one standard deviation, degrees."""
-    global_indices: bool = False
-    """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
-    arms: int = 1024
-    """Number of arms for Sobol's indices, a power of 2."""
     seed: command.Seed = 0
     figures: command.Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
@@ -414,14 +393,8 @@ class Sensitivity:
         arm = files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
         found = sensitivity.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
-        over_arms = None
-        if self.global_indices:
-            over_arms = sensitivity.global_sensitivity(
-                arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed
-            )
         written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
-        report = study.sensitivity_report(found, over_arms, self.source)
-        return command.present(self.json, lambda: documents.of_sensitivity(found, over_arms), report, written)
+        return command.present(self.json, found, study.sensitivity_report(found, self.source), written)
 
 
 @final
@@ -437,8 +410,6 @@ class Design:
         lite6jax design lite6 --discriminate joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
             joint_harmonic:joint=2,order=1 --out poses.csv
         lite6jax design lite6 --torque --out motion.csv
-        lite6jax design lite6 --torque --discriminate viscous_friction:joint=2,viscous_Nm_s_per_rad=1
-            coulomb_friction:joint=2 --out motion.csv
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
@@ -510,7 +481,7 @@ class Design:
 
     def _check_options(self) -> None:
         if self.torque.torque:
-            others = ("poses", "accuracy", "criterion", "candidates", "recorded", "refine")
+            others = ("poses", "accuracy", "criterion", "discriminate", "candidates", "recorded", "refine")
             default = {item.name: item.default for item in fields(self)}
             given = [f"--{name}" for name in others if getattr(self, name) != default[name]]
             if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
@@ -576,18 +547,8 @@ class Design:
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
         search = motions.MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
-        if self.discriminate is None:
-            found = torques.plan_motion(self.torque.model(arm), room, search)
-            report = study.torque_plan_report(found, disabled, self.source)
-        else:
-            model = self.torque.model(arm, unknown=False)
-            one, other = self.discriminate
-            rivals = [
-                serialization.parse_effect(one, catalogue.BUILT_IN, False, arm.sliding),
-                serialization.parse_effect(other, catalogue.BUILT_IN, True, arm.sliding),
-            ]
-            found = torques.plan_torque_discrimination(model, room, rivals, search)  # type: ignore[arg-type]
-            report = study.torque_discrimination_report(found, disabled, self.source)
+        found = torques.plan_motion(self.torque.model(arm), room, search)
+        report = study.torque_plan_report(found, disabled, self.source)
         time, motion = found.trajectory.time, found.trajectory.motion
         settings = recordings.RecordingSettings(
             arm=command.name_arm(self.source, self.out),

@@ -1,4 +1,4 @@
-"""Motions from rest to rest that keep their limits, and gradient ascent of a criterion over them.
+"""Motions from rest to rest that keep their limits, and gradient ascent of their information over them.
 
 Motions are finite Fourier series of each joint as of J. Swevers et al., Optimal robot excitation and identification,
 IEEE Transactions on Robotics and Automation 13 (1997), eq. 8, with angular frequency ω:
@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
-from lite6jax.design.criteria import Criterion, evaluate
+from lite6jax.design.criteria import Determinant, evaluate_each
 from lite6jax.distribution.batches import Workers
 from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
@@ -53,7 +53,7 @@ _CLEAR = 0.03
 _STEP = 1e-6
 """rad, rad/s, rad/s²: of the difference quotients."""
 _WEIGHT = 2.0
-"""Of one sample's whole penetration of `_CLEAR`, in units of the criterion, averaged over the samples."""
+"""Of one sample's whole penetration of `_CLEAR`, in units of log det M, averaged over the samples."""
 _FIRST_RATE, _LAST_RATE = 0.1, 0.005
 _FULL = 7.0
 """Of `Free.size`: 99.9 % of the greatest amplitude."""
@@ -331,32 +331,27 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Fre
 
 @final
 class Excitation(NamedTuple):
-    """How a motion is judged: by the information of as many samples as are recorded of a period.
+    """How a motion is judged: by log det M, with M the information of as many samples as are recorded of a period.
 
     Attributes:
         room: where it may be.
         columns: of a motion; NumPy or JAX.
-        criterion: of the information, in coordinates.
-        outward: `(column, k)`, the determined directions (see `Coordinates`); None where they are the columns' own.
     """
 
     room: MotionRoom
     columns: Columns
-    criterion: Criterion
-    outward: Matrix | None = None
 
     def value(self, free: Free) -> float:
-        """The criterion of the recorded samples; −inf where the motion does not determine all directions."""
+        """log det M; −inf where the motion does not determine all parameters."""
         columns = np.asarray(self.columns(self.room.motion(free, _POINTS * self.room.harmonics)))
-        return float(_value(self.criterion, self._gram(columns)[1]))
+        return float(evaluate_each(Determinant(), self._information(columns)[None])[0])
 
-    def _gram(self, columns: Matrix) -> tuple[Matrix, Matrix]:
-        """Columns in coordinates `(joint, k, sample)`, and their information `(k, k)`."""
-        rows = columns if self.outward is None else self.outward.T @ columns
-        return rows, (rows @ rows.transpose(0, 2, 1)).sum(0) * (self.room.samples / columns.shape[2])
+    def _information(self, columns: Matrix) -> Matrix:
+        """M `(column, column)` of columns `(joint, column, sample)`."""
+        return (columns @ columns.transpose(0, 2, 1)).sum(0) * (self.room.samples / columns.shape[2])
 
     def ascent(self, free: Free) -> tuple[float, float, Free]:
-        """The criterion, the penalty of obstacles, and the gradient of the smooth criterion less that penalty.
+        """log det M, the penalty of obstacles, and the gradient of their difference.
 
         The columns are differenced by each joint's position, velocity and acceleration, sample by sample, so that they
         need not be traceable; the rest of the gradient is exact.
@@ -368,11 +363,9 @@ class Excitation(NamedTuple):
         shifts = _STEP * np.concatenate([np.zeros((1, size)), np.eye(size)]).T
         around = (numbers[:, None] + shifts[:, :, None]).reshape(size, -1)
         columns = np.asarray(self.columns(Motion(*np.split(around, 3))))
-        rows, M = self._gram(columns[:, :, :count])
-        value, slope = (np.asarray(part) for part in _value_and_slope(self.criterion, M))
-        to_columns = 2 * room.samples / count * (slope @ rows)  # of M, a sum over rows wᵀw
-        if self.outward is not None:
-            to_columns = self.outward @ to_columns
+        M = self._information(columns[:, :, :count])
+        value = evaluate_each(Determinant(), M[None])[0]
+        to_columns = 2 * room.samples / count * (np.linalg.inv(M) @ columns[:, :, :count])  # M is a sum over rows wᵀw
         change = np.einsum("jcns,jcs->ns", columns.reshape(*columns.shape[:2], 1 + size, count), to_columns)
         change = (change[1:] - change[0]) / _STEP
         penalty, push = self._penalty(numbers[: size // 3])
@@ -403,7 +396,7 @@ def ascend(excitation: Excitation, start: Free, steps: int) -> tuple[Free, float
     """Moves uphill from a motion that passes the filters, by Adam (D. Kingma, J. Ba, 2015) with a falling rate.
 
     Returns:
-        the best motion met that passes, its criterion, and how many steps led to a better one.
+        the best motion met that passes, its log det M, and how many steps led to a better one.
     """
     best, best_value, improved = start, excitation.value(start), 0
     free, first, second = start, *(jax.tree.map(jnp.zeros_like, start) for _ in range(2))
@@ -435,14 +428,6 @@ def _pull_back(free: Free, bounds: tuple[Array, ...], harmonics: int, change: Mo
     return jax.vjp(lambda free: _motion(free, bounds, harmonics, count), free)[1](change)[0]
 
 
-_value = jax.jit(evaluate)
-
-
-@jax.jit
-def _value_and_slope(criterion: Criterion, M: Array) -> tuple[Array, Array]:
-    return evaluate(criterion, M), jax.grad(criterion.smooth)(M)
-
-
 class MotionSearch(NamedTuple):
     """How the best motion is sought, and who computes.
 
@@ -461,22 +446,6 @@ class MotionSearch(NamedTuple):
     steps: int = 150
     processes: int | None = None
     scheduler: str | None = None
-
-    def workers(self) -> Workers:
-        """Who computes."""
-        return Workers(self.scheduler, self.processes or 0, max(self.draws, 1))
-
-
-def best_ascent(
-    workers: Workers, excitation: Excitation, drawn: Sequence[Free], search: MotionSearch
-) -> tuple[Free, float, int, Matrix]:
-    """The best end of ascents from the best of some motions, its criterion, the steps of all ascents that improved, and
-    the criterion of each of these motions."""
-    values = np.array(compute_each(workers, excitation.value, drawn))
-    best = np.argsort(-values, kind="stable")[: max(search.starts, 1)]
-    ends = compute_each(workers, partial(ascend, excitation, steps=search.steps), [drawn[i] for i in best], together=1)
-    free, value, _ = max(ends, key=lambda end: end[1])
-    return free, value, sum(improved for _, _, improved in ends), values
 
 
 def compute_each(

@@ -1,29 +1,20 @@
 """Which parameters move the flange, where, and which of them make up the error of an arm as assembled."""
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal, final
+from typing import final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import joint_motion
-from lite6jax.design.information import TOLERANCE, Chain, Experiment, plan_experiment
+from lite6jax.design.information import TOLERANCE, Chain, plan_experiment
 from lite6jax.design.sensor import BARE
 from lite6jax.errors import InputError
-from lite6jax.fitting.residual import predict_frames
 from lite6jax.fitting.start import sample_within_limits
-from lite6jax.model import ArmModel, ModelForm, predict
+from lite6jax.model import predict
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
-Measure = Literal["max", "rms"]
-
-_TOGETHER = 256
-"""Arms evaluated together: their frames stay in cache."""
 
 
 @final
@@ -109,7 +100,10 @@ def sensitivity(
     Raises:
         InputError: tolerances of which none moves the flange.
     """
-    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, samples, seed)
+    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
+    drawn = joint_position is None
+    q = sample_within_limits(experiment.arm, samples, seed) if drawn else np.asarray(joint_position, float)
+    size = np.array([tolerance[unit] for unit in experiment.units])
     rows = experiment.rows(q) / experiment.unit
     per_unit = np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, 1), 0))
     if not (per_unit * size).any():
@@ -126,117 +120,3 @@ def sensitivity(
         position=np.linalg.norm(rows[:, :3], axis=1),
         orientation=np.linalg.norm(rows[:, 3:], axis=1),
     )
-
-
-@final
-@dataclass(frozen=True, eq=False, repr=False)
-class GlobalSensitivity(PublicResult):
-    """Sobol's indices of an arm's error over its poses, and the error's distribution over arms.
-
-    Attributes:
-        names: of the parameters.
-        first: `(parameter,)` share of the error's variance over arms that each explains alone.
-        first_interval: `(parameter,)` half the 95 % interval.
-        total: `(parameter,)` share with all it does together with others.
-        total_interval: `(parameter,)` half the 95 % interval.
-        error: `(arm,)` m, of independently drawn arms.
-    """
-
-    names: tuple[str, ...]
-    first: Array
-    first_interval: Array
-    total: Array
-    total_interval: Array
-    error: Array
-
-
-def global_sensitivity(
-    arm: Arm | str,
-    joint_position: ArrayLike | None = None,
-    *,
-    chain: Chain = "six_parameter",
-    tolerance: dict[str, float] = TOLERANCE,
-    measure: Measure = "max",
-    arms: int = 1024,
-    poses: int = 64,
-    seed: int = 0,
-) -> GlobalSensitivity:
-    """Sobol's first-order and total indices (I. Sobol', 2001; A. Saltelli et al., 2010), computed by SALib.
-
-    The output is an arm's largest (or root-mean-square) distance from nominal over a set of poses: a norm and a
-    maximum, so that the parameters interact and first-order sensitivities do not suffice.
-
-    Args:
-        arm, chain, tolerance: as in `sensitivity`; the numbers are normal and independent.
-        joint_position: `(pose, joint)` rad; `poses` drawn inside the limits where not given.
-        measure: over the poses.
-        arms: a power of 2; `arms (parameters + 2)` are evaluated.
-        poses, seed: of the joint positions drawn.
-
-    Raises:
-        InputError: SALib is not installed; `arms` is no power of 2.
-    """
-    try:
-        from SALib.analyze import sobol as analysis
-        from SALib.sample import sobol as sampling
-    except ImportError as error:
-        raise InputError("Sobol indices need SALib; install it with: pip install 'lite6jax[sensitivity]'") from error
-    if arms < 2 or arms & (arms - 1):
-        raise InputError(f"{arms} arms: Sobol's sequence fills space evenly at powers of 2; give one, such as 1024")
-    experiment, q, size = _assembled(arm, joint_position, chain, tolerance, poses, seed)
-    problem = {
-        "num_vars": experiment.size,
-        "names": list(experiment.names),
-        "bounds": [[0.0, 1.0]] * experiment.size,  # in tolerances, of which some may be zero
-        "dists": ["norm"] * experiment.size,
-    }
-    steps = sampling.sample(problem, arms, calc_second_order=False, seed=seed) * size
-    error = arm_errors(experiment, steps, q, measure)
-    found = analysis.analyze(problem, error, calc_second_order=False, seed=seed + 1)  # it takes 0 for no seed
-    return GlobalSensitivity(
-        names=experiment.names,
-        first=np.asarray(found["S1"]),
-        first_interval=np.asarray(found["S1_conf"]),
-        total=np.asarray(found["ST"]),
-        total_interval=np.asarray(found["ST_conf"]),
-        error=error.reshape(arms, -1)[:, 0],
-    )
-
-
-def arm_errors(experiment: Experiment, steps: Array, joint_position: Array, measure: Measure = "max") -> Array:
-    """Each arm's largest or root-mean-square distance from nominal over poses, `(arm,)` m.
-
-    Args:
-        experiment: its model is nominal.
-        steps: `(arm, size)` m and rad from nominal.
-        joint_position: `(pose, joint)` rad.
-        measure: over the poses.
-    """
-    count = -(-len(steps) // _TOGETHER) * _TOGETHER
-    padded = np.concatenate([steps, np.zeros((count - len(steps), steps.shape[1]))])
-    blocks = padded.reshape(-1, _TOGETHER, steps.shape[1])
-    errors = _errors(experiment.form, measure, experiment.model, joint_position, blocks)
-    return np.asarray(errors).reshape(-1)[: len(steps)]
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _errors(form: ModelForm, measure: Measure, model: ArmModel, q: ArrayLike, steps: jax.Array) -> jax.Array:
-    joint = joint_motion(form.chain, jnp.asarray(q).T)
-    nominal = predict_frames(form, model, joint)[1].origin
-
-    def one(step: jax.Array) -> jax.Array:
-        moved = predict_frames(form, form.retract(model, step), joint)[1].origin
-        squares = jnp.sum((moved - nominal) ** 2, 0)
-        return jnp.sqrt(jnp.max(squares) if measure == "max" else jnp.mean(squares))
-
-    return jax.lax.map(jax.vmap(one), steps)
-
-
-def _assembled(
-    arm: Arm | str, joint_position: ArrayLike | None, chain: Chain, tolerance: dict[str, float], samples: int, seed: int
-) -> tuple[Experiment, Array, Array]:
-    """The arm with all its geometry unknown, joint positions `(sample, joint)`, and each parameter's tolerance."""
-    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
-    drawn = joint_position is None
-    q = sample_within_limits(experiment.arm, samples, seed) if drawn else np.asarray(joint_position, float)
-    return experiment, q, np.array([tolerance[unit] for unit in experiment.units])

@@ -125,14 +125,6 @@ class Sensor:
             along = along / jnp.sqrt(jnp.sum(along**2, 0))
         return jnp.sum(along * shift, 0, keepdims=True) / self.position_noise
 
-    def read(self, tool: Frame) -> Array:
-        """The reading without its orientation, `(1 or 3, sample)` m."""
-        if self.quantity == "axis":
-            return jnp.sum(jnp.array(self.direction)[:, None] * tool.origin, 0, keepdims=True)
-        if self.quantity == "distance":
-            return jnp.sqrt(jnp.sum((tool.origin - jnp.array(self.center)[:, None]) ** 2, 0, keepdims=True))
-        return tool.origin
-
 
 Point = tuple[float, float, float]
 Places = tuple[tuple[str, Point], ...]

@@ -3,40 +3,33 @@
 Joint torques depend linearly on ten numbers of each link, and on four of each joint's friction and rotor.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, final
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, regressor
+from lite6jax.arms.dynamics import regressor
 from lite6jax.arms.joint_units import joint_size, joint_sizes, joint_unit
-from lite6jax.design.criteria import Determinant, coordinates_of, discrimination
 from lite6jax.design.determination import BaseParameter, Determination, determination_of, narrow_joints
 from lite6jax.design.motions import (
     ACCELERATION,
     VELOCITY,
-    Columns,
     Excitation,
     Free,
     Motion,
     MotionRoom,
     MotionSearch,
     Trajectory,
-    best_ascent,
+    ascend,
     compute_each,
     random_motions,
 )
-from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom
-from lite6jax.effects.dynamic.friction import LoadFriction
-from lite6jax.effects.dynamic.motors import TorqueScale
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, TorqueEffect, direction
-from lite6jax.effects.effect import require_kind
-from lite6jax.effects.motion import motion_of
+from lite6jax.distribution.batches import Workers
+from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -68,8 +61,6 @@ _BLOCK = 2048
 """Samples whose columns are computed at a time."""
 _STATES = 300
 """Random states that show all that any motion of an arm determines: at least four times as many rows as unknowns."""
-_SAME = 1e-4
-"""Sine between two columns below which one is the other: the rival's own, which is then not unknown beside it."""
 
 
 @final
@@ -451,169 +442,16 @@ def plan_motion(model: TorqueModel, room: MotionRoom, search: MotionSearch) -> T
     structure = structure_of(model)
     columns = partial(model.columns, chosen=structure.free, scale=structure.scale)
     drawn = random_motions(room, search.seed, search.draws)
-    with search.workers() as workers:
-        best, _, improved, _ = best_ascent(workers, Excitation(room, columns, Determinant()), drawn, search)
+    excitation = Excitation(room, columns)
+    with Workers(search.scheduler, search.processes or 0, max(search.draws, 1)) as workers:
+        values = np.array(compute_each(workers, excitation.value, drawn))
+        best = [drawn[i] for i in np.argsort(-values, kind="stable")[: max(search.starts, 1)]]
+        ends = compute_each(workers, partial(ascend, excitation, steps=search.steps), best, together=1)
         random = compute_each(workers, partial(_identify_free, structure, room), drawn)
-    return TorquePlan(room, room.trajectory(best), _identify_free(structure, room, best), tuple(random), improved)
+    free, _, _ = max(ends, key=lambda end: end[1])
+    steps = sum(improved for _, _, improved in ends)
+    return TorquePlan(room, room.trajectory(free), _identify_free(structure, room, free), tuple(random), steps)
 
 
 def _identify_free(structure: Structure, room: MotionRoom, free: Free) -> TorqueIdentification:
     return identify_torques(structure.model, room.trajectory(free).motion, structure=structure)
-
-
-def effect_columns(effect: TorqueEffect, values: ArrayLike, model: TorqueModel) -> tuple[Columns, Array]:
-    """The torques that an effect adds per unit of its linear coordinates, and the values of these.
-
-    Args:
-        effect: on torques.
-        values: `(coordinate,)`; what is not linear stays at these.
-        model: the arm, its gravity, the noise.
-
-    Returns:
-        whitened, of a motion: `(joint, column, sample)`; and `(column,)`.
-
-    Raises:
-        InputError: a joint or link that the arm does not have, or a joint of the other kind; an effect that needs
-            inertia of an arm without; temperatures; or a shift of time, which is no column.
-    """
-    at, arm = np.asarray(values, float), model.arm
-    if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
-        raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
-    require_kind(effect, arm.sliding)
-    if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
-        raise InputError(f"{effect.label}: depends on more than the motion of the joints; choose another")
-    linear = np.array([coordinate.linear for coordinate in effect.coordinates])
-    for i in np.flatnonzero(~linear & (at == 0)):
-        raise InputError(f"{effect.label}: {effect.coordinates[i].name} is not given; it has to be known to plan with")
-    try:
-        links = link_parameters(arm)
-    except InputError as error:
-        if isinstance(effect, TorqueScale | LoadFriction | BaseTilt | LinkCom):
-            raise InputError(f"{effect.label}: depends on the arm's inertia; {error}") from error
-        links = np.zeros((arm.dof, 10))
-    units = np.where(linear, np.eye(len(at)), at)[linear]
-    return partial(_effect_columns, effect, units, model, links), at[linear]
-
-
-def _effect_columns(effect: TorqueEffect, units: Array, model: TorqueModel, links: Array, motion: Motion) -> Array:
-    """The whitened torques that an effect adds to a motion at each of some values `(column, coordinate)`."""
-    regressors: dict[str, Array] = {}
-    arm, center = model.arm, model.arm.T_joint_flange[:3, 3]
-    q, dq, ddq = (np.asarray(part) for part in motion)
-
-    def torques(kind: str, moved: Motion, gravity: Array, numbers: Array) -> Array:
-        if kind not in regressors:
-            regressors[kind] = link_columns(arm, moved, gravity)
-        return np.einsum("jps,p->js", regressors[kind], np.asarray(numbers, float).ravel())
-
-    def of_gravity(gravity: Array) -> Array:
-        still = Motion(q, np.zeros_like(q), np.zeros_like(q))
-        return np.tensordot(gravity, np.stack([torques(f"axis{i}", still, np.eye(3)[i], links) for i in range(3)]), 1)
-
-    def of_inertia(numbers: Array) -> Array:
-        return torques("motion", motion, model.gravity, numbers)
-
-    moving = motion_of(q.T, joint_velocity=dq.T, direction=np.sign(dq).T, sliding=arm.sliding)
-    dynamics = Dynamics(
-        motion=moving._replace(joint_acceleration=jnp.asarray(ddq)),
-        torque=of_inertia(links) if links.any() else np.zeros(q.shape),
-        links=links,
-        payload_center=center,
-        of_inertia=of_inertia,
-        of_gravity=of_gravity,
-        gravity=model.gravity,
-    )
-    return np.stack([np.asarray(effect.torque(values, dynamics)) for values in units], 1) / model.noise[:, None, None]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class TorqueDiscrimination:
-    """A motion that discriminates between two rivals.
-
-    Attributes:
-        model: what is unknown beside them, and the noise.
-        room: where the motion may be.
-        trajectory: the designed one.
-        rivals: their names.
-        both_ways: whether each is tested against the other, or only the second against the first.
-        distance: how many standard deviations the torques of one model are from the closest that the other, with
-            everything else that is unknown, explains.
-        random_distance: `(draw,)`, of random motions of the same limits; 0 where they determine too little.
-        steps: of the ascents that led to a better motion.
-    """
-
-    model: TorqueModel
-    room: MotionRoom
-    trajectory: Trajectory
-    rivals: tuple[str, str]
-    both_ways: bool
-    distance: float
-    random_distance: Array
-    steps: int
-
-
-def plan_torque_discrimination(
-    model: TorqueModel, room: MotionRoom, rivals: Sequence[tuple[TorqueEffect, ArrayLike]], search: MotionSearch
-) -> TorqueDiscrimination:
-    """The motion in which two rivals differ most after everything else that is unknown is refitted.
-
-    The criterion is T-optimality (A. Atkinson, V. Fedorov, Biometrika 62, 1975). Columns of `model` that are a rival's
-    own are not unknown beside it.
-
-    Args:
-        model: what is unknown beside the two, and the noise.
-        room: limits, obstacles, duration.
-        rivals: two effects, each with its hypothesised values in SI units; values that are all zero for the second
-            test it against the first only.
-        search: random motions, ascents, and who computes.
-
-    Raises:
-        InputError: the first has no size, the rivals are the same, or as `effect_columns` and `random_motions`.
-    """
-    (one, other), of_rivals = (effect for effect, _ in rivals), [effect_columns(*rival, model) for rival in rivals]
-    (first, one_values), (second, other_values) = of_rivals
-    if not one_values.any():
-        raise InputError(f"{one.label}: has no size; give a value of its parameters")
-    drawn = random_motions(room, search.seed, search.draws)
-    sample = Motion(*np.concatenate([room.motion(free, 20 * room.harmonics) for free in drawn[:4]], 2))
-    unknown, own = model.columns(sample), np.concatenate([first(sample), second(sample)], 1)
-    lengths, own_lengths = (np.sqrt(np.einsum("jcs,jcs->c", c, c) / c.shape[2]) for c in (unknown, own))
-    product = np.abs(np.einsum("jcs,jds->cd", unknown, own)) / own.shape[2]
-    cosine = product / np.maximum(np.outer(lengths, own_lengths), 1e-300)
-    common = np.flatnonzero((cosine < 1 - _SAME**2 / 2).all(1) & (lengths > 0))
-    scale = np.append(model.scale[common], 1 / np.where(own_lengths > 0, np.maximum(own_lengths, 1e-300), 1.0))
-    columns = partial(_columns_beside, model, common, (first, second), scale)
-    at = np.arange(len(common), len(scale))
-    models = ((at[: len(one_values)], one_values), (at[len(one_values) :], other_values))
-    rows = columns(sample)
-    coordinates = coordinates_of(np.einsum("jcs,jds->cd", rows, rows), sample.q.shape[1])
-    try:
-        inside = discrimination(scale, *models).within(coordinates)
-    except InputError as error:
-        others = "the links' parameters (give --inertial declared)" if model.inertial else "friction"
-        raise InputError(
-            f"{one.label} and {other.label}: no motion separates them; what one adds to torques the other explains with"
-            f" {others}"
-        ) from error
-    excitation = Excitation(room, columns, inside, coordinates.outward)
-    with search.workers() as workers:
-        best, square, improved, squares = best_ascent(workers, excitation, drawn, search)
-    return TorqueDiscrimination(
-        model=model,
-        room=room,
-        trajectory=room.trajectory(best),
-        rivals=(one.label, other.label),
-        both_ways=bool(other_values.any()),
-        distance=float(np.sqrt(square)),
-        random_distance=np.sqrt(np.maximum(squares, 0.0)),
-        steps=improved,
-    )
-
-
-def _columns_beside(
-    model: TorqueModel, common: NDArray[np.integer], effects: Sequence[Columns], scale: Array, motion: Motion
-) -> Array:
-    """Whitened torques per `scale` of the parameters `common` to two models, and of their effects."""
-    parts = [model.columns(motion, common), *(columns(motion) for columns in effects)]
-    return np.concatenate(parts, 1) * scale[:, None]

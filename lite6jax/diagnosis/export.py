@@ -179,10 +179,12 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         joints |= {"spring_stiffness": springs[0], "spring_rest": np.where(stiff, -springs[1], 0.0)}
         joints["spring_rest"][stiff] /= springs[0, stiff]
     arm = replace(arm, **joints)
-    if links.any():
-        arm, kept = _with_bodies(arm, links, model.gravity)
-        left_out += kept
-    return arm, tuple(left_out)
+    if links.any() and not is_consistent(links):
+        base = base_parameters(arm.kinematics, model.gravity, arm.sliding)
+        found = consistent_links(base, base.values(links), bodies_near(links))
+        left_out += [] if found.exact else ["inertial numbers that no bodies have"]
+        links = found.parameters
+    return set_link_parameters(arm, links) if links.any() else arm, tuple(left_out)
 
 
 def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dict[type, float], str]:
@@ -228,12 +230,3 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
 
 def _none(numbers: np.ndarray) -> np.ndarray:
     raise NotImplementedError("friction over the velocity needs neither inertia nor gravity")
-
-
-def _with_bodies(arm: Arm, links: np.ndarray, gravity: np.ndarray) -> tuple[Arm, list[str]]:
-    if is_consistent(links):
-        return set_link_parameters(arm, links), []
-    base = base_parameters(arm.kinematics, gravity, arm.sliding)
-    found = consistent_links(base, base.values(links), bodies_near(links))
-    phrases = [] if found.exact else ["inertial numbers that no bodies have"]
-    return set_link_parameters(arm, found.parameters), phrases

@@ -11,17 +11,14 @@ another model of the same effect; neither says that the effect is not there.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextvars import copy_context
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax import threads
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
-from lite6jax.diagnosis.fold_processes import RemoteWork, at_hand
+from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
@@ -31,14 +28,11 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.progress import part
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection, at_estimate
 from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
-Fold = TypeVar("Fold")
-Result = TypeVar("Result")
 
 # ------------------------------------------------------------------ blocks of rows
 
@@ -80,37 +74,6 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
     return [np.any(blocks[number::count], 0) for number in range(count)]
 
 
-def side_by_side(
-    work: Callable[[Fold], Result], folds: Sequence[Fold], elsewhere: RemoteWork[Result] | None = None
-) -> list[Result]:
-    """What `work` makes of each fold, in their order.
-
-    Where other processes are at hand they take a part. Else as many threads as `threads.available` says share compiled
-    functions and what is known of all rows; operations on arrays release the interpreter's lock. The stages belong to
-    part 1 + the folds completed.
-
-    Args:
-        work: on a fold, here.
-        folds: all.
-        elsewhere: how another process works on one; None where only this one can.
-    """
-    others = at_hand()
-    if others is not None and elsewhere is not None:
-        with part(1, 1 + len(folds)) as going:
-            return others.results(work, elsewhere, folds, lambda done: setattr(going, "number", 1 + done))
-    pool = ThreadPoolExecutor(min(len(folds), threads.available()))
-    try:
-        with part(1, 1 + len(folds)) as going:
-            # each in a copy of this context, which says who follows the progress
-            begun = [pool.submit(copy_context().run, work, fold) for fold in folds]
-            for each in as_completed(begun):
-                each.result()
-                going.number += 1
-        return [each.result() for each in begun]
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
-
-
 # ------------------------------------------------------------------ which findings hold
 
 
@@ -140,8 +103,7 @@ def errors_of_folds(
         folds: which have each row once.
         anywhere: whether other processes may take a part.
     """
-    elsewhere = RemoteWork(errors, given) if anywhere else None
-    parts: list[Any] = side_by_side(lambda held: errors(held, *given), folds, elsewhere)
+    parts: list[Any] = work_on_folds(errors, given, folds, anywhere)
     order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
     return parts[0]._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
 

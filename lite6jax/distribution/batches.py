@@ -1,17 +1,13 @@
-"""A function over many inputs, batch by batch: kept as they come, retried where a worker dies, written in order."""
+"""A function over many inputs, batch by batch: retried where a worker dies, and written in order."""
 
-import hashlib
-import io
 import pickle
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 from lite6jax import storage, threads
 from lite6jax.distribution.workers import Cluster, Function, Processes
-from lite6jax.errors import InputError
-from lite6jax.fitting.compiled import versions
 
 if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa
@@ -20,91 +16,45 @@ ROW_GROUP = 4096
 """Rows of a table that are written together, whatever the batches."""
 
 
-class Run(NamedTuple):
-    """What a run did.
-
-    Attributes:
-        path: of the table.
-        rows: in the table.
-        kept: how many of them an earlier run, which was ended, had kept.
-    """
-
-    path: Path
-    rows: int
-    kept: int
-
-
 def run_batches(
     function: Function,
     batches: Sequence[Sequence[Any]],
     given: tuple[Any, ...] = (),
     *,
     out: Path,
-    content: Callable[[Sequence[Any]], bytes],
     died: Callable[[Any], "pa.Table"],
     store: "Callable[[Sequence[Any], pa.Table], pa.Table]" = lambda inputs, rows: rows,
-    is_intact: "Callable[[pa.Table], bool]" = lambda rows: True,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda done: None,
     overwrite: bool = False,
-) -> Run:
+) -> Path:
     """Writes what a function makes of many inputs as one Parquet table, a row an input, in the order of the inputs.
 
-    The rows of a batch are kept beside the table as they come. Where a run is ended, the next with the same inputs,
-    the same `given` and the same versions goes on with what is not kept. The table's bytes do not depend on that, nor
-    on the workers and their number: batches are what they are given as, and each is computed by one thread.
+    The table's bytes do not depend on the workers and their number: each batch is computed by one thread.
 
     Args:
         function: of a module: `function(inputs, *given)` makes a row of each input of a batch.
-        batches: the inputs; each is asked for once, so that it may be read then.
+        batches: the inputs.
         given: to the function with each batch.
         out: the table to write.
-        content: of the inputs of a batch, all on which its rows depend besides `given`; its checksum is taken.
         died: the row of an input at which workers die.
-        store: called with the inputs of a batch and its rows before they are kept; returns what is to be kept.
-        is_intact: of rows that were kept, whether what `store` made of them still stands.
+        store: called with the inputs of a batch and its rows as they come; returns the rows of the table.
         scheduler: the address of the scheduler of a Dask cluster; processes of this machine where not given.
         processes: so many; one a core where not given, and none but this one for 0.
         progress: called with the number of inputs done since the last call.
         overwrite: whether a table that is there may be replaced.
 
     Raises:
-        InputError: as `storage.write_atomically`, `Parts.keep` and `workers.Cluster`.
+        InputError: as `storage.write_atomically` and `workers.Cluster`.
         Exception: what the function raised.
     """
-    parts = Parts(out, function.__module__, function.__qualname__, given)
-    keys: list[str] = []
-    sizes: list[int] = []
-    at_work: dict[int, Sequence[Any]] = {}
-    kept = 0
-
-    def batches_to_do() -> Iterator[tuple[int, Sequence[Any]]]:
-        nonlocal kept
-        for number, inputs in enumerate(batches):
-            keys.append(parts.key(content(inputs)))
-            sizes.append(len(inputs))
-            rows = parts.find(keys[number])
-            if rows is None or not is_intact(rows):
-                at_work[number] = inputs
-                yield number, inputs
-            else:
-                kept += len(inputs)
-                progress(len(inputs))
-
-    def rows_in_order() -> "Iterator[pa.Table]":
-        for key in keys:
-            if (rows := parts.find(key)) is None:
-                raise InputError(f"{parts.folder}: was changed while it was being written; give the same command again")
-            yield rows
-
+    tables: dict[int, pa.Table] = {}
     with Workers(scheduler, processes, len(batches)) as workers:
-        for number, rows in workers.outcomes(function, batches_to_do(), given, died=died):
-            parts.keep(keys[number], store(at_work.pop(number), rows))
-            progress(sizes[number])
-    write_tables(rows_in_order(), out, overwrite)
-    parts.remove()
-    return Run(out, sum(sizes), kept)
+        for number, rows in workers.outcomes(function, enumerate(batches), given, died=died):
+            tables[number] = store(batches[number], rows)
+            progress(len(batches[number]))
+    return write_tables([tables[number] for number in sorted(tables)], out, overwrite)
 
 
 @final
@@ -187,76 +137,8 @@ class Workers:
                     continue
                 if rows is None:
                     rows = concatenate(map(alone, inputs)) if len(inputs) > 1 else died(inputs[0])
-                yield number, rows  # kept before more is begun: a run that is killed loses what its workers have
+                yield number, rows
             fill()
-
-
-@final
-class Parts:
-    """The rows of the batches that are done, a file each in a folder beside the table that a run is to write.
-
-    A file is named after all on which its rows depend: what the inputs hold, what was asked for, and the versions of
-    the package and its libraries. So a run that was ended goes on, and where any of these differs a batch is done
-    again.
-
-    Attributes:
-        folder: which is there from the first `keep` until `remove`.
-    """
-
-    def __init__(self, out: Path, *asked: Any) -> None:
-        """Reads nothing.
-
-        Args:
-            out: the table, beside which the folder stands.
-            asked: what the rows depend on besides the inputs; can be pickled.
-        """
-        self.folder = out.with_name(f"{out.name}.parts")
-        pickled = io.BytesIO()
-        pickler = pickle.Pickler(pickled)
-        pickler.fast = True  # equal values have equal bytes, whether parts of them are the same object or not
-        pickler.dump((versions(), asked))
-        self._asked = pickled.getvalue()
-
-    def key(self, content: bytes) -> str:
-        """What a batch is known by, as hexadecimal digits, of the content of its inputs."""
-        return hashlib.sha256(self._asked + content).hexdigest()
-
-    def find(self, key: str) -> "pa.Table | None":
-        """The rows of the batch with this key; None where there are none, or a kill cut them short."""
-        import pyarrow as pa
-        from pyarrow import feather
-
-        try:
-            return feather.read_table(str(self._file(key)), memory_map=False)
-        except (OSError, pa.ArrowException):
-            return None
-
-    def keep(self, key: str, rows: "pa.Table") -> None:
-        """Adds the rows of a batch.
-
-        Raises:
-            InputError: the disk is full, or cannot be written to.
-        """
-        from pyarrow import feather
-
-        try:
-            self.folder.mkdir(exist_ok=True)
-            feather.write_feather(rows, str(self._file(key)))
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); free space, and the same command goes "
-                "on where it stopped"
-            ) from error
-
-    def remove(self) -> None:
-        """Removes the files, and the folder unless there is something else in it."""
-        for file in self.folder.glob("*.arrow"):
-            file.unlink(missing_ok=True)
-        if self.folder.is_dir() and not any(self.folder.iterdir()):
-            self.folder.rmdir()
-
-    def _file(self, key: str) -> Path:
-        return self.folder / f"{key}.arrow"
 
 
 def concatenate(tables: "Iterable[pa.Table]") -> "pa.Table":

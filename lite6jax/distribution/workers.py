@@ -346,9 +346,7 @@ class Cluster:
         except KilledWorker:
             return None
         except CancelledError as error:
-            raise self._error(
-                "the scheduler is gone; start it, and the same command goes on where it stopped"
-            ) from error
+            raise self._error("the scheduler is gone; start it, and give the same command again") from error
 
     def _error(self, what: str) -> InputError:
         return InputError(f"--scheduler {self._address}: {what}")

@@ -20,12 +20,15 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.estimation.noise import coefficients, run_starts
 from lite6jax.estimation.score_test import ScoreTest
 
 Array = NDArray[np.floating]
 
-_RATIOS = np.geomspace(1e-2, 1e7, 28)
-"""Of the prior's variance to that of the best determined direction, that are tried."""
+_TRIED = 28
+"""Variances of the prior that are tried."""
+_LEAST, _MOST = 1e-2, 1e7
+"""Of them to the variance of the best determined direction; more where the pulls are larger."""
 _DECLARED = 4.0
 """Degrees of freedom that a declared noise counts as: it is known to a factor of two."""
 
@@ -163,6 +166,34 @@ class Marginal:
         squares = np.sum(white * self.test.left_of_rows, 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
+    def of_persistent_noise(self, column: Array) -> Evidence:
+        """As `of_noise`, of numbers that are a first-order autoregression within each run: noise of what is read out.
+
+        Its innovations come from a Kalman filter (R. Kalman, Journal of Basic Engineering 82, 1960), for every
+        coefficient and variance at once.
+        """
+        white = self.test.whitened(column) / self.test.scale[0]
+        size, pull = np.sqrt(np.sum(white**2, 0)), np.sum(white * self.test.left_of_rows, 0)
+        pull = pull / np.maximum(size, 1e-300)
+        starts = set(run_starts(np.asarray(self.test.problem.run)))
+        share, s = np.meshgrid(
+            coefficients(len(size)), np.geomspace(_LEAST, _MOST, _TRIED) / max(size.max() ** 2, 1e-300)
+        )
+        mean, variance, explained, volume = np.zeros((4, *s.shape))
+        for k, (h, z) in enumerate(zip(size.tolist(), pull.tolist(), strict=True)):
+            if k in starts:
+                mean, variance = np.zeros_like(s), s.copy()
+            else:
+                mean, variance = share * mean, share**2 * variance + (1 - share**2) * s
+            spread, off = h * h * variance + 1, z - h * mean
+            explained += z * z - off**2 / spread
+            volume += 0.5 * np.log(spread)
+            mean, variance = mean + variance * h / spread * off, variance / spread
+        left, freedom = self._of_groups(np.any(column, 1))
+        gains = -0.5 * freedom * np.log(np.maximum(1 - explained / left, 1e-12)) - volume
+        best = int(np.argmax(gains))
+        return Evidence(*(each.ravel()[best] for each in (gains, s, volume)))
+
     def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
         """The evidence of named terms, some of whose numbers may be zero.
 
@@ -259,10 +290,11 @@ def _of_all(pull: Array, information: Array, left: Array, freedom: Array, confou
     rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
     likelihood, numbers = -0.5 * np.sum(freedom * np.log(rest / left), -1), kept.sum(-1)
     there = np.maximum(numbers, 1)
-    if groups == 1:
-        squares = np.where(kept, q / there[..., None], 0.0)
-        one = best_amplitude(kept.astype(float), squares, left[..., None], freedom[..., None])
-        return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
+    if groups == 1:  # of equal directions the likeliest share of the likelihood's gain is known
+        share, degrees = (rest / left)[..., 0], freedom[..., 0]
+        shrunk = np.minimum(there * share / np.maximum((1 - share) * (degrees - there), 1e-300), 1.0)
+        gain = -0.5 * degrees * np.log(share + (1 - share) * shrunk) + 0.5 * numbers * np.log(shrunk)
+        return Evidence(gain, 1 / shrunk - 1, np.maximum(likelihood - gain, 0.0))
     variance = np.where(numbers, np.maximum(np.sum(freedom / rest * size, -1) / there, 1.0), 0.0)
     volume = numbers / 2 * (1 + np.log(np.maximum(variance, 1.0)))
     return Evidence(likelihood - volume, variance, volume)
@@ -296,7 +328,10 @@ def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, free
     """
     left, freedom = (np.asarray(each)[..., 0] if np.ndim(each) else each for each in (left, freedom))
     top = np.maximum(eigenvalues.max(-1, keepdims=True), 1e-300)
-    s = _RATIOS / top
+    seen = eigenvalues > 1e-12 * top
+    explained = np.sum(np.where(seen, squares, 0.0) / np.where(seen, eigenvalues, 1.0), -1, keepdims=True)
+    most = np.maximum(_MOST, 10 * freedom * explained / np.maximum(left - explained, 1e-12 * left))
+    s = _LEAST * (most / _LEAST) ** np.linspace(0, 1, _TRIED) / top
     grown = s[..., None] * eigenvalues[..., None, :]
     q = np.sum(s[..., None] * squares[..., None, :] / (1 + grown), -1)
     volume = 0.5 * np.sum(np.log1p(grown), -1)

@@ -181,12 +181,17 @@ def _autocorrelation(
             scale = left / max(rows.size - float(np.sum((measured @ T) * T)), 1.0)
         return found
 
-    coefficients = [one for one in _COEFFICIENTS if (1 - one) * rows.shape[1] >= _FORGOTTEN] or _COEFFICIENTS[:2]
-    coarse = [Autocorrelation(*pair) for pair in product(coefficients[1::3], _SHARES[1::3])]
+    tried = coefficients(rows.shape[1])
+    coarse = [Autocorrelation(*pair) for pair in product(tried[1::3], _SHARES[1::3])]
     best = max(coarse, key=likelihood)
-    near = product(_near(coefficients, best.coefficient), _near(_SHARES, best.share))
+    near = product(_near(tried, best.coefficient), _near(_SHARES, best.share))
     best = max((Autocorrelation(*pair) for pair in near), key=likelihood)
     return best if likelihood(best) > likelihood(UNCORRELATED) + options.close else UNCORRELATED
+
+
+def coefficients(samples: int) -> Sequence[float]:
+    """Of autoregressions, those that forget within so many samples."""
+    return [one for one in _COEFFICIENTS if (1 - one) * samples >= _FORGOTTEN] or _COEFFICIENTS[:2]
 
 
 def run_starts(run: Integers) -> tuple[int, ...]:

@@ -1,42 +1,29 @@
-"""Compiled code kept between runs, and the versions of the source and the libraries that it and other results depend
-on.
+"""Compiled code kept between runs, and the versions of the source and the libraries that results depend on.
 
-Nothing that computes is imported here, so that programs choose the folder as they start. A warm `lite6jax fit` of a
-calibration takes 1.8 s with exported functions and 2.7 s without.
+Nothing that computes is imported here, so that programs choose the folder as they start.
 """
 
 import hashlib
 import os
 import sys
-import threading
 import warnings
-from collections.abc import Callable, Hashable, Mapping
-from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, final
-
-from lite6jax import storage
-from lite6jax.deferred import jax
-from lite6jax.errors import InputError
 
 SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 """For functions that are called from several threads, which would otherwise share XLA's own pool."""
 
 _PACKAGE = Path(__file__).parents[1]
 _LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "pyarrow", "optimistix")
-_exports: Path | None = None
-"""Where this process keeps exported functions; None keeps none."""
 
 
 def keep_compiled_code() -> None:
-    """Keeps compiled and exported functions in `cache_folder`, unless JAX has a folder; without a word if it cannot.
+    """Keeps compiled functions in `cache_folder`, unless JAX has a folder; without a word if it cannot.
 
     What is kept is code that later runs of the program execute: the folders are made for their owner only, and are not
     used where they belong to, or can be written by, somebody else.
     """
-    global _exports
     try:
         folder = cache_folder()
     except RuntimeError:  # an account without a home
@@ -61,7 +48,6 @@ def keep_compiled_code() -> None:
             loaded.config.update(name, value)
         else:  # JAX reads it when it is first imported, which takes half a second that some commands do not need
             os.environ[name.upper()] = str(value)
-    _exports = _private(folder.parent / "exported")
 
 
 def cache_folder() -> Path:
@@ -99,54 +85,3 @@ def versions() -> tuple[str, ...]:
         except PackageNotFoundError:
             found.append("none")
     return tuple(found)
-
-
-@final
-class Exported:
-    """A jitted function whose StableHLO is kept by `jax.export`: a later process neither traces nor lowers it.
-
-    It is called as the function is, from any thread. Where no folder is kept, it is the jitted function. Named tuples
-    among its arguments and results must be registered with `jax.export.register_namedtuple_serialization`.
-    """
-
-    def __init__(self, function: Callable[..., Any], static: int, options: Mapping[str, bool | int] | None = None):
-        """Takes a function to compile.
-
-        Args:
-            function: to trace; pure.
-            static: how many of its arguments, the first ones, are static; their `repr` must tell them apart.
-            options: the compiler's.
-        """
-        self._function, self._static, self._options = function, static, dict(options or {})
-        self._compiled: dict[Hashable, Callable[..., Any]] = {}
-        self._lock = threading.Lock()
-
-    def __call__(self, *arguments: Any) -> Any:
-        static, dynamic = arguments[: self._static], arguments[self._static :]
-        leaves, structure = jax.tree.flatten(dynamic)
-        key = (static, structure, tuple(map(jax.typeof, leaves)), _exports)
-        if key in self._compiled:
-            return self._compiled[key](*dynamic)
-        with self._lock:  # the first thread compiles, and the others wait
-            if key not in self._compiled:
-                function = self._load(static, dynamic, str(key))
-                answer = function(*dynamic)
-                self._compiled[key] = function
-                return answer
-        return self._compiled[key](*dynamic)
-
-    def _load(self, static: tuple[Any, ...], dynamic: tuple[Any, ...], key: str) -> Callable[..., Any]:
-        function = jax.jit(partial(self._function, *static), compiler_options=self._options)
-        if _exports is None:
-            return function
-        from jax import export
-
-        known = (versions(), jax.default_backend(), self._options, key)
-        path = _exports / f"{self._function.__name__}-{hashlib.sha256(repr(known).encode()).hexdigest()}"
-        if path.exists():
-            exported = export.deserialize(bytearray(path.read_bytes()))
-        else:
-            exported = export.export(function)(*dynamic)
-            with suppress(InputError):  # a full disk costs time only
-                storage.write_atomically(path, bytes(exported.serialize()), overwrite=True)
-        return jax.jit(exported.call, compiler_options=self._options)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, cast, final
 
@@ -19,7 +19,7 @@ from lite6jax.arms.dh import closed_form
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
 from lite6jax.arms.se3 import Frame
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
+from lite6jax.fitting.compiled import SINGLE_THREADED
 from lite6jax.fitting.gauss_newton import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.fitting.quality import Result
 from lite6jax.fitting.residual import POSE, predict_frames
@@ -232,7 +232,10 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     def errors(parameters: Array) -> Array:
         form = ModelForm(arm.form)
         return np.concatenate(
-            [_errors(form, parameters[each], *nominal, kinematics[each], T_joint_flange[each], q) for each in chunks]
+            [
+                _calibration_errors(form, parameters[each], *nominal, kinematics[each], T_joint_flange[each], q)
+                for each in chunks
+            ]
         )
 
     parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
@@ -249,6 +252,7 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     return FittedCalibrations(result[:count], steps[:count], parameters[:count], fitted, checked, by_design)
 
 
+@partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
 def _calibration_errors(
     form: ModelForm,
     parameters: jax.Array,
@@ -283,9 +287,6 @@ def _calibration_errors(
         return jnp.stack([*differences(found, true), differences(by_design, true)[1]])
 
     return jax.vmap(one)(parameters, kinematics, T_joint_flange)
-
-
-_errors = Exported(_calibration_errors, 1, SINGLE_THREADED)
 
 
 @dataclass(frozen=True, repr=False)

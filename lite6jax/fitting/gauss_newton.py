@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, export, lax
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lite6jax import threads
-from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
+from lite6jax.fitting.compiled import SINGLE_THREADED
 from lite6jax.fitting.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.fitting.residual import (
     POSE,
@@ -183,9 +183,7 @@ def _solve_and_measure(
     return Summary(solved, covariance, used, rms[0], rms[1])
 
 
-for _kind in (ArmModel, Solved, Summary):
-    export.register_namedtuple_serialization(_kind, serialized_name=f"lite6jax.{_kind.__name__}")
-_fit_chunk = Exported(_solve_and_measure, 2, SINGLE_THREADED)
+_fit_chunk = jax.jit(_solve_and_measure, static_argnums=(0, 1), compiler_options=SINGLE_THREADED)
 
 
 class _State(NamedTuple):

@@ -12,12 +12,12 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import export, lax
+from jax import lax
 from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.estimation.robust import curvature_share, t_scale
-from lite6jax.fitting.compiled import SINGLE_THREADED, Exported
+from lite6jax.fitting.compiled import SINGLE_THREADED
 from lite6jax.fitting.gauss_newton import DECREMENT, FLAT, MAX_STEPS, ROUNDING, SINGULAR_ABOVE
 from lite6jax.fitting.problem import Problem
 from lite6jax.fitting.quality import Result
@@ -224,9 +224,10 @@ def _slice_totals(
     return model, totals, squares.reshape(-1)
 
 
-export.register_namedtuple_serialization(Robust, serialized_name="lite6jax.Robust")
-_totals = Exported(_slice_totals, 2, SINGLE_THREADED)
-_totals_of_few = Exported(_slice_totals, 2, SINGLE_THREADED | {"xla_backend_optimization_level": 0})
+_totals, _totals_of_few = (
+    jax.jit(_slice_totals, static_argnums=(0, 1), compiler_options=SINGLE_THREADED | options)
+    for options in ({}, {"xla_backend_optimization_level": 0})
+)
 
 
 def _solve_by_gauss_newton(

@@ -92,8 +92,13 @@ def compensation_report(
         yield Text("Reached, but to be noted:")
         yield from _groups(found, texts, found.reached)
     if found.correction is not None and hit:
+        scales, units = joint_units(model.sliding, model.dof)
+        moved, named = scales * np.abs(found.correction[found.reached]), ", ".join(dict.fromkeys(units))
+        rows = ((name, *map(fixed, of(moved, axis=0))) for name, of in (("median", np.median), ("max", np.max)))
         yield ""
-        yield from _corrections(np.abs(found.correction[found.reached]), model.sliding)
+        # rather wrap the name than cut numbers short
+        joints = (f"q{joint}" for joint in range(1, model.dof + 1))
+        yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
     yield from screen.notes(found.notes)
     if found.omitted:
         verb = "concerns" if len(found.omitted) == 1 else "concern"
@@ -142,17 +147,6 @@ def _missed(found: Compensation, rows: NDArray) -> str:
         if most > least:
             largest.append(f"{number(scale * most)}{unit}")
     return f", with errors up to {' and '.join(largest)}" if largest else ""
-
-
-def _corrections(corrections: NDArray, sliding: Sequence[int]) -> Iterator[RenderableType]:
-    scales, units = joint_units(sliding, corrections.shape[1])
-    degrees, named = scales * corrections, ", ".join(dict.fromkeys(units))
-    rows = (
-        (name, *map(fixed, values)) for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0)))
-    )
-    joints = (f"q{joint}" for joint in range(1, degrees.shape[1] + 1))
-    # rather wrap the name than cut numbers short
-    yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
 
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:

@@ -13,31 +13,38 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.report import pose_faults, torque_faults
 from lite6jax.report.pose_faults import MISMATCHES, mismatch_ruled_out
 from lite6jax.report.screen import indented
-from lite6jax.report.words import SCREEN, capital, rows_named
+from lite6jax.report.words import SCREEN, capital, joints_named, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
 
-_NAMES = pose_faults.NAMES | torque_faults.NAMES
-_FOUND = pose_faults.FOUND | torque_faults.FOUND
-_RULED_OUT = pose_faults.RULED_OUT | torque_faults.RULED_OUT
+_FAULTS = pose_faults.FAULTS | torque_faults.FAULTS
 
 
 def fault_name(code: str) -> str:
     """A fault in two or three words."""
-    return _NAMES.get(code) or code.replace("_", " ").capitalize()
+    return _FAULTS[code].name if code in _FAULTS else code.replace("_", " ").capitalize()
 
 
 def fault_statement(fault: DataFault) -> str:
     """What is wrong, by how much, how it was corrected, and the remedy."""
-    sentence = _FOUND.get(fault.code)
-    return sentence(fault.rows, fault.numbers) if sentence else f"{fault_name(fault.code)}."
+    known = _FAULTS.get(fault.code)
+    if known is None:
+        return f"{fault_name(fault.code)}."
+    return _filled(known.found, fault) if isinstance(known.found, str) else known.found(fault.rows, fault.numbers)
 
 
 def ruled_out_statement(fault: DataFault) -> str:
     """Why a fault that was tested for is not there, with the number that rules it out."""
-    sentence = _RULED_OUT.get(fault.code)
-    return sentence(fault.numbers) if sentence else f"{fault_name(fault.code)}: none was found."
+    known = _FAULTS.get(fault.code)
+    if known is None or known.ruled_out is None:
+        return f"{fault_name(fault.code)}: none was found."
+    return _filled(known.ruled_out, fault) if isinstance(known.ruled_out, str) else known.ruled_out(fault.numbers)
+
+
+def _filled(text: str, fault: DataFault) -> str:
+    named = joints_named(fault.numbers.get("joints", ()))
+    return text.format(**{**fault.numbers, "joints": named, "Joints": capital(named)})
 
 
 def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:

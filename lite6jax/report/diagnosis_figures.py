@@ -17,7 +17,6 @@ from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.effects.drivers import Driver
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import (
@@ -42,12 +41,12 @@ from lite6jax.report.words import joint_units, torque_units
 
 Array = NDArray[np.floating]
 
-NAMES = ("error_by_joint", "where", "orders", "findings", "remaining")
-"""The figures of poses that `drawings` may give."""
-TORQUE_NAMES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
-"""The same of torques."""
 PREFIX = "torque_"
 """Of the names of the figures of torques, beside those of poses."""
+_POSES = ("error_by_joint", "where", "orders", "findings", "remaining")
+_TORQUES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
+NAMES = {"poses": _POSES, "torques": _TORQUES, "both": (*_POSES, *(PREFIX + name for name in _TORQUES))}
+"""The figures that `drawings` may give of a diagnosis of poses, of torques or of both."""
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {
@@ -302,7 +301,14 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
     scales, angles = joint_units(found.problem.data.arm.sliding, len(joints))
     figure, panels = panels_in_rows(len(joints), wide=True)
     for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
-        _draw_friction(panel, joint, scales[j])
+        dots(panel, scales[j] * joint.velocity, joint.partial, GREY)
+        panel.axhline(0, color="black", linewidth=1)
+        if len(joint.at):
+            panel.plot(scales[j] * joint.at, joint.friction, color=AFTER, linewidth=2.5, zorder=4)
+        else:
+            panel.margins(y=0.15)
+            place: dict[str, Any] = {"ha": "center", "va": "top", "transform": panel.transAxes}
+            panel.text(0.5, 0.99, "no friction over velocity found", color="#5c5c5c", **place)
         what, unit = exerted[j]
         panel.set(xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})")
         panel.xaxis.set_major_locator(MaxNLocator(5))
@@ -339,17 +345,6 @@ def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
     """Of each joint what its motor exerts, and the unit."""
     units = torque_units(found.problem.data.arm.sliding, found.problem.rows)
     return [("force" if unit == "N" else "torque", unit) for unit in units]
-
-
-def _draw_friction(panel: Axes, joint: evidence_map.JointFriction, scale: float) -> None:
-    dots(panel, scale * joint.velocity, joint.partial, GREY)
-    panel.axhline(0, color="black", linewidth=1)
-    if len(joint.at):
-        panel.plot(scale * joint.at, joint.friction, color=AFTER, linewidth=2.5, zorder=4)
-    else:
-        text = {"ha": "center", "va": "top", "color": "#5c5c5c", "transform": panel.transAxes}
-        panel.margins(y=0.15)
-        panel.text(0.5, 0.99, "no friction over velocity found", **text)  # type: ignore[arg-type]
 
 
 # ------------------------------------------------------------------ of findings
@@ -447,7 +442,9 @@ def _draw(panel: Axes, curves: Sequence[FindingCurve], unnamed: bool = False) ->
         (line,) = panel.plot(at, fitted, color=colour, linewidth=1.5 if many else 2.5, zorder=4)
         if curve.beside is not None:
             line.set(marker=marker, markersize=8, markevery=(len(at) // 12, len(at) // 6))
-            lines, labels = [*lines, line], [*labels, _at_level(*curve.beside)]
+            driver, value = curve.beside
+            scale, unit = _DRIVERS.get(driver.unit, (1.0, driver.unit))
+            lines, labels = [*lines, line], [*labels, f"{driver.phrase} = {scale * value:.3g} {unit}".rstrip()]
         if alone:
             discrete = curve.quantity is not None and curve.quantity.discrete
             centre, middle, error = medians(x, seen, 3 if discrete else bins)
@@ -470,12 +467,6 @@ def _draw(panel: Axes, curves: Sequence[FindingCurve], unnamed: bool = False) ->
     else:
         panel.xaxis.set_major_locator(MaxNLocator(4))
     return binned
-
-
-def _at_level(driver: Driver, value: float) -> str:
-    """A driver at a value, as it is read."""
-    scale, unit = _DRIVERS.get(driver.unit, (1.0, driver.unit))
-    return f"{driver.phrase} = {scale * value:.3g} {unit}".rstrip()
 
 
 def _across(curve: FindingCurve) -> tuple[float, str, bool]:

@@ -17,15 +17,15 @@ from lite6jax.arms.files import Conversion
 from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
-from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
+from lite6jax.design.sensitivity import Sensitivity
+from lite6jax.design.torques import TorquePlan
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.fleet import Comparison
 from lite6jax.fitting.solution import Errors, Solution
-from lite6jax.folders.fleet import Row
+from lite6jax.fleet.folder import Row
 from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
 
@@ -124,23 +124,20 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
 
-def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> dict[str, Any]:
-    """The document of a study of sensitivity, with Sobol's indices where these were computed."""
+@document.register
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
     moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
     parameters = _rows(
         name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
         orientation_rms_rad=turned, share=found.share,
     )  # fmt: skip
-    sobol = None if over_arms is None else _rows(name=over_arms.names, first=over_arms.first, total=over_arms.total)
     return {
         "schema": "lite6jax/sensitivity/1",
         "expected_position_rms_m": float(np.sqrt(np.mean(found.expected_error**2))),
         "parameters": list(parameters),
-        "sobol": None if sobol is None else list(sobol),
     }
 
 
-document.register(Sensitivity, lambda found: of_sensitivity(found, None))
 document.register(Identification, Identification.to_dict)
 
 
@@ -149,7 +146,8 @@ document.register(Identification, Identification.to_dict)
 def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
     about = {"arm": found.experiment.arm.name, "poses": found.count, "candidates": found.candidates}
     if isinstance(found, DiscriminationPlan):
-        about = {"schema": "lite6jax/discrimination/1", **about, **_separation(found)}
+        about = {"schema": "lite6jax/discrimination/1", **about}
+        about |= {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
     else:
         about = {
             "schema": "lite6jax/design/1",
@@ -164,24 +162,16 @@ def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
     return {**about, "joint_position_rad": found.joint_position}
 
 
-@document.register(TorquePlan)
-@document.register(TorqueDiscrimination)
-def _motion(found: TorquePlan | TorqueDiscrimination) -> dict[str, Any]:
-    about = {"duration_s": found.room.duration, "harmonics": found.room.harmonics}
-    if isinstance(found, TorqueDiscrimination):
-        return {"schema": "lite6jax/motion_discrimination/1", **about, **_separation(found)}
+@document.register
+def _motion(found: TorquePlan) -> dict[str, Any]:
     return {
         "schema": "lite6jax/motion/1",
-        **about,
+        "duration_s": found.room.duration,
+        "harmonics": found.room.harmonics,
         "identification": found.identification.to_dict(),
         "log_determinant": found.identification.log_determinant,
         "random_log_determinant": found.random_log_determinant,
     }
-
-
-def _separation(found: DiscriminationPlan | TorqueDiscrimination) -> dict[str, Any]:
-    """Between which models, and how far apart these are."""
-    return {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
 
 
 @document.register

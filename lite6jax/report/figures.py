@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # what studies take, and fits do not
     from lite6jax.design.identify import Identification
     from lite6jax.design.poses import DiscriminationPlan, Plan
     from lite6jax.design.sensitivity import Sensitivity
-    from lite6jax.design.torques import TorqueDiscrimination, TorquePlan
+    from lite6jax.design.torques import TorquePlan
 
 _MOST_NAMED = 12
 _MOST_CURVES = 5
@@ -347,10 +347,8 @@ def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def designed_motion(found: "TorquePlan | TorqueDiscrimination", title: str) -> Figure:
-    """Joint positions over time; below, standard deviations or distances: designed and random."""
-    from lite6jax.design.torques import TorquePlan
-
+def designed_motion(found: "TorquePlan", title: str) -> Figure:
+    """Joint positions over time; below, standard deviations: designed and random."""
     made = found.trajectory
     figure = blank(11.0, 8.4)
     upper, lower = figure.subplots(2, 1)
@@ -360,25 +358,18 @@ def designed_motion(found: "TorquePlan | TorqueDiscrimination", title: str) -> F
         upper.plot(made.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
     upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
     upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    if isinstance(found, TorquePlan):
-        base = found.identification.structure.base
-        scale = np.array([item.scale for item in base])
-        random = np.array([other.standard_deviation for other in found.random]) / scale
-        low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
-        at = np.arange(len(base))
-        there = np.isfinite(high)
-        lower.vlines(at[there], low[there], high[there], color=BEFORE, alpha=0.4, linewidth=5)
-        lower.plot(at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %")
-        designed = found.identification.standard_deviation / scale
-        lower.plot(at, np.where(np.isfinite(designed), designed, np.nan), "o", color=AFTER, label="designed")
-        lower.set_yscale("log")
-        lower.set_xticks(at, [item.name for item in base], rotation=90, fontsize=8)
-        lower.set_ylabel("std. deviation\n(of typical size)")
-        what = "motion whose torques determine the arm"
-    else:
-        lower.hist(found.random_distance, bins=20, color=BEFORE, alpha=0.6, label="random")
-        lower.axvline(found.distance, color=AFTER, linewidth=3, label="designed")
-        lower.set(xlabel="distance between the models (standard deviations)", ylabel="motions")
-        what = f"motion to discriminate between {found.rivals[0]} and {found.rivals[1]}"
+    base = found.identification.structure.base
+    scale = np.array([item.scale for item in base])
+    random = np.array([other.standard_deviation for other in found.random]) / scale
+    low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
+    at = np.arange(len(base))
+    there = np.isfinite(high)
+    lower.vlines(at[there], low[there], high[there], color=BEFORE, alpha=0.4, linewidth=5)
+    lower.plot(at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %")
+    designed = found.identification.standard_deviation / scale
+    lower.plot(at, np.where(np.isfinite(designed), designed, np.nan), "o", color=AFTER, label="designed")
+    lower.set_yscale("log")
+    lower.set_xticks(at, [item.name for item in base], rotation=90, fontsize=8)
+    lower.set_ylabel("std. deviation\n(of typical size)")
     lower.legend(frameon=False)
-    return titled(figure, f"{title}: {what}")
+    return titled(figure, f"{title}: motion whose torques determine the arm")

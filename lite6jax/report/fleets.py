@@ -10,8 +10,8 @@ from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.fitting.quality import Result
-from lite6jax.folders.diagnoses import DIAGNOSED
-from lite6jax.folders.fleet import Row
+from lite6jax.fleet.diagnoses import DIAGNOSED
+from lite6jax.fleet.folder import Row
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import Quantity, counted, listing, number, quantity
 
@@ -36,12 +36,11 @@ _NEAR = 6.0
 # ------------------------------------------------------------------ folders
 
 
-def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType]:
+def folder_report(rows: Iterable[Row]) -> Iterator[RenderableType]:
     """Position errors by type of arm, and a line for each file without a usable fit.
 
     Args:
         rows: of the files, looked at once.
-        kept: how many of them are of an earlier run that was ended.
     """
     groups: dict[tuple[str, str], list[tuple[bool, float | None, float | None]]] = {}
     bad: list[str] = []
@@ -53,7 +52,6 @@ def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType
             groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, nominal, checked))
         if row.failed:
             bad.append(_with_file(row.file, row.message))
-    yield from _of_earlier_run(kept, count, "fitted")
     table = listing("arm", "files", "ok", "nominal", "worst", "check")
     for (kind, arm), group in sorted(groups.items()):
         nominal = [error for _, error, _ in group if error is not None]
@@ -79,14 +77,12 @@ def read_diagnoses(path: Path) -> list[dict[str, Any]]:
     return pq.read_table(path).to_pylist()
 
 
-def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[RenderableType]:
+def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:
     """A line for each recording with its verdict, its errors and its findings, and for each that was not diagnosed.
 
     Args:
-        rows: of `folders.diagnoses.SCHEMA`.
-        kept: how many of them are of an earlier run that was ended.
+        rows: of `fleet.diagnoses.SCHEMA`.
     """
-    yield from _of_earlier_run(kept, len(rows), "diagnosed")
     done = [row for row in rows if row["result"] == DIAGNOSED]
     table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])
     for column in table.columns[:2]:
@@ -113,13 +109,6 @@ def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[
     yield from headed("Findings:", found)
     left = [row["message"] for row in rows if row["result"] != DIAGNOSED]
     yield from headed(f"{len(left)} of {len(rows)} recordings were not diagnosed:", left)
-
-
-def _of_earlier_run(kept: int, count: int, done: str) -> Iterator[RenderableType]:
-    if kept:
-        yield Text(
-            f"{kept} of {count} files had been {done} by a run that was ended; their rows are those of that run."
-        )
 
 
 def _with_file(file: str, message: str) -> str:

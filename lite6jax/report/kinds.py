@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
@@ -34,7 +34,7 @@ from lite6jax.fitting.solution import Solution, write_solution
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.writing import write_table
 from lite6jax.report import diagnosis_figures, figures
-from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank, dots, panels_in_rows, titled
+from lite6jax.report.canvas import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.compensation import compensation_columns
 from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
 from lite6jax.report.documents import document, text
@@ -46,9 +46,6 @@ from lite6jax.storage import check_writable, write_atomically
 
 Array = NDArray[np.floating]
 Columns = dict[str, Any]
-
-_MOST_BARS = 12
-
 
 # ------------------------------------------------------------------ figures
 
@@ -122,25 +119,6 @@ def _sensitivity(found: Sensitivity, title: str) -> Figures:
         "workspace": figures.sensitivity_over_workspace(found, title),
     }
     return Figures(over)
-
-
-@draw.register
-@rc_context(STYLE)
-def _global_sensitivity(found: GlobalSensitivity, title: str) -> Figures:
-    order = np.argsort(-found.total, kind="stable")[:_MOST_BARS][::-1]
-    at = np.arange(len(order))
-    figure = blank(9.0, 1.2 + 0.42 * len(order))
-    panel = figure.subplots()
-    for part, half, label, color, up in (
-        (found.total, found.total_interval, "with others", AFTER, 0.2),
-        (found.first, found.first_interval, "alone", BEFORE, -0.2),
-    ):
-        panel.barh(at + up, part[order], 0.38, xerr=half[order], color=color, label=label, error_kw={"capsize": 2})
-    panel.set_yticks(at, [found.names[i] for i in order])
-    panel.set(xlabel="share of the variance of the error over arms")
-    panel.legend(frameon=False, loc="lower right")
-    figure.suptitle(f"{title or 'Tolerances'}: Sobol's indices", fontsize=15)
-    return Figures({"indices": figure})
 
 
 @draw.register
@@ -279,12 +257,6 @@ def _design_table(found: Plan | DiscriminationPlan) -> Columns:
     columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
     accuracy = {"position_std_m": found.accuracy} if isinstance(found, Plan) else {"distance": found.distance}
     return columns | accuracy
-
-
-@tabulate.register
-def _global_sensitivity_table(found: GlobalSensitivity) -> Columns:
-    parts = ("first", "first_interval", "total", "total_interval")
-    return {"name": list(found.names), **{part: getattr(found, part) for part in parts}}
 
 
 @tabulate.register

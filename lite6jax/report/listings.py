@@ -20,56 +20,26 @@ _DOMAINS = {
     "kinematic": "Effects on poses: what moves the tool (diagnose, simulate, identify)",
     "dynamic": "Effects on torques: what motors exert besides (diagnose, identify --torque)",
 }
-_WIDE = 140
-"""Columns from which effects are a table; below, each is a paragraph."""
 
 
-def effects_report(effects: "Sequence[Listed]", width: int) -> Iterator[RenderableType]:
-    """The effects by domain, as tables or, on a narrow screen, as paragraphs."""
+def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
+    """The effects by domain, a paragraph each."""
     for domain, title in _DOMAINS.items():
         chosen = [effect for effect in effects if effect.domain == domain]
         if not chosen:
             continue
         yield Text(title)
         yield ""
-        if width < _WIDE:
-            yield from _paragraphs(chosen)
-        else:
-            yield _table(chosen)
+        for effect in chosen:
+            yield Text(effect.name)
+            yield indented(effect.description)
+            yield indented(f"Site: {', '.join(effect.sites)}. Driver: {', '.join(effect.drivers) or 'none'}.")
+            if effect.parameters:
+                yield indented(f"Numbers: {', '.join(effect.parameters)} ({', '.join(effect.units) or 'as fitted'}).")
         yield ""
     yield Text("jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio.")
     if any(effect.domain == "dynamic" for effect in effects):
         yield Text("At a prismatic joint, effects on torques act on its force: read N for Nm, m for rad, kg for kg·m².")
-
-
-def _paragraphs(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
-    for effect in effects:
-        yield Text(effect.name)
-        yield indented(effect.description)
-        yield indented(f"Site: {', '.join(effect.sites)}. Driver: {_drivers(effect)}.")
-        if effect.parameters:
-            yield indented(f"Numbers: {', '.join(effect.parameters)} ({_units(effect)}).")
-
-
-def _table(effects: "Sequence[Listed]") -> RenderableType:
-    table = listing("effect", "site", "driver", "unit", "what it is")
-    for column in table.columns[1:]:
-        column.justify, column.no_wrap, column.overflow = "left", False, "fold"
-    table.columns[1].min_width, table.columns[3].min_width = 6, 8
-    table.columns[4].ratio = 1
-    table.expand = True
-    for effect in effects:
-        cells = (", ".join(effect.sites), _drivers(effect), _units(effect), effect.description)
-        table.add_row(effect.name, *map(Text, cells))
-    return table
-
-
-def _drivers(effect: "Listed") -> str:
-    return ", ".join(effect.drivers) or "none"
-
-
-def _units(effect: "Listed") -> str:
-    return ", ".join(effect.units) or "as fitted"
 
 
 class ArmEntry(NamedTuple):

@@ -6,11 +6,11 @@ The same diagnosis gives the same bytes: no clock and no file name beside those 
 import base64
 import textwrap
 from collections.abc import Mapping, Sequence
-from datetime import date, datetime
+from datetime import datetime
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jinja2
 from matplotlib import rc_context
@@ -138,10 +138,10 @@ def _picture(figure: Figure, caption: str) -> Picture:
 
 
 def _embedded(figure: Figure) -> str:
-    with BytesIO() as held:
-        with rc_context(STYLE):
-            figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
-        return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+    held = BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
+    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
 
 
 @cache
@@ -175,25 +175,13 @@ _INSTRUMENTS = {
 }
 
 
-class Stated(NamedTuple):
-    """What a person states on a certificate; what is None is as the recording's sidecar declared it.
-
-    Attributes:
-        day: of the measurement.
-        instrument: such as its type and serial number.
-    """
-
-    day: date | None = None
-    instrument: str | None = None
-
-
-def write_certificate(document: Document, path: str | Path, stated: Stated, overwrite: bool = False) -> Path:
+def write_certificate(document: Document, path: str | Path, overwrite: bool = False) -> Path:
     """Writes the page as PDF, atomically; its date is that of the measurement.
 
     Raises:
         InputError: as `storage.write_atomically`.
     """
-    figure, day = certificate(document, stated), _day(document, stated)
+    figure, day = certificate(document), document["date"]
     made = None if day is None else datetime.fromisoformat(day)
     metadata = {"Creator": "lite6jax", "Producer": "lite6jax", "CreationDate": made}
 
@@ -204,18 +192,13 @@ def write_certificate(document: Document, path: str | Path, stated: Stated, over
     return storage.write_atomically(path, write, overwrite)
 
 
-def certificate(document: Document, stated: Stated) -> Figure:
-    """The page.
-
-    Args:
-        document: a diagnosis of poses or of torques, as in its JSON file.
-        stated: what a person adds.
-    """
+def certificate(document: Document) -> Figure:
+    """The page of a diagnosis of poses or of torques, as in its JSON file."""
     page = _Sheet()
     torques = of_torques(document)
     page.text("Certificate of accuracy", size=17, weight="bold", space=2.0)
     page.text(ranking.headline(document), size=10.5, space=1.0)
-    page.rows(_subject(document, stated))
+    page.rows(_subject(document))
     page.heading("Accuracy on rows that were not used")
     rows = []
     for name, unit, statistic, before, after in statements.errors(document):
@@ -298,15 +281,11 @@ class _Sheet:
             self.figure.text(x / _WIDTH, self._y / _HEIGHT, text, va="top", parse_math=False, **style)
 
 
-def _day(document: Document, stated: Stated) -> str | None:
-    return document.get("date") if stated.day is None else stated.day.isoformat()
-
-
-def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
+def _subject(document: Document) -> list[tuple[str, str]]:
     torques = of_torques(document)
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
-    source = document.get("torque_source" if torques else "pose_source", "unknown")
-    instrument = stated.instrument or document.get("instrument") or _INSTRUMENTS.get(source, "not stated")
+    source = document["torque_source" if torques else "pose_source"]
+    instrument = document["instrument"] or _INSTRUMENTS.get(source, "not stated")
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
         shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
@@ -315,7 +294,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     return [
         ("Arm", document["model"]["arm"]),
         ("Recording", f"{recording}, {samples}" if recording else samples),
-        ("Date", _day(document, stated) or "not stated"),
+        ("Date", document["date"] or "not stated"),
         ("Instrument", instrument),
     ]
 
@@ -327,8 +306,7 @@ def _findings(document: Document) -> list[str]:
     for rank, finding in enumerate(findings[:_MOST], 1):
         numbers = {} if statements.peak_to_peak(finding) else finding.get("peak_to_peak", finding["parameters"])
         said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        if moved := ranking.contribution(document, finding):
-            said.append(f"moves {moved} RMS")
+        said.append(f"moves {ranking.contribution(document, finding)} RMS")
         lines.append(f"{rank}. {finding['title']}: {'; '.join(said)}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")

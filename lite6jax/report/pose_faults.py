@@ -1,40 +1,11 @@
-"""The sentences about data faults of recordings of poses, one for each code, found or not."""
+"""The sentences about data faults of recordings of poses, by code, found or not."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-Numbers = Mapping[str, Any]
-
-NAMES = {
-    "time_order": "Rows out of time order",
-    "repeated_rows": "Repeated rows",
-    "position_unit": "Positions in another unit",
-    "commanded_joints": "Commanded joint positions",
-    "swapped_joints": "Swapped joints",
-    "mirrored_joint": "Joint with reversed sign",
-    "joint_unit": "Joint in another unit",
-    "joint_turns": "Joint zero or whole turns",
-    "orientation_convention": "Orientation convention",
-    "declared_frame": "Frame other than declared",
-    "declared_tool": "Tool other than declared",
-    "inverted_poses": "Inverted poses",
-    "mirrored_sensor": "Left-handed sensor",
-    "coupled_joint": "Coupled joints",
-    "undecided": "Undecided mismatch",
-    "other_arm": "Another arm",
-    "unexplained": "Unexplained mismatch",
-    "computed_pose": "Computed poses",
-    "frame_jump": "Frame jump",
-    "unsettled_readouts": "Unsettled joint read-outs",
-    "nominal_table": "Nominal table",
-    "calibration_off": "Calibration off everywhere",
-    "no_joints": "Rows without joint positions",
-    "outliers": "Outliers",
-}
-"""Each fault in a few words."""
+from lite6jax.report.words import Numbers, Wording, be, capital, counted, joined, joints_named
 
 _CONVENTIONS = {
     "inverted": "inverted orientations (those of the sensor's frame in the tool's)",
@@ -48,9 +19,10 @@ _COMMANDED = "the servo error and the compliance of the gears are then part of t
 
 
 def _time_order(rows: Sequence[int], n: Numbers) -> str:
+    their = "its" if len(rows) == 1 else "their"
     return (
-        f"{_counted(rows)} out of time order within {_their(rows)} run, by {n['largest_step_back_s']:.4g} s at most. "
-        "The rows of each run were sorted by time. Check how the file was put together."
+        f"{_number_of(rows)} {be(len(rows))} out of time order within {their} run, by {n['largest_step_back_s']:.4g} s "
+        "at most. The rows of each run were sorted by time. Check how the file was put together."
     )
 
 
@@ -74,13 +46,6 @@ def _position_unit(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"The positions in {_number_of(rows)} are a factor of 1000 too {size}: they are in another unit than the rest. "
         "They were converted. Check what wrote these rows."
-    )
-
-
-def _no_position_unit(n: Numbers) -> str:
-    return (
-        f"All positions are in one unit: none is further than {n['largest_distance_m']:.3g} m from their middle, half "
-        f"are within {n['median_distance_m']:.3g} m."
     )
 
 
@@ -112,11 +77,18 @@ def _grid(n: Numbers) -> str:
 
 # ------------------------------------------------------------------ what misses the arm grossly
 
-MISMATCHES = (
-    *("declared_frame", "declared_tool", "inverted_poses", "mirrored_sensor", "orientation_convention"),
-    *("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint"),
-)
-"""Faults that make poses miss the arm grossly."""
+MISMATCHES = {
+    "declared_frame": "Frame other than declared",
+    "declared_tool": "Tool other than declared",
+    "inverted_poses": "Inverted poses",
+    "mirrored_sensor": "Left-handed sensor",
+    "orientation_convention": "Orientation convention",
+    "swapped_joints": "Swapped joints",
+    "joint_unit": "Joint in another unit",
+    "mirrored_joint": "Joint with reversed sign",
+    "coupled_joint": "Coupled joints",
+}
+"""Faults that make poses miss the arm grossly, by code."""
 _REMEDIES = {
     "declared_frame": "The frame is fitted. Declare pose_frame: unknown, or record the poses in the arm's base frame",
     "declared_tool": "The tool is fitted. Declare the tool that was set in the controller, or tool: unknown",
@@ -126,13 +98,12 @@ _REMEDIES = {
 }
 
 
-def _mismatch(n: Numbers, code: str) -> str:
+def _mismatch(rows: Sequence[int], n: Numbers, code: str) -> str:
     if "median_error_m" not in n:
-        return f"{_capital(_changed(code, n))}, together with the next fault."
-    sentence = f"{_capital(_changed(code, n))}. "
-    sentence += (
-        f"This is corrected in memory whenever the file is read: the median error falls from "
-        f"{_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
+        return f"{capital(_changed(code, n))}, together with the next fault."
+    sentence = (
+        f"{capital(_changed(code, n))}. This is corrected in memory whenever the file is read: the median error falls "
+        f"from {_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
     )
     if n["alternatives"]:
         sentence += f"These corrections fit about as well: {'; or '.join(map(_together, n['alternatives']))}. "
@@ -171,8 +142,8 @@ def _together(parts: Sequence[Numbers]) -> str:
     signs = [part["joint"] for part in parts if part["fault"] == "mirrored_joint"]
     clauses = [_changed(part["fault"], part) for part in parts if part["fault"] != "mirrored_joint" or len(signs) < 2]
     if len(signs) > 1:
-        clauses.append(f"joints {_joined(map(str, signs))} have their signs reversed")
-    return _joined(clauses)
+        clauses.append(f"joints {joined(map(str, signs))} have their signs reversed")
+    return joined(clauses)
 
 
 def _changed(code: str, n: Numbers) -> str:
@@ -199,7 +170,7 @@ def _changed(code: str, n: Numbers) -> str:
         case "orientation_convention":
             return f"the orientations are {_CONVENTIONS[n['convention']]}"
         case "swapped_joints":
-            return f"joints {_joined(map(str, n['joints']))} are swapped"
+            return f"joints {joined(map(str, n['joints']))} are swapped"
         case "mirrored_joint":
             return f"joint {n['joint']} has its sign reversed"
         case "coupled_joint":
@@ -246,17 +217,15 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
         reason = f"a change of geometry explains the median error of {error} mm, to {_mm(n['fitted_error_m'])} mm."
     elif "best_alternative_m" in n:
         reason = f"the best correction leaves {_mm(n['best_alternative_m'])} mm of the median error of {error} mm."
-    return f"Not found: {', '.join(NAMES[code].lower() for code in codes)}; {reason}"
+    return f"Not found: {', '.join(MISMATCHES[code].lower() for code in codes)}; {reason}"
 
 
 def _joint_turns(rows: Sequence[int], n: Numbers) -> str:
     if "added_rad" in n:
-        return _mismatch(n, "joint_turns")
-    joints = f"Joint{'s' if len(n['joints']) > 1 else ''} {_joined(map(str, n['joints']))}"
-    verb = "are" if len(n["joints"]) > 1 else "is"
+        return _mismatch(rows, n, "joint_turns")
     return (
-        f"{joints} {verb} off by whole turns in {_number_of(rows)}. The turns were removed, since gears and limits "
-        "depend on them. Check where the encoder wraps."
+        f"{capital(joints_named(n['joints']))} {be(len(n['joints']))} off by whole turns in {_number_of(rows)}. The "
+        "turns were removed, since gears and limits depend on them. Check where the encoder wraps."
     )
 
 
@@ -275,10 +244,10 @@ def _computed_pose(rows: Sequence[int], n: Numbers) -> str:
     )
 
 
-_NOT_COMPUTED = {
-    "declared": "The sidecar declares that the controller computed the poses: they compare tables and show no physics.",
-    "measured": "The poses were measured: no table computes them from the joints to rounding.",
-}
+def _not_computed(n: Numbers) -> str:
+    if n["reason"] == "declared":
+        return "The sidecar declares that the controller computed the poses: they compare tables and show no physics."
+    return "The poses were measured: no table computes them from the joints to rounding."
 
 
 # ------------------------------------------------------------------ frames and joints beside physics
@@ -297,7 +266,7 @@ def _frame_jump(rows: Sequence[int], n: Numbers) -> str:
 
 def _no_frame_jump(n: Numbers) -> str:
     if n["reason"] == "physics":
-        rows = _joined(map(str, n["candidate_rows"]))
+        rows = joined(map(str, n["candidate_rows"]))
         return (
             f"There is no frame jump at row {rows}: without one, the poses are more likely by "
             f"{n['log_likelihood_gap']:.3g} of log-likelihood, with {_terms(n)}."
@@ -423,40 +392,6 @@ def _outliers(rows: Sequence[int], n: Numbers) -> str:
     return f"{_number_of(rows)} {verb} little weight. Check them."
 
 
-FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
-    "time_order": _time_order,
-    "repeated_rows": _repeated_rows,
-    "position_unit": _position_unit,
-    "commanded_joints": _commanded,
-    **{code: partial(lambda rows, n, code: _mismatch(n, code), code=code) for code in MISMATCHES},
-    "undecided": _undecided,
-    "other_arm": _other_arm,
-    "unexplained": _unexplained,
-    "computed_pose": _computed_pose,
-    "joint_turns": _joint_turns,
-    "frame_jump": _frame_jump,
-    "unsettled_readouts": _unsettled,
-    "nominal_table": _nominal_table,
-    "calibration_off": _calibration_off,
-    "no_joints": _no_joints,
-    "outliers": _outliers,
-}
-"""What is wrong and how it was corrected, of rows and numbers."""
-RULED_OUT: dict[str, Callable[[Numbers], str]] = {
-    "time_order": _no_time_order,
-    "repeated_rows": lambda n: f"None of the {n['samples']} rows repeats joints and pose of another.",
-    "position_unit": _no_position_unit,
-    "commanded_joints": _not_commanded,
-    **{code: partial(lambda n, code: mismatch_ruled_out([code], n), code=code) for code in MISMATCHES},
-    "computed_pose": lambda n: _NOT_COMPUTED[n["reason"]],
-    "joint_turns": _no_joint_turns,
-    "frame_jump": _no_frame_jump,
-    "unsettled_readouts": _settled,
-    "nominal_table": _declared_table,
-}
-"""Why a fault is not there."""
-
-
 def _compared(n: Numbers, otherwise: str) -> str:
     """How much less likely the poses are without a fault, where that was compared; "" where not."""
     if "log_likelihood_gap" not in n:
@@ -476,15 +411,7 @@ def _chance(p: float, digits: int = 2) -> str:
 
 
 def _number_of(rows: Sequence[int]) -> str:
-    return f"{len(rows)} row{'' if len(rows) == 1 else 's'}"
-
-
-def _counted(rows: Sequence[int]) -> str:
-    return f"{_number_of(rows)} {'is' if len(rows) == 1 else 'are'}"
-
-
-def _their(rows: Sequence[int]) -> str:
-    return "its" if len(rows) == 1 else "their"
+    return counted(len(rows), "row")
 
 
 def _mm(metres: float, digits: int = 3) -> str:
@@ -492,10 +419,33 @@ def _mm(metres: float, digits: int = 3) -> str:
     return f"{1e3 * metres:.{digits}g}"
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+# ------------------------------------------------------------------ by code
 
-
-def _joined(words: Iterable[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+FAULTS: dict[str, Wording] = {
+    "time_order": Wording("Rows out of time order", _time_order, _no_time_order),
+    "repeated_rows": Wording(
+        "Repeated rows", _repeated_rows, "None of the {samples} rows repeats joints and pose of another."
+    ),
+    "position_unit": Wording(
+        "Positions in another unit",
+        _position_unit,
+        "All positions are in one unit: none is further than {largest_distance_m:.3g} m from their middle, half are "
+        "within {median_distance_m:.3g} m.",
+    ),
+    "commanded_joints": Wording("Commanded joint positions", _commanded, _not_commanded),
+    **{
+        code: Wording(name, partial(_mismatch, code=code), partial(mismatch_ruled_out, [code]))
+        for code, name in MISMATCHES.items()
+    },
+    "joint_turns": Wording("Joint zero or whole turns", _joint_turns, _no_joint_turns),
+    "undecided": Wording("Undecided mismatch", _undecided),
+    "other_arm": Wording("Another arm", _other_arm),
+    "unexplained": Wording("Unexplained mismatch", _unexplained),
+    "computed_pose": Wording("Computed poses", _computed_pose, _not_computed),
+    "frame_jump": Wording("Frame jump", _frame_jump, _no_frame_jump),
+    "unsettled_readouts": Wording("Unsettled joint read-outs", _unsettled, _settled),
+    "nominal_table": Wording("Nominal table", _nominal_table, _declared_table),
+    "calibration_off": Wording("Calibration off everywhere", _calibration_off),
+    "no_joints": Wording("Rows without joint positions", _no_joints),
+    "outliers": Wording("Outliers", _outliers),
+}

@@ -120,38 +120,33 @@ def unit_of(document: Document) -> str:
 
 
 def order(document: Document) -> list[int]:
-    """Places of the findings, from 0, the largest contribution first; by log-likelihood in a document without these."""
-    findings = document["findings"]
-    sizes = _sizes(document) or [finding["log_likelihood_gain"] for finding in findings]
-    return sorted(range(len(findings)), key=lambda k: -sizes[k])
+    """Places of the findings, from 0, the largest contribution first."""
+    sizes = _sizes(document)
+    return sorted(range(len(sizes)), key=lambda k: -sizes[k])
 
 
 def bars(document: Document) -> list[Bar]:
-    """The contribution of each finding in this order; none in a document without contributions."""
+    """The contribution of each finding in this order."""
     sizes, alone = _sizes(document), unit_of(document)
     most = max(sizes, default=0.0) or 1.0
     return [
         Bar(sizes[k] / most, contribution(document, document["findings"][k]).removesuffix(f" {alone}"))
         for k in order(document)
-        if sizes
     ]
 
 
 def contribution(document: Document, finding: Entry) -> str:
-    """What a finding moves, with its unit: 0.21 mm, or 0.8 Nm and 12 N; empty in a document without this."""
+    """What a finding moves, with its unit: 0.21 mm, or 0.8 Nm and 12 N."""
     pairs = [(finding.get(measure.moves), measure) for measure in measures_of(document)]
     return " and ".join(_size(measure.scale * moved, measure) for moved, measure in pairs if moved is not None)
 
 
 def _sizes(document: Document) -> list[float]:
     """By what the findings are ranked: contributions, in shares of the errors where these have several units."""
-    measures, sizes = measures_of(document), []
-    for finding in document["findings"]:
-        moved = [finding[measure.moves] for measure in measures if finding.get(measure.moves) is not None]
-        if not moved:
-            return []
-        sizes.append(moved[0] if len(measures) == 1 else _share(document, finding, _main(document, finding)))
-    return sizes
+    measures, findings = measures_of(document), document["findings"]
+    if len(measures) == 1:
+        return [finding[measures[0].moves] for finding in findings]
+    return [_share(document, finding, _main(document, finding)) for finding in findings]
 
 
 def _share(document: Document, finding: Entry, measure: Measure) -> float:
@@ -179,7 +174,7 @@ def headline(document: Document) -> str:
         return _nothing_found(document)
     main = findings[order(document)[0]]
     measure = _main(document, main)
-    before, after = (_error_at(document, stage, measure, main) for stage in ("before", "after"))
+    before, after = (_error_at(document[stage], document, measure, main) for stage in ("before", "after"))
     of_arm = not torques and all(remedy_of(finding).of_arm for finding in findings)
     kept = "compensated" if of_arm else "with it in the model"
     if len(findings) > 1:
@@ -187,18 +182,15 @@ def headline(document: Document) -> str:
         kept = f"with {which} findings {'compensated' if of_arm else 'in the model'}"
     noise = f", the {_whose(torques)} noise" if document["verdict"] == "explained" else ""
     left = f"{kept}, {_size(after, measure)} is left{noise}"
-    cause, moved = capital(cause_of(main, torques)), main.get(measure.moves)
-    if moved is None:
-        return f"{cause}: of {_size(before, measure)}, {left}."
-    if measure.scale * moved > before:
-        return f"{cause}: {_size(measure.scale * moved, measure)}, which others partly cancel; {left}."
-    return f"{cause}: {plus_minus(measure.scale * moved)} of {_size(before, measure)}; {left}."
+    cause, moved = capital(cause_of(main, torques)), measure.scale * main[measure.moves]
+    if moved > before:
+        return f"{cause}: {_size(moved, measure)}, which others partly cancel; {left}."
+    return f"{cause}: {plus_minus(moved)} of {_size(before, measure)}; {left}."
 
 
-def _error_at(document: Document, stage: str, measure: Measure, finding: Entry) -> float:
+def _error_at(errors: Entry, document: Document, measure: Measure, finding: Entry) -> float:
     """The root mean square of held-out errors in the unit shown; of torques at the joints that a finding acts on."""
-    errors, slides = document[stage], document["model"].get("prismatic_joints", ())
-    joints = [joint for joint in finding.get("joints") or () if (joint in slides) == (measure is FORCE)]
+    joints = [joint for joint in finding.get("joints", ()) if (joint - 1 in sliding(document)) == (measure is FORCE)]
     if measure not in (TORQUE, FORCE) or not joints:
         return measure.scale * errors[measure.error]
     by_joint = np.array(errors["heldout_torque_rms_by_joint_Nm"])[np.array(joints) - 1]
@@ -224,7 +216,7 @@ def _nothing_found(document: Document) -> str:
     elif verdict != "undetermined":
         of = "torques" if torques else "poses"
         said = f"the error of {error} is not the noise of the {of} alone, and nothing explains it."
-    elif is_nearly_significant(document.get("nearest")):
+    elif is_nearly_significant(document["nearest"]):
         said = f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
     else:
         said = f"the recording is too short to tell what the error of {error} is."

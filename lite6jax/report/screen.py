@@ -147,8 +147,6 @@ _STAGES: dict[Code, str] = {
     "linearising": "fitting frames and clock offset",
     "selecting": "searching for physics",
     "naming": "testing names",
-    "shrinking": "fitting each joint's error curve",
-    "noise": "testing again with the noise model",
     "estimating": "computing the final estimates",
     "planning": "choosing poses that separate the alternatives",
 }

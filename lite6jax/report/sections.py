@@ -163,7 +163,7 @@ class Cause(Section):
 
 @final
 class Ranking(Section):
-    """The contributions of the findings, a bar each; nothing in an old document, which does not hold them."""
+    """The contributions of the findings, a bar each."""
 
     title = "What each finding moves"
 

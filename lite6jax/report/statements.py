@@ -116,7 +116,7 @@ def verdict_statement(document: Document) -> str:
     """The verdict in a few sentences, with what is left and where that acts."""
     torques, verdict = of_torques(document), document["verdict"]
     said = _torque_verdict(document) if torques else _pose_verdict(document)
-    where = None if torques or verdict not in _LEFT_OVER else document["left"].get("acts_at")
+    where = None if torques or verdict not in _LEFT_OVER else document["left"]["acts_at"]
     if where is None:
         return said
     return (
@@ -303,16 +303,16 @@ def held_out_statement(document: Document) -> str:
         rows = f"{document['kept_samples']} filtered samples"
     else:
         rows = f"{document['heldout_rows']} rows"
-    blocks = f"{document['heldout_blocks']} contiguous blocks" if "heldout_blocks" in document else "contiguous blocks"
+    blocks = f"{document['heldout_blocks']} contiguous blocks"
     line = f"Errors of {rows}, held out in {blocks}: screening, search and fit of each did without it."
-    if again := document.get("searched_again"):
+    if again := document["searched_again"]:
         line = (
             f"Errors of {rows}, held out in {blocks}, several at a time: the effects found in all rows were fitted "
             f"again without them. A new search without each of {again['blocks']} contiguous blocks predicts them "
             f"worse: with its effects, the errors are {again['heldout_ratio']:.3g} times those without. Either a block "
             "alone shows a part of the effects, or the search selects others in its absence."
         )
-    if document.get("quick"):
+    if document["quick"]:
         line += (
             " This was a quick diagnosis: fewer blocks than usual, so that each is predicted from fewer rows and the"
             " errors are rather too large; poses that separate rival effects were not designed."
@@ -343,7 +343,7 @@ def assumptions(document: Document) -> list[str]:
         lines.append("The loads include the inertial forces of the moving arm, which the recording supports.")
     if lacking:
         lines.append(f"The sidecar declares {lacking}: tests use the noise estimated from the residuals.")
-    if rows := document.get("left_out"):
+    if rows := document["left_out"]:
         lines.append(
             f"A gear may be between its flanks in {rows_named(rows)}: estimates do without, and the held-out errors "
             "include them."
@@ -356,7 +356,7 @@ def _undeclared_noise(document: Document) -> str:
     noise, keys = document["noise"], []
     if noise["declared_position_m"] is None:
         keys.append("no position_noise_m")
-    if document["model"]["orientation"] and noise.get("declared_orientation_rad", 1.0) is None:
+    if document["model"]["orientation"] and noise["declared_orientation_rad"] is None:
         keys.append("no orientation_noise_rad")
     return " and ".join(keys)
 
@@ -427,12 +427,10 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
         if finding["effect"] == "unnamed":
             return _unnamed_torque(finding, adds)
         return f"{capital(effect_title(finding))} {said}: {shown}; it contributes {adds}."
-    site, where, moved = finding["site"], finding["where"], finding.get("moves_rms_m")
+    site, where, turned = finding["site"], finding["where"], finding["moves_rms_rad"]
     driver = "" if finding["driver"] == "none" else f", a function of the {with_articles(finding['driver'])}"
-    if moved is not None:
-        turned = finding.get("moves_rms_rad")
-        turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
-        shown += f"; it moves the measured point by {plus_minus(1e3 * moved)} mm RMS{turns}"
+    turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
+    shown += f"; it moves the measured point by {plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
     if "peak_to_peak" not in finding:
         name = capital(finding["effect"].replace("_", " "))
         return f"{name}{detail(finding)} at {site}{driver}{',' if driver else ''} {said}: {shown}."

@@ -9,11 +9,11 @@ from rich.text import Text
 from lite6jax.arms.joint_units import joint_sizes, joint_unit
 from lite6jax.design.candidates import Candidates
 from lite6jax.design.determination import NARROW, Dependency, Determination
-from lite6jax.design.identify import Identification, Refits, on_last_axis
+from lite6jax.design.identify import Identification, on_last_axis
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.design.sensor import AnySensor, PlacedReading, Sensor
 from lite6jax.design.torques import (
     JOINT,
@@ -21,7 +21,6 @@ from lite6jax.design.torques import (
     WELL,
     MotionRoom,
     Structure,
-    TorqueDiscrimination,
     TorqueIdentification,
     TorqueModel,
     TorquePlan,
@@ -120,9 +119,6 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
         yield table
         worst = f"one standard deviation moves the worst direction {o.noise_amplification:.2g} units"
         yield Text(f"Noise amplification: {worst}.")
-    if found.refits is not None:
-        yield ""
-        yield Text(_refits_statement(found.refits))
     yield from screen.notes(found.notes)
 
 
@@ -203,27 +199,10 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
         yield ""
 
 
-def _refits_statement(refits: Refits) -> str:
-    """How far the spread of the simulated fits is from the prediction."""
-    count, ratio = len(refits.errors), refits.ratio
-    if not len(ratio):
-        return "No parameter is determined, so that none was refitted."
-    if not refits.settled.any():
-        return f"None of {count} refits converged: the noise is too large for the linear prediction to hold."
-    lost = int((~refits.settled).sum())
-    ended = f" {lost} of them did not converge." if lost else ""
-    return (
-        f"{count} refits of simulated readings spread {ratio.min():.2f} to {ratio.max():.2f} times as far as predicted"
-        f" (chance alone: ±{3 / np.sqrt(2 * count):.2f}).{ended}"
-    )
-
-
 # ------------------------------------------------------------------ where the error of an arm comes from
 
 
-def sensitivity_report(
-    found: Sensitivity, over_arms: GlobalSensitivity | None, source: str
-) -> Iterator[RenderableType]:
+def sensitivity_report(found: Sensitivity, source: str) -> Iterator[RenderableType]:
     """Which parameters make up the error of an arm as assembled."""
     length, angle = (
         next((t for t, unit in zip(found.tolerance, found.units, strict=True) if unit == kind), 0.0)
@@ -236,37 +215,16 @@ def sensitivity_report(
         f"The flange stands {1e3 * np.sqrt(np.mean(expected**2)):.1f} mm (RMS) from nominal over the workspace,"
         f" {1e3 * expected.min():.1f} mm where it is best and {1e3 * expected.max():.1f} mm where it is worst."
     )
-    if over_arms is not None:
-        low, middle, high = 1e3 * np.quantile(over_arms.error, (0.05, 0.5, 0.95))
-        yield Text(
-            f"An arm's largest error over its poses: {middle:.1f} mm (median of {len(over_arms.error)} arms);"
-            f" 90 % lie in {low:.1f} to {high:.1f} mm."
-        )
     yield ""
-    order = np.argsort(-(found.share if over_arms is None else over_arms.total))[:_MOST_LISTED]
-    table = listing("parameter", "mm per unit", "share", *([] if over_arms is None else ["alone", "in all"]))
-    for i in order:
+    table = listing("parameter", "mm per unit", "share")
+    for i in np.argsort(-found.share)[:_MOST_LISTED]:
         scale, unit = SCREEN[found.units[i]]
-        row = [found.names[i], f"{1e3 * found.per_unit[i] / scale:.3g} /{unit}", f"{100 * found.share[i]:.1f} %"]
-        if over_arms is not None:
-            row += [
-                f"{value[i]:.2f} ±{interval[i]:.2f}"
-                for value, interval in (
-                    (over_arms.first, over_arms.first_interval),
-                    (over_arms.total, over_arms.total_interval),
-                )
-            ]
-        table.add_row(*row)
+        table.add_row(found.names[i], f"{1e3 * found.per_unit[i] / scale:.3g} /{unit}", f"{100 * found.share[i]:.1f} %")
     yield table
     yield Text(
         f"share: of the mean squared error, to first order; even shares would be {100 / len(found.names):.1f} % each"
         f" (the largest is {100 * found.share.max():.1f} %)."
     )
-    if over_arms is not None:
-        yield Text(
-            "alone, in all: Sobol's indices of an arm's largest error, the share of its variance from arm to arm that"
-            " the parameter explains by itself, and with all it does together with others; ± 95 %."
-        )
 
 
 # ------------------------------------------------------------------ which poses to record
@@ -376,20 +334,15 @@ def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType
 def _discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
     reached, random = found.distance[-1], float(np.median(np.nan_to_num(found.random_distance)))
     ratio = f" (ratio {reached / random:.2f})" if random > 0 else ""
-    said = _separation(found, "readings at these poses", reached)
-    yield Text(f"{said} {random:.1f} at as many drawn at random{ratio}.")
-    if reached < _CLEAR:
-        yield Text(f"A reliable decision takes {_CLEAR:g}: record more poses, or use a sensor with less noise.")
-
-
-def _separation(found: DiscriminationPlan | TorqueDiscrimination, what: str, reached: float) -> str:
-    """How far apart two models are by what is measured."""
     one, other = found.rivals
     hypothesis, alternative = ("either effect", "the other") if found.both_ways else (one, other)
-    return (
-        f"If {hypothesis} has the size given, the {what} are {reached:.1f} standard deviations from the closest that "
-        f"{alternative} explains with all other unknowns refitted;"
+    yield Text(
+        f"If {hypothesis} has the size given, the readings at these poses are {reached:.1f} standard deviations from"
+        f" the closest that {alternative} explains with all other unknowns refitted;"
+        f" {random:.1f} at as many drawn at random{ratio}."
     )
+    if reached < _CLEAR:
+        yield Text(f"A reliable decision takes {_CLEAR:g}: record more poses, or use a sensor with less noise.")
 
 
 # ------------------------------------------------------------------ what motions determine
@@ -569,21 +522,6 @@ def _gains(found: TorquePlan) -> Iterator[RenderableType]:
             ]
             table.add_row(base[i].name, *shown, f"{ratio[i]:.2f}" if np.isfinite(ratio[i]) else "–", base[i].unit)
     yield table
-
-
-def torque_discrimination_report(
-    found: TorqueDiscrimination, disabled: Sequence[tuple[str, str]], source: str
-) -> Iterator[RenderableType]:
-    """How far a designed motion separates two models of the torques, beside random ones of the same limits."""
-    yield from _motion_report(found.room, found.model, disabled, source)
-    random = float(np.median(found.random_distance))
-    ratio = f" (ratio {found.distance / random:.2f})" if random > 0 else ""
-    best = f"{np.max(found.random_distance):.1f} in the best of {len(found.random_distance)}"
-    said = _separation(found, "torques of this motion", found.distance)
-    yield Text(f"{said} {random:.1f} in a random motion of the same limits{ratio}, {best}.")
-    yield Text(f"Unknown beside them: {'the links, ' * found.model.inertial}friction, offset and rotor of each joint.")
-    if found.distance < _CLEAR:
-        yield Text(f"A reliable decision takes {_CLEAR:g}: record the motion several times, or a longer one.")
 
 
 def _motion_report(

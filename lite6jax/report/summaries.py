@@ -1,4 +1,4 @@
-"""The summary of each kind of result and its table in a notebook: a title, sentences and rows, one function each.
+"""The summary of each kind of result: a title, sentences and notes, one function each.
 
 To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `describe` here.
 """
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import GlobalSensitivity, Sensitivity
+from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -44,23 +44,12 @@ def _recording(recording: Recording) -> Description:
         f"{counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
         f"The joints move over ranges of {least} to {most}.",
     ]
-    rows = [
-        ("samples", str(recording.samples)),
-        ("joints", str(recording.dof)),
-        ("runs", str(runs)),
-        ("motion", recording.motion),
-        ("measured", f"{poses}{by}"),
-        (f"range of the joints ({', '.join(dict.fromkeys(units))})", ", ".join(f"{value:.0f}" for value in span)),
-    ]
     if recording.position is not None:
         extent = np.ptp(recording.position, axis=0)
         sentences.append(f"The measured points lie within {' × '.join(f'{x:.3f}' for x in extent)} m.")
-        rows.append(("extent of the positions (m)", " × ".join(f"{x:.3f}" for x in extent)))
-    if settings.position_noise_m is not None:
-        rows.append(("declared position noise (mm)", f"{1e3 * settings.position_noise_m:.3g}"))
     if recording.notes:
         sentences.append(f"{counted(len(recording.notes), 'note')} {be(len(recording.notes))} in `notes`.")
-    return Description(f"Recording of {settings.arm or 'an arm'}", tuple(sentences), tuple(rows), recording.notes)
+    return Description(f"Recording of {settings.arm or 'an arm'}", tuple(sentences), recording.notes)
 
 
 @describe.register
@@ -85,18 +74,6 @@ def _solution(solution: Solution) -> Description:
     if unsure.size:
         names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
         sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
-    rows = [
-        ("arm", solution.arm.name),
-        ("result", solution.result.message),
-        ("quality", solution.quality.verdict.replace("_", " ")),
-        ("parameters estimated", str(moved)),
-        ("parameters held", str(held)),
-        ("position error, nominal geometry (mm RMS)", _mm(before.position_rms)),
-        (f"position error, fitted (mm RMS, {on})", _mm(after.position_rms)),
-    ]
-    for name, errors in (("nominal geometry", before), ("fitted", after)):
-        if errors.orientation is not None:
-            rows.append((f"orientation error, {name} (deg RMS)", _deg(_rms(errors.orientation))))
     if solution.noise is not None:
         found = _mm(solution.noise.position)
         told = solution.noise.declared and solution.noise.declared[0]
@@ -104,8 +81,7 @@ def _solution(solution: Solution) -> Description:
         sentences.append(
             f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
         )
-        rows.append(("residual standard deviation per axis (mm)", f"{found}{declared}"))
-    return Description(f"Fit of a {data}, {solution.arm.name}", tuple(sentences), tuple(rows), solution.notes)
+    return Description(f"Fit of a {data}, {solution.arm.name}", tuple(sentences), solution.notes)
 
 
 @describe.register
@@ -116,23 +92,16 @@ def _fleet(fleet: FleetSolution) -> Description:
     sentences = [
         f"{good} of {counted(arms, 'fit')} converged, each of {counted(fleet.parameters.shape[1], 'parameter')}."
     ]
-    rows = [("arms", str(arms)), ("converged", str(good)), ("parameters per arm", str(fleet.parameters.shape[1]))]
     if good:
-        position, turned = fleet.position_rms[converged], fleet.orientation_rms[converged]
+        position = fleet.position_rms[converged]
         sentences.append(
             f"Of these the position error of the fitted data is {_mm(float(np.median(position)))} mm RMS in "
             f"the median and {_mm(float(position.max()))} mm at most."
         )
-        rows += [
-            ("position error (mm RMS, median of the arms)", _mm(float(np.median(position)))),
-            ("position error (mm RMS, largest of the arms)", _mm(float(position.max()))),
-            ("orientation error (deg RMS, median of the arms)", _deg(float(np.median(turned)))),
-        ]
     for code in sorted(set(fleet.result[~converged].tolist())):
         count = int((fleet.result == code).sum())
         sentences.append(f"For {counted(count, 'arm')} the fit {Result(code).message}.")
-        rows.append((Result(code).name.lower().replace("_", " "), str(count)))
-    return Description("Fits of a fleet", tuple(sentences), tuple(rows))
+    return Description("Fits of a fleet", tuple(sentences))
 
 
 @describe.register
@@ -144,28 +113,16 @@ def _identification(found: Identification) -> Description:
     ]
     if found.missed:
         sentences.append(f"Other poses within the joint limits determine {found.possible.rank}.")
-    rows = [
-        ("poses", str(d.samples)),
-        ("unknown parameters", str(d.size)),
-        ("determined by these poses", str(d.rank)),
-        ("determined by any poses within the limits", str(found.possible.rank)),
-    ]
-    position = f"±{_mm(accuracy.position_rms)}" if accuracy.position_determined else "undetermined"
-    orientation = f"±{_deg(accuracy.orientation_rms)}" if accuracy.orientation_determined else "undetermined"
-    rows.append(("predicted position over the workspace (mm, one standard deviation)", position))
-    rows.append(("predicted orientation over the workspace (deg, one standard deviation)", orientation))
     if accuracy.position_determined:
         sentences.append(
-            f"The fitted model predicts positions over the workspace with a standard deviation of {position[1:]} mm."
+            f"The fitted model predicts positions over the workspace with a standard deviation of "
+            f"{_mm(accuracy.position_rms)} mm."
         )
     else:
         sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
     if weak := d.weak():
         sentences.append(f"No more precise than the assembly tolerance {be(len(weak))}: {', '.join(weak)}.")
-    if found.observability is not None:
-        rows.append(("condition number", f"{found.observability.condition:.3g}"))
-        rows.append(("observability index O1", f"{found.observability.O1:.3g}"))
-    return Description(f"Identifiability, {found.experiment.arm.name}", tuple(sentences), tuple(rows), found.notes)
+    return Description(f"Identifiability, {found.experiment.arm.name}", tuple(sentences), found.notes)
 
 
 @describe.register
@@ -175,7 +132,6 @@ def _plan(plan: Plan) -> Description:
         f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} for a "
         f"{plan.experiment.arm.name} {be(plan.count)} chosen by the criterion {plan.criterion}."
     ]
-    rows = [("poses", str(plan.count)), ("candidates", str(plan.candidates)), ("criterion", plan.criterion)]
     if np.isfinite(reached):
         random = float(np.median(plan.random_accuracy[:, plan.count - 1]))
         beside = f"{_mm(random)} mm" if np.isfinite(random) else "no finite accuracy"
@@ -183,17 +139,13 @@ def _plan(plan: Plan) -> Description:
             f"A fit to them predicts positions over the workspace with a standard deviation of "
             f"{_mm(reached)} mm; as many random poses reach {beside} in the median."
         )
-        rows.append(("predicted position over the workspace (mm)", f"±{_mm(reached)}"))
-        rows.append(("the same of as many random poses (mm)", beside.removesuffix(" mm")))
     else:
         sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
     if plan.worth is not None:
         sentences.append(f"They are as accurate as {plan.worth} random poses.")
-        rows.append(("random poses of the same accuracy", str(plan.worth)))
     if plan.needed is not None:
         sentences.append(f"{counted(plan.needed, 'pose')} {be(plan.needed)} needed for the accuracy given.")
-        rows.append(("poses for the accuracy given", str(plan.needed)))
-    return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences), tuple(rows))
+    return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences))
 
 
 @describe.register
@@ -205,33 +157,18 @@ def _discrimination(plan: DiscriminationPlan) -> Description:
         f"discriminate between {one} and {other}.",
         f"Their readings differ by {reached:.1f} standard deviations, those at as many random poses by {random:.1f}.",
     )
-    rows = (
-        ("poses", str(plan.count)),
-        ("candidates", str(plan.candidates)),
-        ("rivals", f"{one}; {other}"),
-        ("distance (standard deviations)", f"{reached:.1f}"),
-        ("distance at random poses (standard deviations, median)", f"{random:.1f}"),
-    )
-    return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences, rows)
+    return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences)
 
 
 @describe.register
 def _comparison(found: Comparison) -> Description:
-    arms, units = len(found.names), np.array(found.arm.form.units)
+    arms = len(found.names)
     between, nominal = _mm(float(found.between.max())), _mm(float(found.from_nominal.max()))
-    lengths, angles = (found.spread[units == unit] for unit in ("m", "rad"))
     sentences = (
         f"The flanges of {arms} arms of type {found.arm.name} are up to {between} mm apart at equal joint positions.",
         f"The one furthest from the nominal geometry is {nominal} mm from it.",
     )
-    rows = (
-        ("arms", str(arms)),
-        ("largest distance of two flanges (mm)", between),
-        ("largest distance from nominal (mm)", nominal),
-        ("standard deviation of lengths over the arms (mm, largest)", _mm(float(lengths.max()))),
-        ("standard deviation of angles over the arms (deg, largest)", _deg(float(angles.max()))),
-    )
-    return Description(f"Comparison of {arms} arms, {found.arm.name}", sentences, rows)
+    return Description(f"Comparison of {arms} arms, {found.arm.name}", sentences)
 
 
 @describe.register
@@ -244,49 +181,20 @@ def _sensitivity(found: Sensitivity) -> Description:
         f"{counted(len(found.joint_position), 'pose')}.",
         f"Of the mean squared error most is caused by {', '.join(shares)}.",
     )
-    rows = (
-        ("poses", str(len(found.joint_position))),
-        ("parameters", str(len(found.names))),
-        ("expected position error (mm RMS)", expected),
-        *((f"share of {found.names[i]} (%)", f"{100 * found.share[i]:.1f}") for i in order),
-    )
-    return Description("Sensitivity of the flange to the tolerances", sentences, rows)
-
-
-@describe.register
-def _global_sensitivity(found: GlobalSensitivity) -> Description:
-    order = np.argsort(-found.total, kind="stable")[:_MOST_NAMED]
-    shares = [f"{found.names[i]} {100 * found.total[i]:.0f} %" for i in order]
-    median, high = (_mm(float(np.percentile(found.error, percent))) for percent in (50, 95))
-    sentences = (
-        f"Half of {counted(len(found.error), 'arm')} drawn within the tolerances have an error below {median} mm, "
-        f"95 % one below {high} mm.",
-        f"Of its variance most depends on {', '.join(shares)}, alone and together with others.",
-    )
-    rows = (
-        ("arms", str(len(found.error))),
-        ("parameters", str(len(found.names))),
-        ("error (mm, median of the arms)", median),
-        ("error (mm, 95th percentile)", high),
-        *((f"total index of {found.names[i]} (%)", f"{100 * found.total[i]:.1f}") for i in order),
-    )
-    return Description("Sobol's indices of the arm's error", sentences, rows)
+    return Description("Sensitivity of the flange to the tolerances", sentences)
 
 
 @describe.register
 def _prediction(found: Prediction) -> Description:
     rows, empty = len(found.poses), int(np.isnan(found.poses[:, 0, 0]).sum())
     sentences = [f"{counted(rows, 'pose')} {be(rows)} predicted."]
-    table = [("poses", str(rows))]
     if empty:
         sentences.append(f"{counted(empty, 'row')} {be(empty)} empty: the clock offset reaches beyond the motion.")
-        table.append(("empty rows", str(empty)))
     if found.position_std is not None:
         std = np.sqrt(np.nansum(found.position_std**2, 1))
         typical, most = (_mm(float(value)) for value in (np.median(std), std.max()))
         sentences.append(f"The standard deviation of a position is {typical} mm in the median, {most} mm at most.")
-        table += [("std of a position (mm, median)", typical), ("std of a position (mm, largest)", most)]
-    return _marked("Predicted poses", sentences, table, found.outside)
+    return _marked("Predicted poses", sentences, found.outside)
 
 
 @describe.register
@@ -296,44 +204,34 @@ def _torque_prediction(found: TorquePrediction) -> Description:
     largest = each_with_unit(np.nanmax(np.abs(found.torque), 0).tolist(), units)
     sentences = [f"The torques of {counted(joints, 'joint')} are predicted in {counted(rows, 'sample')}.",
                  f"The largest of each joint are {largest}."]  # fmt: skip
-    table = [("samples", str(rows)), ("joints", str(joints)), ("largest torque of each joint", largest)]
     if found.std is not None:
         typical = each_with_unit(np.nanmedian(found.std, 0).tolist(), units)
         sentences.append(f"Their standard deviations are {typical} in the median.")
-        table.append(("standard deviation of each joint, median", typical))
-    return _marked("Predicted torques", sentences, table, found.outside)
+    return _marked("Predicted torques", sentences, found.outside)
 
 
-def _marked(
-    title: str, sentences: list[str], rows: list[tuple[str, str]], outside: NDArray[np.bool_] | None
-) -> Description:
+def _marked(title: str, sentences: list[str], outside: NDArray[np.bool_] | None) -> Description:
     """With what is said of the rows that are outside what was recorded."""
-    if outside is None:
-        sentences.append("The diagnosis does not say what was recorded, and so which rows are outside of it.")
-    else:
-        sentences.append(outside_sentence(int(outside.sum()), len(outside), "row"))
-        rows.append(("rows outside what was recorded", str(int(outside.sum()))))
-    return Description(title, tuple(sentences), tuple(rows))
+    said = "The diagnosis does not say what was recorded, and so which rows are outside of it."
+    if outside is not None:
+        said = outside_sentence(int(outside.sum()), len(outside), "row")
+    return Description(title, (*sentences, said))
 
 
 @describe.register
 def _compensation(found: Compensation) -> Description:
     targets, hit = len(found.reached), int(found.reached.sum())
     sentences = [f"{hit} of {counted(targets, 'target')} {be(hit)} reached."]
-    rows = [("targets", str(targets)), ("reached", str(hit))]
     if hit:
         most = _mm(float(np.nanmax(found.position_error[found.reached])))
         sentences.append(f"There the model is at most {most} mm from the target.")
-        rows.append(("distance from the target (mm, largest of those reached)", most))
     if found.correction is not None:
         scales, units = joint_units(found.recording.sliding, found.correction.shape[1])
         largest = each_with_unit((scales * np.nanmax(np.abs(found.correction), 0)).tolist(), units)
         sentences.append(f"The joints are moved by up to {largest}.")
-        rows.append(("largest correction of each joint", largest))
     if found.omitted:
         sentences.append(f"Effects of the sensor are left out: {', '.join(found.omitted)}.")
-    described = _marked("Compensation", sentences, rows, found.outside)
-    return described._replace(notes=found.notes)
+    return _marked("Compensation", sentences, found.outside)._replace(notes=found.notes)
 
 
 @describe.register
@@ -346,14 +244,7 @@ def _registration(found: Registration) -> Description:
     ]
     if not found.determined:
         sentences.append("These poses do not determine every number of the two frames.")
-    rows = (
-        ("poses", str(samples)),
-        ("outliers", str(outliers)),
-        ("position error (mm RMS)", rms),
-        ("position error per axis (mm, robust)", noise),
-        ("determined by the poses", "yes" if found.determined else "no"),
-    )
-    return Description("Registration of sensor and tool", tuple(sentences), rows)
+    return Description("Registration of sensor and tool", tuple(sentences))
 
 
 @describe.register(Diagnosis)
@@ -366,31 +257,17 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     sentences += [finding["statement"] for finding in shown]
     if hidden > 0:
         sentences.append(f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`.")
-    rows = [("verdict", found.verdict.replace("_", " ")), ("samples", str(document["samples"]))]
-    if torques:
-        units, common = ranking.units(document), ranking.common_unit(document)
-        for stage in ("before", "after"):
-            errors = each_with_unit(document[stage]["heldout_torque_rms_by_joint_Nm"], units)
-            name = f"held-out torque error {stage}, of each joint ({f'{common} RMS'.strip()})"
-            rows.append((name, errors.removesuffix(f" {common}")))
-    else:
+    if not torques:
         before, after = (_mm(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
         error = f"{before} mm RMS with the model of the arm alone"
         error = f"{after} mm RMS with these effects and {error}" if findings else error
         sentences.append(f"The held-out position error is {error}.")
-        rows.append(("held-out position error before (mm RMS)", before))
-        rows.append(("held-out position error after (mm RMS)", after))
-        rows.append(("noise per axis of position, estimated (mm)", _mm(document["noise"]["estimated_position_m"])))
-    for finding in findings:
-        sizes = [str(size) for size in finding["quantities"] if size.std or torques]
-        rows.append((finding["title"], ", ".join(sizes)))
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     if faults:
         sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")
-    rows.append(("data faults", ", ".join(faults) or "none"))
     notes = (*statements.assumptions(document), *statements.what_to_record(document))
     title = f"Diagnosis of {'the torques of ' if torques else ''}a {document['model']['arm']}"
-    return Description(title, tuple(sentences), tuple(rows), notes)
+    return Description(title, tuple(sentences), notes)
 
 
 @describe.register
@@ -398,12 +275,10 @@ def _combined(found: CombinedDiagnosis) -> Description:
     poses, document = describe(found.poses), found.to_dict()
     title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
     if found.torques is None:
-        return Description(title, (*poses.sentences, reference.refusal(document)), poses.rows, poses.notes)
+        return Description(title, (*poses.sentences, reference.refusal(document)), poses.notes)
     torques = describe(found.torques)
     both = tuple(map(reference.shared_statement, document["shared"]))
-    parts = (("poses", poses.rows), ("torques", torques.rows))
-    rows = tuple((f"{of}: {name}", value) for of, own in parts for name, value in own)
-    return Description(title, (*poses.sentences, *torques.sentences, *both), rows, (*poses.notes, *torques.notes))
+    return Description(title, (*poses.sentences, *torques.sentences, *both), (*poses.notes, *torques.notes))
 
 
 def _mm(metres: float) -> str:

@@ -1,49 +1,11 @@
-"""The sentences about data faults of torque recordings, one for each code, found or not."""
+"""The sentences about data faults of torque recordings, by code, found or not."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from lite6jax.arms.joint_units import joint_unit
-
-Numbers = Mapping[str, Any]
-
-NAMES = {
-    "uneven_times": "Uneven times",
-    "velocity_bias": "Velocity with a bias",
-    "velocity_dead_zone": "Velocity with a dead zone",
-    "torque_spikes": "Single torques far from their neighbours",
-    "swapped_torques": "Swapped torque columns",
-    "reversed_torque": "Torque of reversed sign",
-    "swapped_positions": "Swapped columns of joint positions",
-    "swapped_columns": "Swapped joints",
-    "reversed_positions": "Position of reversed sign",
-    "reversed_joint": "Joint of reversed sign",
-    "coupled_positions": "Coupled joint positions",
-    "joint_zero": "Joint with another zero",
-    "wrong_gravity": "Gravity in another direction",
-    "no_gravity": "Torques without gravity",
-    "undecided_torques": "Undecided contradiction of torques",
-    "wrong_torque_constant": "Wrong torque constant or gear ratio",
-    "held_by_friction": "Joints held at rest by friction",
-    "contact": "Contact",
-    "estimated_torque": "Torques without noise",
-}
-"""Each fault in a few words."""
-
-
-def _joints(numbers: Sequence[int]) -> str:
-    *first, last = [str(number) for number in numbers]
-    return f"joint {last}" if not first else f"joints {', '.join(first)} and {last}"
-
-
-def _spikes(rows: Sequence[int], n: Numbers) -> str:
-    torques = "1 torque is" if n["count"] == 1 else f"{n['count']} torques are"
-    return (
-        f"{torques} far from the row before and the row after ({_joints(n['joints'])}), which no motion causes. They "
-        "were interpolated. Check the transmission of the torques."
-    )
+from lite6jax.report.words import Numbers, Wording, be, counted, joints_named
 
 
 def _uneven(rows: Sequence[int], n: Numbers) -> str:
@@ -64,57 +26,30 @@ def _uneven(rows: Sequence[int], n: Numbers) -> str:
 def _bias(rows: Sequence[int], n: Numbers) -> str:
     biases = ", ".join(f"{1e3 * bias:.2g}" for bias in n["bias_rad_per_s"])
     return (
-        f"The velocity of {_joints(n['joints'])} has a bias of {biases} mrad/s (mm/s of a slide): it reads that where "
-        "the position stands still, and exceeds the way gone by as much. It was subtracted."
+        f"The velocity of {joints_named(n['joints'])} has a bias of {biases} mrad/s (mm/s of a slide): it reads that "
+        "where the position stands still, and exceeds the way gone by as much. It was subtracted."
+    )
+
+
+def _dead_zone(rows: Sequence[int], n: Numbers) -> str:
+    widths = ", ".join(f"{1e3 * width:.2g} mrad/s" for width in n["width_rad_per_s"])
+    return (
+        f"The velocity of {joints_named(n['joints'])} reads nothing below {widths}, while the positions go on. There "
+        "the slope of the positions was taken."
+    )
+
+
+def _spikes(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"{counted(n['count'], 'torque')} {be(n['count'])} far from the row before and the row after "
+        f"({joints_named(n['joints'])}), which no motion causes. They were interpolated. Check the transmission of the "
+        "torques."
     )
 
 
 def _swapped(rows: Sequence[int], n: Numbers) -> str:
     pairs = ", ".join(f"tau{c} is that of joint {j}" for j, c in zip(n["joints"], n["columns"], strict=True))
     return f"The torque columns are swapped: {pairs}, by the weight and the motion of the arm. They were exchanged."
-
-
-def _dead_zone(rows: Sequence[int], n: Numbers) -> str:
-    widths = ", ".join(f"{1e3 * width:.2g} mrad/s" for width in n["width_rad_per_s"])
-    return (
-        f"The velocity of {_joints(n['joints'])} reads nothing below {widths}, while the positions go on. There the "
-        "slope of the positions was taken."
-    )
-
-
-def _reversed(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        f"The torque of {_joints(n['joints'])} has its sign reversed: it is the opposite of what the weight and the "
-        "motion of the arm require. Its sign was changed. A torque is what the motor exerts about +z of its joint."
-    )
-
-
-def _swapped_positions(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        f"The positions of {_joints(n['joints'])} are exchanged, the torques are not: these fit the arm with "
-        "these columns exchanged. They were exchanged. Check the order of the columns."
-    )
-
-
-def _swapped_columns(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        f"{_joints(n['joints']).capitalize()} are exchanged, positions and torques: torques fit the arm with these "
-        "columns exchanged. They were exchanged. Check the order of the joints."
-    )
-
-
-def _reversed_positions(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        f"The position of {_joints(n['joints'])} has its sign reversed, its torque has not: torques fit the arm with "
-        "the opposite position. Its sign was changed. Positions count about +z of the joint in the description."
-    )
-
-
-def _reversed_joint(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        f"Position and torque of {_joints(n['joints'])} have their signs reversed: the driver's axis points the other "
-        "way than that of the description. The signs were changed. Correct the file, or the axis in the description."
-    )
 
 
 def _coupled_positions(rows: Sequence[int], n: Numbers) -> str:
@@ -134,14 +69,6 @@ def _joint_zero(rows: Sequence[int], n: Numbers) -> str:
     )
 
 
-def _no_gravity(rows: Sequence[int], n: Numbers) -> str:
-    return (
-        "The torques do not hold the weight of the arm: gravity's share was subtracted, or the arm is balanced. They "
-        "were compared without gravity, so that masses show in accelerations alone. Take the torques of the motors, or "
-        "declare gravity_m_per_s2: [0, 0, 0] in the sidecar."
-    )
-
-
 def _undecided(rows: Sequence[int], n: Numbers) -> str:
     readings = "; or ".join(" and ".join(_CLAUSES[part["fault"]](part) for part in one) for one in n["alternatives"])
     return (
@@ -151,17 +78,13 @@ def _undecided(rows: Sequence[int], n: Numbers) -> str:
     )
 
 
-def _of_joints(what: str) -> Callable[[Numbers], str]:
-    return lambda n: f"{what} of {_joints(n['joints'])}"
-
-
 _CLAUSES: dict[str, Callable[[Numbers], str]] = {
-    "swapped_torques": _of_joints("exchanged torques"),
-    "reversed_torque": _of_joints("a reversed torque"),
-    "swapped_positions": _of_joints("exchanged positions"),
-    "swapped_columns": _of_joints("exchanged columns"),
-    "reversed_positions": _of_joints("a reversed position"),
-    "reversed_joint": _of_joints("reversed signs of position and torque"),
+    "swapped_torques": lambda n: f"exchanged torques of {joints_named(n['joints'])}",
+    "reversed_torque": lambda n: f"a reversed torque of {joints_named(n['joints'])}",
+    "swapped_positions": lambda n: f"exchanged positions of {joints_named(n['joints'])}",
+    "swapped_columns": lambda n: f"exchanged columns of {joints_named(n['joints'])}",
+    "reversed_positions": lambda n: f"a reversed position of {joints_named(n['joints'])}",
+    "reversed_joint": lambda n: f"reversed signs of position and torque of {joints_named(n['joints'])}",
     "coupled_positions": lambda n: f"the position of joint {n['joint']} coupled to joint {n['added_joint']}",
     "joint_zero": lambda n: f"the zero of joint {n['joint']} off by {-np.rad2deg(n['added_rad']):.3g}°",
     "wrong_gravity": lambda n: f"gravity along ({', '.join(f'{g:g}' for g in n['found_m_per_s2'])}) m/s²",
@@ -179,15 +102,14 @@ def _contact(rows: Sequence[int], n: Numbers) -> str:
     sizes = [f"{n[f'largest_{unit}']:.3g} {unit}" for unit in ("Nm", "N") if f"largest_{unit}" in n]
     return (
         f"From {n['from_s']:.2f} to {n['to_s']:.2f} s the arm was in contact with something: the torque of "
-        f"{_joints(n['joints']) if n['joints'] else 'the arm'} differs by up to "
-        f"{' and '.join(sizes)} from the model, in these rows only. They were left out."
+        f"{joints_named(n['joints']) if n['joints'] else 'the arm'} differs by up to {' and '.join(sizes)} from the "
+        "model, in these rows only. They were left out."
     )
 
 
 def _estimated(rows: Sequence[int], n: Numbers) -> str:
-    shown = (
-        "have neither noise nor any friction" if n.get("reason") == "no_friction" else "of the arm at rest are constant"
-    )
+    without = n.get("reason") == "no_friction"
+    shown = "have neither noise nor any friction" if without else "of the arm at rest are constant"
     return (
         f"The torques {shown}: they are the controller's own model, not measurements. What is "
         "found is what that model lacks or has beyond this arm's. Record motor currents, or declare torque_source."
@@ -211,10 +133,9 @@ def _constant(rows: Sequence[int], n: Numbers) -> str:
         constants = zip(n["joints"], n["constants_Nm_per_A"], strict=True)
         declared = " and ".join(f"{constant:.3g} for joint {joint}" for joint, constant in constants)
         remedy = f"Declare torque_constant_Nm_per_A {declared}, or check the gear ratio in it."
-    one = len(n["joints"]) == 1
-    subject, it = (
-        ("A torque is", "It was divided by this") if one else ("Torques are", "They were divided by these factors")
-    )
+    subject, it = "Torques are", "They were divided by these factors"
+    if len(n["joints"]) == 1:
+        subject, it = "A torque is", "It was divided by this"
     return f"{subject} not what the weight and the motion of the arm require, but {said} as much. {it}. {remedy}"
 
 
@@ -224,38 +145,67 @@ def _held(rows: Sequence[int], n: Numbers) -> str:
     bands = ", ".join(f"{std:.2g} {joint_unit('Nm', joint in slides)} at joint {joint}" for joint, std in pairs)
     return (
         "At rest, friction holds a joint wherever it stands, and the torque is indeterminate within a band (one sigma: "
-        f"{bands}). These rows have little weight for {_joints(n['joints'])}. Record more motion."
+        f"{bands}). These rows have little weight for {joints_named(n['joints'])}. Record more motion."
     )
 
 
-FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
-    "uneven_times": _uneven,
-    "velocity_bias": _bias,
-    "velocity_dead_zone": _dead_zone,
-    "torque_spikes": _spikes,
-    "swapped_torques": _swapped,
-    "reversed_torque": _reversed,
-    "swapped_positions": _swapped_positions,
-    "swapped_columns": _swapped_columns,
-    "reversed_positions": _reversed_positions,
-    "reversed_joint": _reversed_joint,
-    "coupled_positions": _coupled_positions,
-    "joint_zero": _joint_zero,
-    "wrong_gravity": _gravity,
-    "no_gravity": _no_gravity,
-    "undecided_torques": _undecided,
-    "wrong_torque_constant": _constant,
-    "held_by_friction": _held,
-    "contact": _contact,
-    "estimated_torque": _estimated,
-}
-"""What is wrong and how it was corrected, of rows and numbers."""
-RULED_OUT: dict[str, Callable[[Numbers], str]] = {
-    "swapped_torques": lambda n: "No torque columns are swapped, and none has its sign reversed.",
-    "wrong_gravity": lambda n: "Gravity acts along the declared direction, but for a tilt of the base.",
-    "wrong_torque_constant": lambda n: (
-        "No torque differs by a factor, as another torque constant or gear ratio causes."
+FAULTS: dict[str, Wording] = {
+    "uneven_times": Wording("Uneven times", _uneven),
+    "velocity_bias": Wording("Velocity with a bias", _bias),
+    "velocity_dead_zone": Wording("Velocity with a dead zone", _dead_zone),
+    "torque_spikes": Wording("Single torques far from their neighbours", _spikes),
+    "swapped_torques": Wording(
+        "Swapped torque columns", _swapped, "No torque columns are swapped, and none has its sign reversed."
     ),
-    "joint_zero": lambda n: "No joint has another zero, sign or place than in the description, as far as torques show.",
+    "reversed_torque": Wording(
+        "Torque of reversed sign",
+        "The torque of {joints} has its sign reversed: it is the opposite of what the weight and the motion of the arm "
+        "require. Its sign was changed. A torque is what the motor exerts about +z of its joint.",
+    ),
+    "swapped_positions": Wording(
+        "Swapped columns of joint positions",
+        "The positions of {joints} are exchanged, the torques are not: these fit the arm with these columns exchanged. "
+        "They were exchanged. Check the order of the columns.",
+    ),
+    "swapped_columns": Wording(
+        "Swapped joints",
+        "{Joints} are exchanged, positions and torques: torques fit the arm with these columns exchanged. They were "
+        "exchanged. Check the order of the joints.",
+    ),
+    "reversed_positions": Wording(
+        "Position of reversed sign",
+        "The position of {joints} has its sign reversed, its torque has not: torques fit the arm with the opposite "
+        "position. Its sign was changed. Positions count about +z of the joint in the description.",
+    ),
+    "reversed_joint": Wording(
+        "Joint of reversed sign",
+        "Position and torque of {joints} have their signs reversed: the driver's axis points the other way than that "
+        "of the description. The signs were changed. Correct the file, or the axis in the description.",
+    ),
+    "coupled_positions": Wording("Coupled joint positions", _coupled_positions),
+    "joint_zero": Wording(
+        "Joint with another zero",
+        _joint_zero,
+        "No joint has another zero, sign or place than in the description, as far as torques show.",
+    ),
+    "wrong_gravity": Wording(
+        "Gravity in another direction",
+        _gravity,
+        "Gravity acts along the declared direction, but for a tilt of the base.",
+    ),
+    "no_gravity": Wording(
+        "Torques without gravity",
+        "The torques do not hold the weight of the arm: gravity's share was subtracted, or the arm is balanced. They "
+        "were compared without gravity, so that masses show in accelerations alone. Take the torques of the motors, or "
+        "declare gravity_m_per_s2: [0, 0, 0] in the sidecar.",
+    ),
+    "undecided_torques": Wording("Undecided contradiction of torques", _undecided),
+    "wrong_torque_constant": Wording(
+        "Wrong torque constant or gear ratio",
+        _constant,
+        "No torque differs by a factor, as another torque constant or gear ratio causes.",
+    ),
+    "held_by_friction": Wording("Joints held at rest by friction", _held),
+    "contact": Wording("Contact", _contact),
+    "estimated_torque": Wording("Torques without noise", _estimated),
 }
-"""Why a fault is not there."""

@@ -58,7 +58,7 @@ class Place(NamedTuple):
         number: its rank, from 1.
         title: such as "Joint compliance at joint2".
         statement: a sentence.
-        size: what it moves, with its unit; empty where the document does not say.
+        size: what it moves, with its unit.
         parts: of the arm as drawn, `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
     """
 
@@ -584,9 +584,9 @@ def _finding_list(scene: Scene) -> str:
     dot = f'<span style="color: {FOUND}">&#9632;</span>'
     entries = []
     for place in scene.findings:
-        size = f" <b>{html.escape(place.size)}</b>." if place.size else ""
+        title, size, statement = map(html.escape, (place.title, place.size, place.statement))
         where = f"{dot} {', '.join(place.parts)}." if place.parts else "Not on the arm."
-        entries.append(f"<li>{html.escape(place.title)}: {size} {where} {html.escape(place.statement)}</li>")
+        entries.append(f"<li>{title}: <b>{size}</b>. {where} {statement}</li>")
     return f'<ol style="{_STYLE}; padding-left: 1.4em">{"".join(entries)}</ol>'
 
 

@@ -295,13 +295,13 @@ class Scan:
 
 
 class _Weighed:
-    """A scan beside one model, of the components that act on some rows."""
+    """A scan beside one model, of what acts on some rows."""
 
     def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
         self._scan, self._test, self._marginal = scan, test, Marginal(test)
         every = scan.problem.components
         self.components = [one for one in every if rows is None or np.any(one.column[rows])]
-        self._problem, self._options = scan.problem, scan.options
+        self._problem, self._options, self._rows = scan.problem, scan.options, slice(None) if rows is None else rows
         self._known: dict[int, Sums] = {}
 
     def named(self, usual: bool = False) -> list[Ranked]:
@@ -372,7 +372,9 @@ class _Weighed:
             columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
             each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
             each = [own if term.linear else self._at_estimate(term, own) for term, own in zip(some, each, strict=True)]
-            for term, evidence in zip(some, self._marginal.of_names(each), strict=True):
+            acting = [k for k, own in enumerate(each) if np.any(own[:, self._rows])]
+            weighed = self._marginal.of_names([each[k] for k in acting]) if acting else []
+            for term, evidence in zip((some[k] for k in acting), weighed, strict=True):
                 cost = self._scan.cost_of_name(term)
                 one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
                 if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
@@ -392,6 +394,8 @@ class _Weighed:
         families = max(len(self._problem.periodic), 1)
         for line in lines(self._test):
             column = line.family.column
+            if not np.any(column[self._rows]):
+                continue
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own

@@ -256,14 +256,21 @@ class Selector:
             state = refitted(self.problem, state, rest, self.options)
 
     def _above_rest(self, state: State) -> State:
-        """Without a term that explains less than noise would at its component: what that leaves there is more."""
+        """Without a term that explains less than noise would at its component: what that leaves there is more.
+
+        Nor a process in whose place noise that persists is likelier: of a joint whose read-out wanders, whatever varies
+        as slowly explains a part.
+        """
         while state.tested:
             marginal = Marginal(score_test(self.problem, state.fit, self.options))
-            components = [self._component_of(one.term) for one in state.tested]
-            excess = [
-                -np.inf if component is None else float(marginal.of_noise(component.column).gain) - one.gain
-                for component, one in zip(components, state.tested, strict=True)
-            ]
+            excess = []
+            for k, one in enumerate(state.tested):
+                component = self._component_of(one.term)
+                noise = -np.inf if component is None else float(marginal.of_noise(component.column).gain)
+                if component is not None and one.term.nonparametric:
+                    instead = Marginal(self.beside(state, k)).of_persistent_noise(component.column)
+                    noise = max(noise, float(instead.gain))
+                excess.append(noise - one.gain)
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break

@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
+from lite6jax import fit_fleet
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.chains import hayati_fk
 from lite6jax.design.determination import observability
 from lite6jax.design.identify import count, determine, identify
 from lite6jax.design.information import experiment, plan_experiment
 from lite6jax.design.sensor import SENSORS, Sensor
 from tests.oracles.arms import perturbed, random_kinematics, random_positions
+from tests.oracles.transforms import perturb_poses
 
 LITE6 = load_bundled("lite6")
 
@@ -259,3 +263,19 @@ def test_the_same_poses_twice():
     assert pytest.approx((once.O1, once.O2)) == (twice.O1, twice.O2)
     for name in ("O3", "O4", "O5"):
         assert getattr(twice, name) == pytest.approx(np.sqrt(2) * getattr(once, name))
+
+
+def test_the_fleet_fit_spreads_as_predicted():
+    """The Cramér–Rao bound is met by the fit, on noise made in plain NumPy."""
+    setup = plan_experiment("lite6", "tracker_6d", frame=False)
+    q = random_positions(np.random.default_rng(0), 30, 6)
+    predicted = determine(setup, q).standard_deviation
+    rng = np.random.default_rng(3)
+    true = LITE6.hayati + rng.normal(0, 5e-4, 28)
+    poses = np.asarray(hayati_fk(LITE6.form, true, q))
+    readings = np.stack([perturb_poses(rng, poses, 2e-5, 1e-4) for _ in range(200)])
+    fits = fit_fleet(q, readings, nominal=LITE6, noise=(2e-5, 1e-4))
+    ratio2 = np.mean((fits.parameters - true) ** 2, 0) / predicted**2
+    each = 1e-4 / 28
+    assert (200 * ratio2 > chi2.ppf(each, 200)).all()
+    assert (200 * ratio2 < chi2.ppf(1 - each, 200)).all()

@@ -9,7 +9,6 @@ from domains.torque import slid
 from lite6jax.arms.arm import Arm
 from lite6jax.cli.study import TorqueSetup
 from lite6jax.design import candidates, clearance
-from lite6jax.design.criteria import Determinant
 from lite6jax.design.motions import (
     Excitation,
     Free,
@@ -21,11 +20,7 @@ from lite6jax.design.motions import (
     motion_limits,
     random_motions,
 )
-from lite6jax.design.torques import effect_columns, plan_motion, plan_torque_discrimination, structure_of, torque_model
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
-from lite6jax.effects.serialization import parse_effect
+from lite6jax.design.torques import plan_motion, structure_of, torque_model
 from lite6jax.errors import InputError
 from lite6jax.report.study import torque_plan_report
 from tests.design.test_torques import chain, with_friction
@@ -35,7 +30,7 @@ ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 
 LIMITS = motion_limits(ARM, [1.0, 2.0, 3.0], [4.0, 6.0, 20.0])
 MADE = {"duration": 6.0, "harmonics": 4, "rate": 50.0}
 ROOM = MotionRoom(ARM, LIMITS, **MADE)
-KNOWN, UNKNOWN = torque_model(ARM, inertial=False), torque_model(ARM)
+UNKNOWN = torque_model(ARM)
 NUMBERS = ("samples", "span", "determined", "standard_deviation", "condition", "log_determinant", "at_rest")
 FINE = np.linspace(0.0, 6.0, 20011)
 
@@ -76,7 +71,7 @@ def test_limits_hold_at_every_instant_and_are_used(seed):
 def test_the_gradient_is_that_of_the_criterion():
     structure = structure_of(UNKNOWN)
     room = MotionRoom(ARM, LIMITS, [candidates.above_floor(ARM, 0.7)], **MADE)
-    judged = Excitation(room, lambda motion: UNKNOWN.columns(motion, structure.free), Determinant())
+    judged = Excitation(room, lambda motion: UNKNOWN.columns(motion, structure.free))
     start = draw(1)
     _, penalty, uphill = judged.ascent(start)
     assert penalty > 0
@@ -143,24 +138,22 @@ def test_designs_do_not_depend_on_the_processes(tmp_path):
         candidates.user_filter(f"{tmp_path / 'mine.py'}:low"),
     ]
     room = MotionRoom(ARM, LIMITS, filters, duration=6.0, harmonics=3, rate=50.0)
-    rivals = [(ViscousFriction(2), [1.5]), (CoulombFriction(2), [0.0])]
 
     def designed(processes):
         search = MotionSearch(draws=7, starts=2, steps=3, processes=processes)
         plan = plan_motion(UNKNOWN, room, search)
-        apart = plan_torque_discrimination(KNOWN, room, rivals, search)
-        motions = [[part.tolist() for part in made.trajectory.motion] for made in (plan, apart)]
+        motion = [part.tolist() for part in plan.trajectory.motion]
         found = [
             [np.asarray(getattr(one, name)).tolist() for name in NUMBERS] for one in (plan.identification, *plan.random)
         ]
-        return motions, found, plan.steps, apart.steps, apart.distance, apart.random_distance.tolist()
+        return motion, found, plan.steps
 
     assert designed(2) == designed(None)
 
 
 def test_an_ascent_never_ends_lower():
     free = structure_of(UNKNOWN).free
-    judged = Excitation(ROOM, lambda motion: UNKNOWN.columns(motion, free), Determinant())
+    judged = Excitation(ROOM, lambda motion: UNKNOWN.columns(motion, free))
     start = random_motions(ROOM, 1, 1)[0]
     best, value, _ = ascend(judged, start, 5)
     assert value >= judged.value(start) - 1e-9
@@ -196,39 +189,6 @@ def test_what_is_refused(call, says):
         call()
 
 
-# ------------------------------------------------------------------ discrimination
-
-
-def test_the_distance_between_two_rivals():
-    """Viscous against Coulomb friction, by a projection in plain NumPy."""
-    rivals = [(ViscousFriction(2), [1.5]), (CoulombFriction(2), [0.0])]
-    model = torque_model(ARM, 0.2, inertial=False)
-    plan = plan_torque_discrimination(model, ROOM, rivals, MotionSearch(draws=20, starts=1, steps=40))
-    dq, ddq = np.asarray(plan.trajectory.motion.dq), np.asarray(plan.trajectory.motion.ddq)
-    unknown = np.stack([np.tanh(dq[1] / 0.002), np.ones(dq.shape[1]), ddq[1]], 1)  # the others do not share a row
-    rest = 1.5 * dq[1] - unknown @ np.linalg.lstsq(unknown, 1.5 * dq[1], rcond=None)[0]
-    assert plan.distance == pytest.approx(np.linalg.norm(rest) / 0.2, rel=0.02)
-    assert plan.distance > 1.05 * plan.random_distance.max()
-    assert not plan.both_ways
-    assert plan.rivals == ("viscous_friction:joint2", "coulomb_friction:joint2")
-
-
-@pytest.mark.parametrize(
-    ("rival", "says"),
-    [
-        ((ViscousFriction(1), [0.0]), "has no size; give a value"),
-        ((ViscousFriction(1), [1.0]), "no motion separates them"),
-        ((ViscousFriction(4), [1.0]), "an arm has 3 joints; choose one of these"),
-        ((TorqueScale(1), [0.1]), "depends on the arm's inertia"),
-        ((TorqueTimeOffset(), [0.01]), "depends on more than the motion of the joints"),
-        ((TorqueRipple(1), [0.1, 0.0, 0.0]), "order is not given"),
-    ],
-)
-def test_rivals_that_are_refused(rival, says):
-    with pytest.raises(InputError, match=says):
-        plan_torque_discrimination(KNOWN, ROOM, [rival, (ViscousFriction(1), [1.0])], MotionSearch())
-
-
 # ------------------------------------------------------------------ prismatic joints: N, m and kg
 
 
@@ -246,9 +206,3 @@ def test_limits_of_a_designed_motion_are_those_of_each_joint():
     assert (np.abs(plan.trajectory.motion.dq).max(1) <= room.limits.velocity * (1 + 1e-9)).all()
     text = " ".join(str(part) for part in torque_plan_report(plan, (), "telescope"))
     assert "up to 90 deg/s and 250 mm/s and 600 deg/s² and 1047 mm/s²" in " ".join(text.split())
-    parsed = parse_effect("viscous_friction:joint=3,viscous_N_s_per_m=10", BUILT_IN, sliding=(2,))
-    columns, _ = effect_columns(*parsed, model)
-    added = columns(plan.trajectory.motion) * model.noise[:, None, None]
-    np.testing.assert_allclose(added[2, 0], plan.trajectory.motion.dq[2])
-    with pytest.raises(InputError, match="is of a revolute joint, and joint 3 is prismatic; give of_slide=True"):
-        effect_columns(ViscousFriction(3), [1.0], model)

@@ -1,15 +1,11 @@
-"""Sensitivities are finite differences of the plain chain; Sobol's indices are known where the model is a sum."""
-
-import sys
+"""Sensitivities are finite differences of the plain chain."""
 
 import numpy as np
 import pytest
 
-from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.design.information import plan_experiment
-from lite6jax.design.sensitivity import arm_errors, global_sensitivity, sensitivity
-from lite6jax.errors import InputError
+from lite6jax.design.sensitivity import sensitivity
 from tests.oracles.arms import random_positions
 from tests.oracles.chains import six_parameter_poses
 
@@ -71,49 +67,3 @@ def test_maps_hold_every_sample():
     np.testing.assert_array_equal(np.isnan(expected), count == 0)
     total = np.nansum(np.where(count > 0, count * expected**2, 0))
     assert total == pytest.approx(np.sum(found.expected_error**2))
-
-
-@pytest.mark.parametrize("measure", ["max", "rms"])
-def test_arm_errors_against_the_plain_chain(measure):
-    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
-    steps = np.random.default_rng(0).normal(0, 1e-3, (300, 36))
-    got = arm_errors(setup, steps, Q[:9], measure)
-    nominal = six_parameter_poses(LITE6.kinematics, Q[:9])[:, :3, 3]
-    for k in (0, 1, 255, 256, 299):
-        moved = six_parameter_poses(LITE6.kinematics + steps[k].reshape(6, 6), Q[:9])[:, :3, 3]
-        distance = np.linalg.norm(moved - nominal, axis=1)
-        want = distance.max() if measure == "max" else np.sqrt(np.mean(distance**2))
-        assert got[k] == pytest.approx(want, rel=1e-9)
-
-
-def test_sobol_indices_of_a_rail_of_known_shares():
-    """One joint at rest, one pose: the error is the length of x, y, z, and z is known exactly. By symmetry x and y are
-    alike; what they explain alone follows from |N(0, I₂)|, whose conditional mean is known in closed form."""
-    pytest.importorskip("SALib", reason="Sobol indices are an extra: pip install 'lite6jax[sensitivity]'")
-    arm = Arm("one joint", np.zeros((1, 6)))
-    found = global_sensitivity(arm, [[0.0]], tolerance={"m": 1e-3, "rad": 0.0}, measure="rms", arms=4096, seed=2)
-    # |N(0, I₃)| is a Maxwell variable; E[|x| given one of them] by quadrature
-    x = np.linspace(-8, 8, 4001)
-    density = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
-    r = np.linspace(0, 12, 4001)
-    rayleigh = r * np.exp(-(r**2) / 2)
-    given = np.array([np.trapezoid(np.hypot(value, r) * rayleigh, r) for value in x])
-    mean = np.trapezoid(given * density, x)
-    variance = 3 - mean**2
-    alone = np.trapezoid((given - mean) ** 2 * density, x) / variance
-    np.testing.assert_allclose(found.first[:3], alone, atol=0.04)
-    assert (np.abs(found.first[3:]) < 1e-9).all()  # angles of a point at the origin: no error
-    assert (found.total[:3] > found.first[:3]).all()
-    assert np.sqrt(np.mean(found.error**2)) == pytest.approx(1e-3 * np.sqrt(3), rel=0.03)
-
-
-def test_without_salib(monkeypatch):
-    monkeypatch.setitem(sys.modules, "SALib.analyze", None)
-    with pytest.raises(InputError, match=r"Sobol indices need SALib; install it with: pip install 'lite6jax\[sensiti"):
-        global_sensitivity("lite6")
-
-
-def test_arms_are_a_power_of_two():
-    pytest.importorskip("SALib", reason="Sobol indices are an extra: pip install 'lite6jax[sensitivity]'")
-    with pytest.raises(InputError, match="100 arms: Sobol's sequence fills space evenly at powers of 2"):
-        global_sensitivity("lite6", arms=100)

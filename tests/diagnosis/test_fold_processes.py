@@ -10,80 +10,56 @@ import pytest
 from diagnosis.recorded import Made, static_motion
 
 from lite6jax.diagnosis import fold_processes as module
-from lite6jax.diagnosis.fold_processes import FoldProcesses, RemoteWork, at_hand, fold_processes
+from lite6jax.diagnosis.fold_processes import fold_processes, work_on_folds
 from lite6jax.distribution.workers import Process
 from lite6jax.recordings import write_recording
+from tests import batch_work
 from tests.batch_work import folded
 
 FOLDS = [np.array([k]) for k in range(5)]
+HERE = os.getpid()
 
 
-def how(what="done"):
-    return RemoteWork(folded, (what,))
+def at_hand():
+    return module._at_hand.get()
 
 
-def own(fold):
-    time.sleep(0.05)
-    return int(fold[0]), os.getpid()
-
-
-@pytest.fixture
-def two():
-    with FoldProcesses(2) as them:
-        yield them
-
-
-def test_folds_are_shared_and_results_in_their_order(two):
-    done = []
+def test_folds_are_shared_and_results_in_their_order():
     deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        results = two.results(own, how(), FOLDS, done.append)
-        assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
-        if len({process for _, process in results}) > 1:  # those that have started by then
-            break
-    assert os.getpid() in {process for _, process in results}
+    with fold_processes(3):
+        while time.monotonic() < deadline:
+            results = work_on_folds(folded, ("done", HERE), FOLDS)
+            assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
+            if len({process for _, process in results}) > 1:  # those that have started by then
+                break
+    assert HERE in {process for _, process in results}
     assert len({process for _, process in results}) > 1
-    assert max(done) == 5
 
 
 @pytest.mark.parametrize("what", ["die", "fail"])
-def test_what_a_process_could_not_do_is_done_here(two, what):
-    assert two.results(own, how(what), FOLDS, lambda done: None) == [(k, os.getpid()) for k in range(5)]
+def test_what_a_process_could_not_do_is_done_here(what):
+    with fold_processes(3):
+        assert work_on_folds(folded, (what, HERE), FOLDS) == [(k, HERE) for k in range(5)]
 
 
-def test_an_error_here_is_an_error():
-    def fails(fold):
-        raise ValueError("no such fold")
-
-    with FoldProcesses(1) as them, pytest.raises(ValueError, match="no such fold"):
-        them.results(fails, how("slow"), FOLDS, lambda done: None)
-
-
-def test_what_was_begun_ahead_is_taken_where_it_is_the_same_work(two):
-    two.ahead(how(), FOLDS)
-    deadline = time.monotonic() + 60
-    while two._job.todo and time.monotonic() < deadline:
-        time.sleep(0.01)
-    results = two.results(own, how(), [fold.copy() for fold in FOLDS], lambda done: None)
-    assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
-    assert os.getpid() not in {process for _, process in results}
-    for other, folds in ((how("fail"), FOLDS), (how(), FOLDS[:3])):
-        two.ahead(how(), FOLDS)
-        assert len(two.results(own, other, folds, lambda done: None)) == len(folds)
-
-
-def test_processes_that_work_are_ended_at_once(monkeypatch):
+def test_an_error_here_is_an_error_and_processes_that_work_are_ended_at_once(monkeypatch):
     started = []
     monkeypatch.setattr(Process, "_start", lambda self, start=Process._start: started.append(start(self)))
-    with FoldProcesses(1) as them:
-        them.ahead(how("slow"), FOLDS)
-        (process,) = them._processes._all
+
+    def fail_once_the_other_works():
         deadline = time.monotonic() + 60
         while process._told is None and time.monotonic() < deadline:
             time.sleep(0.01)
-        ended = process._process.pid
+        raise ValueError("no such fold")
+
+    monkeypatch.setattr(batch_work, "work_here", fail_once_the_other_works)
+    with fold_processes(2):
+        (process,) = at_hand()._all
         begins = time.monotonic()
-    assert time.monotonic() - begins < 30  # not the minute that the work takes
+        with pytest.raises(ValueError, match="no such fold"):
+            work_on_folds(folded, ("slow", HERE), FOLDS)
+        ended = process._process.pid
+    assert time.monotonic() - begins < 60  # not the minute that the work takes
     assert len(started) == 1  # and none in its place
     with pytest.raises(ProcessLookupError):
         os.kill(ended, 0)

@@ -5,7 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from lite6jax.diagnosis.heldout import fold_count, side_by_side, spread_folds
+from lite6jax.diagnosis.fold_processes import work_on_folds
+from lite6jax.diagnosis.heldout import fold_count, spread_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
 from lite6jax.estimation.noise import UNCORRELATED, Autocorrelation, NoiseModel
@@ -21,7 +22,7 @@ def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed(
         return 10 * fold
 
     with followed(stages.append):
-        assert side_by_side(work, range(5)) == [0, 10, 20, 30, 40]
+        assert work_on_folds(work, (), range(5)) == [0, 10, 20, 30, 40]
     parts = [stage.part for stage in stages]
     assert len(parts) == 5
     assert parts == sorted(parts)
@@ -33,8 +34,8 @@ def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed(
 def test_the_follower_of_the_caller_hears_the_stages_of_every_fold():
     stages = []
     with followed(stages.append):
-        side_by_side(lambda fold: entered("noise"), [0])
-    assert stages == [Stage("noise", 1, 2)]
+        work_on_folds(lambda fold: entered("naming"), (), [0])
+    assert stages == [Stage("naming", 1, 2)]
 
 
 def test_an_error_ends_the_work_on_folds_that_have_not_begun():
@@ -47,7 +48,7 @@ def test_an_error_ends_the_work_on_folds_that_have_not_begun():
         threading.Event().wait(0.05)
 
     with pytest.raises(ValueError, match="no such fold"):
-        side_by_side(work, range(1000))
+        work_on_folds(work, (), range(1000))
     assert len(begun) < 100
 
 

@@ -1,4 +1,4 @@
-"""Batches: the same bytes whoever computes them, one death costs one row, and a run that was ended goes on."""
+"""Batches: the same bytes whoever computes them, and one death costs one row."""
 
 import ctypes
 import os
@@ -6,24 +6,17 @@ import pickle
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks.concealed.campaign import POSES
-from benchmarks.torque_trials.campaign import TORQUES
-from lite6jax.arms.bundled import load_bundled
-from lite6jax.cli.diagnose import Diagnose
 from lite6jax.distribution import batches as layer
-from lite6jax.distribution.batches import Parts, Workers, run_batches
+from lite6jax.distribution.batches import Workers, run_batches
 from lite6jax.distribution.workers import work
 from lite6jax.errors import InputError
-from lite6jax.folders.place import Place
-from tests.batch_work import content, dead, ends_at_once, freed, hoarded, resident, spelled, unsendable
+from tests.batch_work import dead, ends_at_once, freed, hoarded, resident, spelled, unsendable
 
 ROOT = Path(__file__).resolve().parents[2]
 LINUX = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory of processes is read on Linux")
@@ -32,7 +25,7 @@ INPUTS = [["a", "bb"], ["ccc"], ["dddd", "e"], ["f"]]
 
 
 def ran(folder, inputs=INPUTS, out="out.parquet", **options):
-    return run_batches(spelled, inputs, (str(folder),), out=folder / out, content=content, died=dead, **options)
+    return run_batches(spelled, inputs, (str(folder),), out=folder / out, died=dead, **options)
 
 
 def outcomes(function, batches, *given, **options):
@@ -50,27 +43,24 @@ def done(folder):
 
 def test_rows_are_in_the_order_of_the_inputs(tmp_path):
     advanced = []
-    run = ran(tmp_path, processes=0, progress=advanced.append)
-    assert (run.path, run.rows, run.kept) == (tmp_path / "out.parquet", 6, 0)
-    assert pq.read_table(run.path).to_pydict() == {
+    path = ran(tmp_path, processes=0, progress=advanced.append)
+    assert path == tmp_path / "out.parquet"
+    assert pq.read_table(path).to_pydict() == {
         "input": ["a", "bb", "ccc", "dddd", "e", "f"],
         "length": [1, 2, 3, 4, 1, 1],
     }
     assert sum(advanced) == 6
-    assert not (tmp_path / "out.parquet.parts").exists()
 
 
 @POSIX
 def test_processes_give_the_same_bytes_and_a_death_costs_one_row(tmp_path):
-    whole = ran(tmp_path, processes=0).path.read_bytes()
+    whole = ran(tmp_path, processes=0).read_bytes()
     inputs = [["a", "die", "bb"], ["slow", "ccc"], *INPUTS[2:], ["die"]]
     one, two = tmp_path / "one", tmp_path / "two"
     one.mkdir(), two.mkdir()
-    assert ran(one, processes=1).path.read_bytes() == whole
-    assert ran(two, processes=2).path.read_bytes() == whole
-    bytes_of = [
-        ran(folder, inputs, "died.parquet", processes=n).path.read_bytes() for n, folder in ((1, one), (2, two))
-    ]
+    assert ran(one, processes=1).read_bytes() == whole
+    assert ran(two, processes=2).read_bytes() == whole
+    bytes_of = [ran(folder, inputs, "died.parquet", processes=n).read_bytes() for n, folder in ((1, one), (2, two))]
     assert bytes_of[0] == bytes_of[1]
     rows = pq.read_table(one / "died.parquet").to_pydict()
     assert rows["input"] == ["a", "die", "bb", "slow", "ccc", "dddd", "e", "f", "die"]
@@ -132,77 +122,13 @@ def test_freed_memory_between_what_stays_is_given_back():
     assert after - before < held - before
 
 
-def test_what_a_function_raises_ends_the_run_and_what_was_done_is_kept(tmp_path):
-    inputs = [["a"], ["bb"], ["fail"]]
+def test_what_a_function_raises_ends_the_run_and_writes_nothing(tmp_path):
     for processes in (0, 1):
         with pytest.raises(KeyError, match="fail"):
-            ran(tmp_path, inputs, processes=processes)
-        assert len(list((tmp_path / "out.parquet.parts").iterdir())) == 2
-    assert done(tmp_path) == ["a", "bb"]
+            ran(tmp_path, [["a"], ["bb"], ["fail"]], processes=processes)
+    assert not (tmp_path / "out.parquet").exists()
     with pytest.raises(RuntimeError, match="Unsendable: no"):
         outcomes(unsendable, [["a"]], processes=1)
-
-
-def test_a_run_that_was_ended_goes_on_with_the_same_bytes(tmp_path):
-    whole = ran(tmp_path, processes=0).path.read_bytes()
-    assert done(tmp_path) == ["a", "bb", "ccc", "dddd", "e", "f"]
-
-    def stop(inputs, rows):
-        if inputs == INPUTS[2]:
-            raise KeyboardInterrupt
-        return rows
-
-    with pytest.raises(KeyboardInterrupt):
-        ran(tmp_path, out="again.parquet", processes=0, store=stop)
-    assert done(tmp_path) == ["a", "bb", "ccc", "dddd", "e"]
-    run = ran(tmp_path, out="again.parquet", processes=0)
-    assert done(tmp_path) == ["dddd", "e", "f"]  # the third had been worked on, and not kept
-    assert run.kept == 3
-    assert run.path.read_bytes() == whole
-
-
-def test_what_was_kept_is_done_again_where_anything_differs(tmp_path, monkeypatch):
-    parts, rows = Parts(tmp_path / "out.parquet", "asked"), dead("a")
-    parts.keep(parts.key(b"content"), rows)
-    (file,) = parts.folder.iterdir()
-
-    def found(*asked, content=b"content"):
-        again = Parts(tmp_path / "out.parquet", *asked)
-        return again.find(again.key(content))
-
-    assert found("asked") == rows
-    assert found("else") is found("asked", content=b"other") is None
-    with monkeypatch.context() as patched:
-        patched.setattr(layer, "versions", lambda: ("another",))
-        assert found("asked") is None
-    file.write_bytes(file.read_bytes()[:-20])  # cut short, as by a kill
-    assert found("asked") is None
-    mine = parts.folder / "notes.txt"
-    mine.write_text("mine")
-    parts.remove()
-    assert list(parts.folder.iterdir()) == [mine]
-    mine.unlink()
-    parts.remove()
-    assert not parts.folder.exists()
-
-
-LITE6 = load_bundled("lite6")
-DIFFERENT = [
-    *(None, True, 1, 1.0, "1", b"1", Path("1"), -0.0, np.nextafter(1, 2).item(), (), (1,), [1], ((1,),), len),
-    *(np.zeros(2), np.zeros((2, 1)), np.zeros(2, int), np.zeros(2, np.float32), np.array([0.0, -0.0])),
-    *(LITE6, load_bundled("ur10"), replace(LITE6, name="mine"), Place.of("."), POSES, TORQUES),
-    *(Diagnose(Path("a")), Diagnose(Path("b")), Diagnose(Path("a"), force=True)),
-]
-
-
-def test_a_key_is_of_values_and_not_of_objects():
-    keys = [Parts(Path("a"), value).key(b"") for value in DIFFERENT]
-    assert len(set(keys)) == len(keys)
-    text = "ab" * 10
-    assert Parts(Path("a"), text, text).key(b"") == Parts(Path("b"), text, "".join(["ab"] * 10)).key(b"")
-    code = "from tests.distribution.test_batches import *; print(Parts(Path('a'), LITE6, POSES, Path('x')).key(b''))"
-    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert said.strip() == Parts(Path("a"), load_bundled("lite6"), POSES, Path("x")).key(b"")
 
 
 def test_row_groups_do_not_depend_on_the_batches(tmp_path, monkeypatch):
@@ -230,26 +156,24 @@ ran(Path(sys.argv[1]), SLOW, processes=2)
 
 
 @POSIX
-def test_a_run_that_was_killed_loses_a_batch_a_worker_and_leaves_no_temporary_folder(tmp_path):
-    home, parts = tmp_path / "temporary", tmp_path / "out.parquet.parts"
+def test_a_run_that_was_killed_leaves_no_process_and_no_temporary_folder(tmp_path):
+    home = tmp_path / "temporary"
     home.mkdir()
     environment = os.environ | {"TMPDIR": str(home)}
     started = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path], cwd=ROOT, env=environment)
     deadline = time.monotonic() + 60
-    while (not parts.exists() or len(list(parts.iterdir())) < 3) and time.monotonic() < deadline:
+    while not (tmp_path / "done").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
     started.kill()
     started.wait()
     while any(home.iterdir()) and time.monotonic() < deadline:  # workers end with the program
         time.sleep(0.02)
     assert not any(home.iterdir())
-    count = len(list(parts.iterdir()))
-    assert 3 <= count < 20
-    assert len(done(tmp_path)) <= 2 * (count + 2)
-    run = ran(tmp_path, SLOW, processes=2)
-    assert run.kept in (2 * count, 2 * (count - 1))  # the last batch may have been cut as it was written
-    assert len(done(tmp_path)) == 2 * 20 - run.kept
-    assert pq.read_table(run.path)["input"].to_pylist() == [value for one in SLOW for value in one]
+    worked_on = done(tmp_path)
+    time.sleep(0.7)  # of a batch
+    assert len(done(tmp_path)) == 0
+    assert 0 < len(worked_on) < 40
+    assert not (tmp_path / "out.parquet").exists()
 
 
 def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):

@@ -16,7 +16,7 @@ from lite6jax.cli import main
 from lite6jax.distribution import workers as layer
 from lite6jax.distribution.batches import run_batches
 from lite6jax.errors import InputError
-from tests.batch_work import content, dead, reduced, spelled
+from tests.batch_work import dead, reduced, spelled
 from tests.oracles.arms import random_kinematics
 
 dask = pytest.importorskip("dask", reason="the extra distributed is not installed")
@@ -40,14 +40,12 @@ def workers():
 
 def ran(folder, inputs=INPUTS, **options):
     folder.mkdir(exist_ok=True)
-    return run_batches(
-        spelled, inputs, (str(folder),), out=folder / "out.parquet", content=content, died=dead, **options
-    )
+    return run_batches(spelled, inputs, (str(folder),), out=folder / "out.parquet", died=dead, **options)
 
 
 def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(workers, tmp_path):
-    whole = ran(tmp_path / "here", processes=0).path.read_bytes()
-    assert ran(tmp_path / "there", scheduler=workers.scheduler_address).path.read_bytes() == whole
+    whole = ran(tmp_path / "here", processes=0).read_bytes()
+    assert ran(tmp_path / "there", scheduler=workers.scheduler_address).read_bytes() == whole
     first = workers.workers[0].pid
     began = threading.Event()
 
@@ -59,7 +57,7 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(workers, tmp_p
     killer.start()
     run = ran(tmp_path / "killed", scheduler=workers.scheduler_address, progress=lambda done: began.set())
     killer.join()
-    assert run.path.read_bytes() == whole
+    assert run.read_bytes() == whole
     deadline = time.monotonic() + 30
     while workers.workers[0].pid in (None, first) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -69,8 +67,8 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(workers, tmp_p
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_an_input_at_which_workers_die_costs_its_row(workers, tmp_path):
     inputs = [["a", "die"], ["bb"]]
-    by_processes = ran(tmp_path / "here", inputs, processes=1).path.read_bytes()
-    assert ran(tmp_path / "there", inputs, scheduler=workers.scheduler_address).path.read_bytes() == by_processes
+    by_processes = ran(tmp_path / "here", inputs, processes=1).read_bytes()
+    assert ran(tmp_path / "there", inputs, scheduler=workers.scheduler_address).read_bytes() == by_processes
 
 
 def test_the_recordings_of_a_fleet_are_diagnosed_and_pooled_to_the_same_bytes(workers, tmp_path, monkeypatch, capsys):

@@ -7,6 +7,7 @@ from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
 from lite6jax.estimation.evidence import Marginal, bound, of_process
+from lite6jax.estimation.noise import coefficients
 from lite6jax.estimation.score_test import score_test
 
 RNG = np.random.default_rng(8)
@@ -51,11 +52,12 @@ def test_of_unknown_scale_it_is_that_of_student_s_distribution_outside_the_nuisa
     assert found.gain == pytest.approx(scale_free(y, C) - scale_free(y, np.eye(35)), abs=1e-9)
 
 
-def test_no_other_amplitude_is_likelier():
-    X, y = drawn()
+@pytest.mark.parametrize("size", [2.0, 1e5])
+def test_no_other_amplitude_is_likelier(size):
+    X, y = drawn(size=size)
     found = of_process(X.T @ y, X.T @ X, y @ y, 40.0, CONFOUNDED)
-    gains = [scale_free(y, np.eye(40) + s * X @ X.T) for s in np.geomspace(1e-3, 1e3, 400)]
-    assert max(gains) - scale_free(y, np.eye(40)) == pytest.approx(found.gain, abs=0.1)
+    gains = [scale_free(y, np.eye(40) + s * X @ X.T) for s in np.geomspace(1e-3, 1e3 * size**2, 800)]
+    assert max(gains) - scale_free(y, np.eye(40)) == pytest.approx(found.gain, abs=0.1, rel=2e-3)
 
 
 def test_of_equal_directions_it_is_the_formula():
@@ -164,3 +166,21 @@ def test_a_site_that_moves_by_a_number_of_its_own_in_each_sample_is_noise_along_
     S = left @ left, left @ np.linalg.solve(C, left)
     gain = -0.5 * bare * len(left) * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1]
     assert found.gain == pytest.approx(gain, abs=0.05)
+
+
+def test_noise_that_persists_is_an_autoregression_along_the_direction_of_its_component(beside):
+    problem, y, Q, test = beside
+    column = next(one.column for one in problem.components if one.site == "joint3") / test.scale[0]
+    found = Marginal(test).of_persistent_noise(column * test.scale[0])
+    left = np.append(Q @ (Q.T @ y), np.full(4, 1 / test.scale[0]))
+    lag = np.abs(np.subtract.outer(np.arange(problem.samples), np.arange(problem.samples)))
+    same_run = np.equal.outer(np.asarray(problem.run), np.asarray(problem.run))
+    rows, gains = np.zeros((len(left), problem.samples)), []
+    for k in range(problem.samples):
+        rows[np.arange(problem.rows) * problem.samples + k, k] = column[:, k]
+    bare = Q.shape[1] + 4
+    for coefficient in coefficients(problem.samples):
+        C = np.eye(len(left)) + found.variance * rows @ (coefficient**lag * same_run) @ rows.T
+        S = left @ left, left @ np.linalg.solve(C, left)
+        gains.append(-0.5 * bare * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1])
+    assert found.gain == pytest.approx(max(gains), abs=0.05)

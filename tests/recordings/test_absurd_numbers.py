@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.fuzzed import CSV_BY_HAND, LITE6, SAMPLES, recording
 from lite6jax.domains.pose.fit import fit_recording
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, read_targets
+from tests.damaged import CSV_BY_HAND, LITE6, SAMPLES, recording
 
 ROW = 20
 ABSURD = [

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks.fuzzed import flip_bit, recording
 from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings, write_recording, write_settings
 from lite6jax.recordings import sidecar as sidecars
+from tests.damaged import flip_bit, recording
 
 SUFFIXES = pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 

@@ -3,7 +3,6 @@
 import copy
 import re
 from dataclasses import replace
-from datetime import date
 
 import numpy as np
 import pytest
@@ -11,14 +10,14 @@ from diagnosed import documented
 from typed import flat, run
 
 from lite6jax.diagnosis.document import write_document
-from lite6jax.report.pages import Stated, certificate, write_certificate
+from lite6jax.report.pages import certificate, write_certificate
 
 INPUTS = [{"role": "recording", "file": "run7.csv", "sha256": "ab" * 32}]
 
 
 @pytest.fixture(scope="module")
 def document(found):
-    return {**documented(found), "inputs": INPUTS}
+    return {**documented(found), "inputs": INPUTS, "date": "2026-11-21", "instrument": "tracker 7"}
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def texts(figure):
 
 
 def test_the_figures_are_those_of_the_document(document):
-    said = texts(certificate(document, Stated(date(2026, 11, 21), "tracker 7")))
+    said = texts(certificate(document))
     assert said[0] == "Certificate of accuracy"
     assert {"lite6", "2026-11-21", "run7.csv, 200 rows, static", "ab" * 32} <= set(said)
     assert any(line.startswith("tracker 7; declared noise 0.0200 mm") for line in said)
@@ -47,19 +46,15 @@ def test_the_sidecar_says_when_and_with_what(found, tmp_path):
     settings = replace(recording.settings, date="2026-11-20", instrument="tracker 9")
     declared = replace(found, problem=replace(found.problem, recording=replace(recording, settings=settings)))
     document = documented(declared)
-    for stated, day, instrument in (
-        (Stated(), "2026-11-20", "tracker 9"),
-        (Stated(date(2026, 1, 2), "a ruler"), "2026-01-02", "a ruler"),
-    ):
-        said = texts(certificate(document, stated))
-        assert said[said.index("Date") + 1] == day
-        assert said[said.index("Instrument") + 1].startswith(f"{instrument}; declared noise")
-    assert b"CreationDate (D:20261120000000" in write_certificate(document, tmp_path / "c.pdf", Stated()).read_bytes()
-    assert texts(certificate(documented(found), Stated())).count("not stated") == 1
+    said = texts(certificate(document))
+    assert said[said.index("Date") + 1] == "2026-11-20"
+    assert said[said.index("Instrument") + 1].startswith("tracker 9; declared noise")
+    assert b"CreationDate (D:20261120000000" in write_certificate(document, tmp_path / "c.pdf").read_bytes()
+    assert texts(certificate(documented(found))).count("not stated") == 1
 
 
 def test_intervals_are_95_percent(document):
-    said = " ".join(texts(certificate(document, Stated())))
+    said = " ".join(texts(certificate(document)))
     finding = next(entry for entry in document["findings"] if entry["effect"] == "joint_compliance")
     value, std = (1e6 * finding["parameters"]["compliance_rad_per_Nm"][key] for key in ("value", "std"))
     low, high = map(float, re.search(r"compliance [\d.]+ \[([\d.]+), ([\d.]+)\] µrad/Nm", said).groups())
@@ -69,13 +64,13 @@ def test_intervals_are_95_percent(document):
 def test_orientations_stand_on_it_where_they_were_measured(document):
     keys = {f"heldout_orientation_{key}_rad": 1e-3 * k for k, key in enumerate(("mean", "rms", "p95", "max"), 1)}
     turned = {**document, **{stage: {**document[stage], **keys} for stage in ("before", "after")}}
-    said = texts(certificate(turned, Stated()))
+    said = texts(certificate(turned))
     assert float(said[said.index("orientation error (deg), RMS") + 1]) == pytest.approx(np.rad2deg(2e-3), abs=6e-5)
-    assert not any("orientation" in line for line in texts(certificate(document, Stated())))
+    assert not any("orientation" in line for line in texts(certificate(document)))
 
 
 def test_torques_are_in_newton_metres(of_motors):
-    said = texts(certificate(of_motors, Stated()))
+    said = texts(certificate(of_motors))
     at = said.index("joint 2 (Nm), RMS")
     pair = [of_motors[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after")]
     assert [float(cell) for cell in said[at + 1 : at + 3]] == pytest.approx(pair, abs=6e-5)
@@ -83,13 +78,12 @@ def test_torques_are_in_newton_metres(of_motors):
 
 
 def test_one_page_and_the_same_bytes(document, tmp_path):
-    stated = Stated(date(2026, 11, 21))
-    paths = [write_certificate(document, tmp_path / f"{name}.pdf", stated) for name in "ab"]
+    paths = [write_certificate(document, tmp_path / f"{name}.pdf") for name in "ab"]
     first, second = (path.read_bytes() for path in paths)
     assert first == second
     assert len(re.findall(rb"/Type /Page\b", first)) == 1
     assert b"CreationDate (D:20261121000000" in first
-    undated = write_certificate(document, tmp_path / "c.pdf", Stated()).read_bytes()
+    undated = write_certificate({**document, "date": None}, tmp_path / "c.pdf").read_bytes()
     assert b"CreationDate" not in undated
     width, height = map(float, re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", first).groups())
     assert (width / 72, height / 72) == pytest.approx((8.27, 11.69), abs=0.01)  # A4
@@ -99,7 +93,7 @@ def test_everything_stays_inside_the_page(document, of_motors):
     effects = of_motors["model"]["effects"] * 20
     many = {**of_motors, "findings": of_motors["findings"] * 20, "model": {**of_motors["model"], "effects": effects}}
     for each in (document, of_motors, many):
-        figure = certificate(each, Stated())
+        figure = certificate(each)
         figure.canvas.draw()
         for text in figure.texts:
             box = text.get_window_extent()

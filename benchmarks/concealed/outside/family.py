@@ -7,7 +7,8 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import accumulate, chain
+from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +20,6 @@ Drivers = tuple[tuple[str, ...], ...]
 
 PRELOAD = 0.5
 """Of the load: the moment at which bolts that are tightened begin to give, or a detent does."""
-CREEP = 4.0
-"""Time constants of a creep that a recording lasts."""
 ROCKING = 4.0
 """A moment of one part in so many of the load tips a base from one foot to another."""
 WARMER = 10.0
@@ -141,13 +140,14 @@ class Scene:
 def family(
     place: str,
     drivers: str,
+    /,
     signal: Callable[[Scene], Array] | None = None,
     keys: str = "",
-    beside: str = "",
+    beside: str | tuple[str, ...] = "",
     axes: tuple[int, ...] = (),
-    image: Callable[[Array], Array] | None = None,
+    **other: Any,
 ) -> Family:
-    """A family whose number and needs follow from its place and drivers; a constant is true beside it, or a scale.
+    """A family whose number and needs follow from its place and drivers.
 
     Args:
         place: joint, link, base, tool, sensor or image.
@@ -155,9 +155,10 @@ def family(
             of that of a key, with a stroke between phrases of which one is enough.
         signal: of what happens there.
         keys: words of what is drawn for it.
-        beside: words of the catalogue's effects that are its straight part.
+        beside: words of the catalogue's effects that are its straight part, and beside them a constant or a scale is
+            true as well; a tuple has all.
         axes: of a twist.
-        image: of the measured position.
+        other: of `Family`, where it does not follow.
     """
 
     def phrases_of(fixed: Fixed) -> Drivers:
@@ -167,22 +168,19 @@ def family(
             for words, _, key in each
         )
 
-    always = {"joint": "joint_offset", "tool": "tool_offset", "image": "measurement_scale"}
-    always |= dict.fromkeys(("link", "base"), "frame_offset")
-    return Family(
-        place,
-        "turn_rad" if place == "joint" or min(axes, default=0) > 2 else "shift_m",
-        (lambda fixed, s: signal(Scene(fixed, s))) if signal else None,
-        tuple(keys.split()),
-        phrases_of,
-        axes,
-        (*beside.split(), *always.get(place, "").split()),
-        loaded="torque" in drivers or "moment" in drivers,
-        moving="velocity" in drivers,
-        warm="temperature" in drivers,
-        skipping=place in ("joint", "link"),
-        image=image,
-    )
+    constant = {"joint": "joint_offset", "tool": "tool_offset", "image": "measurement_scale"}
+    constant |= dict.fromkeys(("link", "base"), "frame_offset")
+    said: dict[str, Any] = {
+        "number": "turn_rad" if place == "joint" or min(axes, default=0) > 2 else "shift_m",
+        "drivers": phrases_of,
+        "beside": (*beside.split(), *constant.get(place, "").split()) if isinstance(beside, str) else beside,
+        "loaded": "torque" in drivers or "moment" in drivers,
+        "moving": "velocity" in drivers,
+        "warm": "temperature" in drivers,
+        "skipping": place in ("joint", "link"),
+    }
+    made = (lambda fixed, s: signal(Scene(fixed, s))) if signal else None
+    return Family(place=place, signal=made, keys=tuple(keys.split()), axes=axes, **(said | other))
 
 
 def column(values: Array, fixed: Fixed, key: str = "joint") -> Array:
@@ -229,47 +227,15 @@ def wound(values: Array, run: float) -> Array:
     return np.array([*accumulate(ways, lambda x, way: x + way[1] * (way[0] - x), initial=0.0)])
 
 
-def torque(fixed: Fixed, s: Signals) -> Array:
-    """`(sample,)`: gravity's torque at the family's joint, over the drawn `torque_Nm`."""
-    return column(s.moment[..., 2], fixed) / fixed["torque_Nm"]
-
-
-def own(quantity: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
-    """A quantity of the family's joint, or of the one that another key says."""
-    return lambda fixed: ((f"{quantity} {int(fixed[key])}",),)
-
-
-def either(*quantities: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
-    """One driver of a joint that any of some quantities names."""
-    return lambda fixed: (tuple(f"{quantity} {int(fixed[key])}" for quantity in quantities),)
-
-
-def together(*each: Callable[[Fixed], Drivers]) -> Callable[[Fixed], Drivers]:
-    """All the drivers of each."""
-    return lambda fixed: tuple(chain.from_iterable(drivers(fixed) for drivers in each))
-
-
-def phrases(*words: str) -> Callable[[Fixed], Drivers]:
-    """One driver of the whole arm, named by any of some phrases."""
-    return lambda fixed: (words,)
-
-
-TEMPERATURE = phrases("temperature")  # of the arm or of a joint: they rise together
-TIME = phrases("time")
-POSITION = "position of joint"
-TORQUE = "gravity torque of joint"
-DIRECTION = "direction of motion of joint"
-VELOCITY = "velocity of joint"
-SPEED = "speed of joint"
-BY_JOINT = own(POSITION, "by")
 _OF = {
-    "position": POSITION,
-    "torque": TORQUE,
-    "direction": DIRECTION,
-    "velocity": VELOCITY,
-    "speed": SPEED,
+    "position": "position of joint",
+    "torque": "gravity torque of joint",
+    "direction": "direction of motion of joint",
+    "velocity": "velocity of joint",
+    "speed": "speed of joint",
     "travel": "travel since reversal of joint",
     "moment x": "gravity moment x of link",
+    "moment y": "gravity moment y of link",
 }
 TILT = (3, 4)
 X, Y, Z = np.eye(3)[:, :, None]

@@ -1,11 +1,9 @@
 """Which families are open and which are sealed: the list that fixes, with a seed, what a campaign draws."""
 
-from itertools import chain
-
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside import base, joint, link, sensor, tool, vault, workshop
+from benchmarks.concealed.outside import places, vault, workshop
 from benchmarks.concealed.outside.family import Family, Fixed, Signals
 
 SEALED = float("inf")
@@ -37,9 +35,7 @@ a seed draws: new families go to the end. With --sealed, a seed from 2481 to 910
 OPENED: dict[str, float] = {name: first for first, names in _NAMES.items() for name in names.split()}
 """By name, that seed."""
 
-_WRITTEN = dict(
-    chain.from_iterable(place.FAMILIES.items() for place in (joint, link, base, tool, sensor, workshop, vault))
-)
+_WRITTEN = places.FAMILIES | workshop.FAMILIES | vault.FAMILIES
 FAMILIES: dict[str, Family] = {name: _WRITTEN[name] for name in OPENED}
 """By name. A `power` of 2 is the family's; of 1 it is the named effect that comes nearest."""
 

@@ -1,0 +1,352 @@
+"""Whether what a diagnosis says is true: of each finding, of the verdict, of the whole statement, and of many trials.
+
+Of poses and of torques alike; shares no code with the library.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal, NamedTuple
+
+from benchmarks.campaigns.shares import WITHIN, Share, share
+
+Row = dict[str, Any]
+Grade = Literal["right", "partial", "misleading"]
+
+ORDER = 0.2
+"""By how much a harmonic's order may be off, or by two of its standard deviations."""
+ADMITTED, GAP = 3, 6.0
+"""A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
+LEFT = 1.3
+"""Times the noise above which something is left, whatever the verdict says."""
+DETECTABLE = 2.0
+"""Thresholds from which theory says that an effect can be found; a smaller one may be missed."""
+LARGE, LARGE_IN_FEW, FEW = 1.5, 4.5, 60
+"""Times the noise from which a missed effect contradicts the verdict; the second with fewer than `FEW` rows."""
+DISTINGUISHED = 4.0
+"""Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
+_ENDED = ("consistent", "explained")
+"""The verdicts that say that nothing is left."""
+
+
+class Statement(NamedTuple):
+    """A diagnosis beside its truth.
+
+    Attributes:
+        grade: right: every finding is true, and all that can be found is named; partial: nothing false is said, but
+            something is missing; misleading: a finding is false, or the verdict says that nothing is left where it is.
+        why: what is false or missing; empty where it is right.
+    """
+
+    grade: Grade
+    why: str
+
+
+def called(effect: Row) -> str:
+    """What the library is to call a hidden effect."""
+    return "unnamed" if "drivers" in effect else effect["effect"]
+
+
+def same(effect: Row, finding: Row) -> bool:
+    """Whether a finding is the hidden effect: name and site, a harmonic's order, a coupling's source, a driver."""
+    if called(effect) == "unnamed":
+        return unnamed_of(effect, finding)
+    if (effect["effect"], effect["site"]) != (finding["effect"], finding["site"]):
+        return False
+    for key, slack in (("order", ORDER), ("source_joint", 0.5)):
+        wanted = effect["parameters"].get(key)
+        if wanted is None:
+            continue
+        said = finding["parameters"][key]
+        if abs(value_of(said) - wanted) > max(slack, 2 * said["std"] if isinstance(said, dict) else 0.0):
+            return False
+    return True
+
+
+def unnamed_of(effect: Row, finding: Row) -> bool:
+    """Whether a finding without a name is a function at the effect's site of a driver on which the effect depends.
+
+    Outside the catalogue, sites that no recording tells apart are the effect's as well (`sites` of the truth).
+    """
+    if finding["effect"] != "unnamed" or finding["site"] not in effect.get("sites", (effect["site"],)):
+        return False
+    return is_driven(finding.get("driver", ""), drivers_of(effect))
+
+
+def is_driven(driver: str, drivers: Sequence[Sequence[str]]) -> bool:
+    """Whether a driver, or one of two, is one of those that a hidden effect has: one of its phrases, or begins so."""
+    return any(said.startswith(phrase) for said in driver.split(" and ") for phrases in drivers for phrase in phrases)
+
+
+def drivers_of(effect: Row) -> list[list[str]]:
+    """The drivers of a hidden effect, each with the phrases that name it; none where it is a constant."""
+    if "drivers" in effect:
+        return effect["drivers"]
+    site, number = effect["site"], effect["site"].lstrip("jointlk")
+    match effect["effect"]:
+        case "joint_scale" | "joint_harmonic":
+            return [[f"position of joint {number}"]]
+        case "joint_coupling":
+            return [[f"position of joint {int(effect['parameters']['source_joint'])}"]]
+        case "joint_compliance":
+            return [[f"gravity torque of joint {number}"]]
+        case "joint_backlash":
+            return [[f"direction of motion of joint {number}"], [f"gravity torque of joint {number}"]]
+        case "joint_lag":
+            return [[f"velocity of joint {number}"]]
+        case "link_compliance":
+            return [[f"gravity moment {axis} of link {number}"] for axis in "xy"]
+        case "base_compliance":
+            return [[f"base moment {axis}"] for axis in "xy"]
+        case "base_drift":
+            return [["time"]]
+        case "link_thermal_expansion":
+            return [["temperature"]] if site.startswith("link") else []
+        case "measurement_scale":
+            return [["measured position"]]
+    return []
+
+
+def admits(effect: Row, finding: Row) -> bool:
+    """Whether a finding is the hidden effect or says that it may be."""
+    sites = effect.get("sites", (effect["site"],))
+    return same(effect, finding) or any(
+        rival["effect"] == called(effect) and rival["site"] in sites for rival in rivals_of(finding)
+    )
+
+
+def rivals_of(finding: Row) -> list[Row]:
+    """The alternatives that a finding lists as inseparable."""
+    return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
+
+
+def matched(hidden: Sequence[Row], findings: Sequence[Row], test: Any) -> bool:
+    """Whether effects and findings pair off, one to one."""
+    if len(hidden) != len(findings):
+        return False
+    if not hidden:
+        return True
+    rest = hidden[1:]
+    return any(
+        test(hidden[0], finding) and matched(rest, [*findings[:k], *findings[k + 1 :]], test)
+        for k, finding in enumerate(findings)
+    )
+
+
+def all_found(hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+    """Whether every hidden effect has a finding of its own that names effect and site, or lists them as equivalent."""
+    if not hidden:
+        return False
+    return any(
+        admits(hidden[0], finding) and (len(hidden) == 1 or all_found(hidden[1:], [*findings[:k], *findings[k + 1 :]]))
+        for k, finding in enumerate(findings)
+    )
+
+
+def value_of(parameter: Any) -> float:
+    """Of a parameter with its standard deviation, or of a plain number."""
+    return float(parameter["value"] if isinstance(parameter, dict) else parameter)
+
+
+def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
+    """The grade of what a diagnosis says.
+
+    A trial without an answer is misleading: whoever waits for one is left with nothing.
+
+    Args:
+        truth: the sealed one.
+        diagnosis: what the library wrote; None where it wrote none.
+        rows: of the recording.
+    """
+    if diagnosis is None:
+        return Statement("misleading", "no answer")
+    hidden, findings = truth["hidden"], diagnosis["findings"]
+    false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
+    missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in findings)]
+    said = []
+    if false:
+        said.append(f"false: {', '.join(false)}")
+    if hidden and diagnosis["verdict"] in _ENDED:
+        left, large = _left(truth, diagnosis), LARGE_IN_FEW if rows < FEW else LARGE
+        missed = [e for e in missing if e["size"] >= DETECTABLE and e["moved_m"] * e["seen"] > large * truth["noise_m"]]
+        if left > LEFT:
+            said.append(f"verdict {diagnosis['verdict']} with {left:.2g} times the noise left")
+        elif missed:
+            said.append(f"verdict {diagnosis['verdict']} without {_listed(missed)}")
+    if said:
+        return Statement("misleading", "; ".join(said))
+    lacking = [effect for effect in hidden if not _whole(effect, findings) and effect["size"] >= DETECTABLE]
+    return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
+
+
+def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+    """Whether a finding is a hidden effect, says that it may be, or is a true part of one."""
+    for effect in hidden:
+        if admits(effect, finding) or unnamed_of(effect, finding):
+            return True
+        # the straight part of a function has a name, which is true only beside what is not straight
+        beside = finding["effect"] in effect.get("beside", ()) and finding["site"] == effect["site"]
+        if beside and any(unnamed_of(effect, other) for other in findings):
+            return True
+        part = finding["effect"] in effect.get("sum_of", ()) and finding["site"] == effect["site"]
+        if part and is_summed(effect, findings):
+            return True
+    return False
+
+
+def is_summed(effect: Row, findings: Sequence[Row]) -> bool:
+    """Whether an effect outside the catalogue that is a sum of some inside it is found as that sum, at its site."""
+    there = {finding["effect"] for finding in findings if finding["site"] == effect["site"]}
+    return bool(effect.get("sum_of")) and there.issuperset(effect["sum_of"])
+
+
+def _whole(effect: Row, findings: Sequence[Row]) -> bool:
+    """Whether the findings say all of an effect: its name; or outside the catalogue, its site and every driver."""
+    if called(effect) != "unnamed":
+        return any(admits(effect, finding) for finding in findings)
+    if is_summed(effect, findings):
+        return True
+    ours = [finding for finding in findings if unnamed_of(effect, finding)]
+    if not ours:
+        return any(admits(effect, finding) for finding in findings)
+    return all(
+        any(is_driven(finding.get("driver", ""), [phrases]) for finding in ours) for phrases in drivers_of(effect)
+    )
+
+
+def _left(truth: Row, diagnosis: Row) -> float:
+    """What is left, per axis, over the noise that was declared: in positions or, where measured, in orientations."""
+    position = diagnosis["after"].get("heldout_position_rms_m")
+    ratios = [0.0 if position is None else position / math.sqrt(3) / truth["noise_m"]]
+    orientation = (diagnosis.get("left") or {}).get("orientation_over_noise")
+    return max(*ratios, 0.0 if orientation is None else orientation)
+
+
+def _listed(effects: Sequence[Row]) -> str:
+    return ", ".join(f"{effect['effect']}@{effect['site']}" for effect in effects)
+
+
+def scored_by_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str, moved: str) -> Row:
+    """The columns of a trial's row that poses and torques share.
+
+    Args:
+        truth: the sealed one.
+        diagnosis: what the library wrote; None where it wrote none.
+        seconds: that diagnosis and prediction took.
+        error: why there is no diagnosis or prediction.
+        moved: the key of what a hidden effect moves.
+    """
+    said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
+    findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
+    hidden = truth["hidden"]
+    top, first = findings[0] if findings else None, hidden[0] if hidden else None
+    keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")
+    return {key: truth[key] for key in keys} | {
+        "error": error,
+        "seconds": seconds,
+        "verdict": said["verdict"],
+        "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
+        "faults": [fault["fault"] for fault in said["data_faults"]],
+        "hidden": [_of_hidden(effect, findings) | {moved: effect[moved]} for effect in hidden],
+        "detected": bool(findings),
+        "found": not error and all_found(hidden, findings),
+        "exact": not error and matched(hidden, findings, same),
+        "exact_in_set": not error and matched(hidden, findings, admits),
+        "top_site": bool(first and top and top["site"] == first["site"]),
+        "top_named": bool(first and top and same(first, top)),
+        "top_in_set": bool(first and top and admits(first, top)),
+        "findings": [_of_finding(finding, hidden) for finding in findings],
+    }
+
+
+def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+    """What of a row says how well an effect was found: its site, its name, and the error of each of its numbers."""
+    ours = next((finding for finding in findings if same(effect, finding)), None)
+    rival = effect["rival"] or {"name": "", "site": "", "apart": None}
+    numbers = []
+    if ours is not None and called(effect) != "unnamed":
+        bounds = effect["bound"]
+        if "order" in ours["parameters"]:
+            # a whole order is no number to be found, but whoever reports it with an interval is to be right
+            bounds = bounds | {"order": bounds.get("order", 0.0)}
+        for name, bound in bounds.items():
+            if name in ours["parameters"]:
+                said, true = ours["parameters"][name], effect["parameters"][name]
+                off = value_of(said) - true
+                off = math.remainder(off, math.tau) if name == "phase_rad" else off
+                numbers.append({"name": name, "true": true, "off": off, "std": float(said["std"]), "bound": bound})
+    return {
+        "effect": effect["effect"],
+        "site": effect["site"],
+        "size": effect["size"],
+        "seen": effect["seen"],
+        "rival": rival["name"],
+        "rival_site": rival["site"],
+        "apart": rival["apart"],
+        "site_found": any(finding["site"] == effect["site"] for finding in findings),
+        "named": ours is not None or is_summed(effect, findings),
+        "in_set": any(admits(effect, finding) for finding in findings) or is_summed(effect, findings),
+        "numbers": numbers,
+    }
+
+
+def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
+    parameters = finding["parameters"]
+    return {
+        "effect": finding["effect"],
+        "site": finding["site"],
+        "driver": finding.get("driver", ""),
+        "p_value": finding["p_value"],
+        "gain": finding.get("log_likelihood_gain"),
+        "order": value_of(parameters["order"]) if "order" in parameters else None,
+        "source_joint": value_of(parameters["source_joint"]) if "source_joint" in parameters else None,
+        "true": any(same(effect, finding) for effect in hidden),
+        "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
+    }
+
+
+def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> list[Row]:
+    """The trials of one named effect whose planned size is between two."""
+    return [row for row in rows if row["kind"] == "single" and least <= row["planned_size"] <= most]
+
+
+def distinguishable(row: Row) -> bool:
+    """Whether the data distinguish the one hidden effect from what it is most easily taken for (`apart`)."""
+    return (row["hidden"][0]["apart"] or 0.0) >= DISTINGUISHED
+
+
+def numbers(rows: Iterable[Row], least: float) -> list[Row]:
+    """The estimated numbers of all effects that were named and are so many thresholds large, those with an interval.
+
+    Reported orders are among them, also where the truth is a whole number and has no bound. Orders that are stated as
+    exact have no interval; `exact_orders` counts them.
+    """
+    return [
+        number | {"effect": effect["effect"], "size": effect["size"]}
+        for row in rows
+        for effect in row["hidden"]
+        if effect["size"] >= least
+        for number in effect["numbers"]
+        if number["std"] > 0 and (number["bound"] > 0 or number["name"] == "order")
+    ]
+
+
+def covered(rows: Iterable[Row], least: float) -> Share:
+    """Of the `numbers` of single effects and mixtures, those within their 95 % intervals."""
+    kept = [row for row in rows if row["kind"] in ("single", "mixture")]
+    return share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(kept, least))
+
+
+def exact_orders(rows: Iterable[Row]) -> Share:
+    """Of the orders that were stated without an interval, those that are exactly so."""
+    return share(
+        abs(number["off"]) < 1e-9
+        for row in rows
+        for effect in row["hidden"]
+        for number in effect["numbers"]
+        if number["name"] == "order" and not number["std"]
+    )
+
+
+def share_found(rows: Iterable[Row]) -> Share:
+    """Of the trials that hide something, those all of whose effects were found; results of version 0.1 do not say."""
+    return share(row["found"] for row in rows if row["hidden"] and row["found"] is not None)

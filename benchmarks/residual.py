@@ -1,0 +1,518 @@
+"""What others learn from the rows that a fitted geometry leaves: a Gaussian process, a neural network, linear physics.
+
+Linear are a ridge regression on Fourier orders and gravity, and a stepwise search of the same columns by BIC.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise, product
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.concealed.chain import Chain, vector_from_rotation
+from benchmarks.concealed.plain_physics import moments
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.dh import hayati_to_six_parameter
+from lite6jax.domains.pose.fit import fit
+from lite6jax.fitting.problem import UNDECLARED_NOISE
+from lite6jax.recordings import Recording
+
+Array = NDArray[Any]
+
+_WILD = 8.0
+"""Robust standard deviations beyond which a row is left out of what a rival is fitted to."""
+_GP_TUNED, _GP_ROWS = 800, 3000
+"""Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
+ORDERS = tuple(range(1, 61))
+_BLOCKS = 5
+"""Of neighbouring rows, by which a ridge is chosen."""
+_MOST_GROUPS = 80
+_RIDGES = np.logspace(-8, 2, 11)
+_GAUGE = 1e-9
+
+
+class Correction(NamedTuple):
+    """What a rival adds to the geometry's poses.
+
+    Attributes:
+        shift: `(sample, 3)` m, base axes.
+        turn: `(sample, 3)` rad, base axes; zero of one that says nothing of orientation.
+    """
+
+    shift: Array
+    turn: Array
+
+
+class Fitted(NamedTuple):
+    """A rival after it has seen its rows.
+
+    Attributes:
+        correct: what it says of other rows.
+        parameters: how many numbers it has fitted over the geometry; those of a Gaussian process are its weights.
+        names: the physics that it names, as `effect:site`.
+    """
+
+    correct: "Callable[[View], Correction]"
+    parameters: int
+    names: tuple[str, ...] = ()
+
+
+class View(NamedTuple):
+    """Rows of a recording as a fitted geometry sees them, in the base's axes.
+
+    Attributes:
+        recording: the rows.
+        frames: rotations `(sample, joint, 3, 3)` and origins `(sample, joint, 3)` after each joint.
+        tool: rotations `(sample, 3, 3)` and positions `(sample, 3)`.
+        missed: `(sample, 3)` m, measured less predicted; None without poses.
+        turned: `(sample, 3)` rad; None without orientations.
+        moment: `(sample, joint, 3)` Nm about each frame's origin in its axes; None where the masses are not known.
+        base_moment: `(sample, 3)` Nm; likewise.
+        noise: m and rad, what residuals are weighed by.
+    """
+
+    recording: Recording
+    frames: tuple[Array, Array]
+    tool: tuple[Array, Array]
+    missed: Array | None
+    turned: Array | None
+    moment: Array | None
+    base_moment: Array | None
+    noise: tuple[float, float]
+
+    def rows(self, chosen: NDArray) -> "View":
+        """Some of them."""
+
+        def of(array: Array | None) -> Array | None:
+            return None if array is None else array[chosen]
+
+        (R, o), (Rt, p) = self.frames, self.tool
+        return View(
+            self.recording.select(chosen), (R[chosen], o[chosen]), (Rt[chosen], p[chosen]),
+            of(self.missed), of(self.turned), of(self.moment), of(self.base_moment), self.noise,
+        )  # fmt: skip
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """`(sample,)`, rows that are not wild."""
+        assert self.missed is not None
+        far = np.linalg.norm(self.missed - np.median(self.missed, 0), axis=1)
+        return far < _WILD * np.median(far)
+
+
+class Rival(Protocol):
+    """Fits what is left of the geometry's residuals."""
+
+    def __call__(self, seen: View) -> Fitted: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A fitted arm.
+
+    Attributes:
+        chain: its six-parameter form with masses, zero where not known.
+        weighed: whether they are known.
+        sensor: `(4, 4)` T_sensor_base.
+        after: `(4, 4)` from the last joint's frame to the tool.
+        free: whether the chain was fitted; else only frame and tool.
+        parameters: how many numbers were.
+    """
+
+    chain: Chain
+    weighed: bool
+    sensor: Array
+    after: Array
+    free: bool
+    parameters: int
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Geometry":
+        """By robust least squares, as `lite6jax fit` does it."""
+        solution = fit(recording)
+        form, arm = solution.form.chain, solution.arm
+        if isinstance(form, HayatiForm):
+            rows, after = hayati_to_six_parameter(form, solution.parameters)
+        else:
+            rows, after = solution.parameters.reshape(-1, 6), np.eye(4)
+        known = arm.mass is not None and arm.center_of_mass is not None
+        mass = arm.mass if known else np.zeros(arm.dof)
+        center = arm.center_of_mass if known else np.zeros((arm.dof, 3))
+        chain = Chain(arm.name, np.asarray(rows), arm.joint_limits, np.asarray(mass), np.asarray(center))
+        tool = after @ np.asarray(solution.model.T_flange_tool)
+        moved = bool(solution.free[: form.size].any())
+        return cls(chain, known, np.asarray(solution.model.T_sensor_base), tool, moved, int(solution.free.sum()))
+
+    def view(self, recording: Recording) -> View:
+        """Rows of a recording, with residuals where it has poses."""
+        R, o = self.chain.frames(recording.joint_position)
+        Rt, p = R[:, -1] @ self.after[:3, :3], o[:, -1] + R[:, -1] @ self.after[:3, 3]
+        S, s = self.sensor[:3, :3], self.sensor[:3, 3]
+        missed = turned = None
+        if recording.position is not None:
+            missed = (recording.position - s) @ S - p
+        if recording.quaternion is not None:
+            turned = vector_from_rotation(S.T @ rotations(recording.quaternion) @ np.swapaxes(Rt, 1, 2))
+        moment = base = None
+        if self.weighed:
+            center = np.array(recording.settings.payload_com_m)
+            moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
+        told = recording.settings
+        noise = (
+            told.position_noise_m or UNDECLARED_NOISE[0],
+            told.orientation_noise_rad or UNDECLARED_NOISE[1],
+        )
+        return View(recording, (R, o), (Rt, p), missed, turned, moment, base, noise)
+
+
+def rotations(quaternion: Array) -> Array:
+    """`(sample, 3, 3)` of unit quaternions, scalar first."""
+    return Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
+
+
+def geometry_alone(seen: View) -> Fitted:
+    """Nothing more."""
+    return Fitted(lambda view: Correction(np.zeros_like(view.tool[1]), np.zeros_like(view.tool[1])), 0)
+
+
+def features(view: View, angles: bool) -> Array:
+    """What a black box is told of each row: joints (as they are, or as sines and cosines too), and all that varies."""
+    q = view.recording.joint_position
+    r = view.recording
+    columns = [q, np.sin(q), np.cos(q)] if angles else [q]
+    columns += [r.payload[:, None], r.direction_of_motion]
+    columns += [part.reshape(len(q), -1) for part in (r.joint_temperature, r.ambient_temperature) if part is not None]
+    return np.hstack(columns)
+
+
+class _Scaled(NamedTuple):
+    """Columns that vary, to mean zero and deviation one."""
+
+    kept: NDArray[np.bool_]
+    mean: Array
+    size: Array
+
+    def __call__(self, X: Array) -> Array:
+        return (X[:, self.kept] - self.mean) / self.size
+
+
+def _scaled(X: Array) -> _Scaled:
+    kept = X.std(0) > 1e-9
+    return _Scaled(kept, X[:, kept].mean(0), X[:, kept].std(0))
+
+
+def gaussian_process(seen: View) -> Fitted:
+    """The residual's three components over joints, payload, direction and temperature: one length a feature, noise."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    assert seen.missed is not None
+    X, y = features(seen, angles=False), seen.missed
+    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
+    X, y = inputs(X), y / size
+    rng = np.random.default_rng(0)
+    lengths: Any = np.ones(X.shape[1])  # one a feature
+    kernel = ConstantKernel() * RBF(lengths, (0.05, 1e3)) + WhiteKernel(0.1, (1e-6, 10.0))
+    chosen = rng.permutation(len(X))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        tuned = GaussianProcessRegressor(kernel, normalize_y=True, random_state=0)
+        tuned.fit(X[chosen[:_GP_TUNED]], y[chosen[:_GP_TUNED]])
+        kept: Any = chosen[:_GP_ROWS]
+        as_it_is: Any = None
+        process = GaussianProcessRegressor(tuned.kernel_, optimizer=as_it_is, normalize_y=True).fit(X[kept], y[kept])
+
+    def correct(view: View) -> Correction:
+        shift = size * np.asarray(process.predict(inputs(features(view, angles=False))))
+        return Correction(shift, np.zeros_like(shift))
+
+    return Fitted(correct, 3 * len(kept) + 2 + X.shape[1])
+
+
+def neural_network(seen: View) -> Fitted:
+    """Two layers of 64 over joints, their sines and cosines, payload, direction and temperature; stopped early."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPRegressor
+
+    assert seen.missed is not None
+    X, y = features(seen, angles=True), seen.missed
+    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
+    net = MLPRegressor(
+        hidden_layer_sizes=(64, 64),
+        activation="tanh",
+        alpha=1e-4,
+        early_stopping=True,
+        n_iter_no_change=25,
+        max_iter=600,
+        random_state=0,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        net.fit(inputs(X), y / size)
+
+    def correct(view: View) -> Correction:
+        shift = size * np.asarray(net.predict(inputs(features(view, angles=True))))
+        return Correction(shift, np.zeros_like(shift))
+
+    return Fitted(correct, sum(part.size for part in (*net.coefs_, *net.intercepts_)))
+
+
+class Column(NamedTuple):
+    """A displacement of a frame by a driver: site 0 is the base, then the frame after each joint, then the tool."""
+
+    site: int
+    component: int
+    driver: Callable[[View], Array]
+
+
+class Group(NamedTuple):
+    """Columns that belong together, and what they are called; nothing of the geometry."""
+
+    name: str
+    columns: tuple[Column, ...]
+
+
+def _one(view: View) -> Array:
+    return np.ones(view.recording.samples)
+
+
+def nuisance(view: View, free: bool) -> tuple[Column, ...]:
+    """What the geometry's fit moves, as displacements: sensor frame, tool, and every link where the chain is free."""
+    settings, dof = view.recording.settings, view.recording.dof
+    turned = 3 if view.turned is None else 6
+    sites: list[tuple[int, int]] = []
+    if settings.pose_frame == "unknown":
+        sites += product([0], range(6))
+    if settings.tool == "unknown":
+        sites += product([dof + 1], range(turned))
+    if free:
+        sites += product(range(1, dof), range(6))
+    return tuple(Column(site, component, _one) for site, component in sites)
+
+
+def _time(view: View) -> Array:
+    # a drift belongs to its set-up: another one that has no clock has none of it
+    return np.zeros(view.recording.samples) if view.recording.time is None else view.recording.time
+
+
+def _wave(joint: int, order: int, wave: Callable[[Array], Array], view: View) -> Array:
+    return wave(order * view.recording.joint_position[:, joint])
+
+
+def _moment(joint: int, axis: int, view: View) -> Array:
+    assert view.moment is not None
+    return view.moment[:, joint, axis]
+
+
+def _base_moment(axis: int, view: View) -> Array:
+    assert view.base_moment is not None
+    return view.base_moment[:, axis]
+
+
+def waves(view: View, orders: Sequence[int]) -> list[Group]:
+    """Each order of each joint."""
+    return [
+        Group(
+            f"joint_harmonic:joint{i + 1}",
+            tuple(Column(i + 1, 5, partial(_wave, i, n, wave)) for wave in (np.sin, np.cos)),
+        )
+        for i in range(view.recording.dof)
+        for n in orders
+    ]
+
+
+def gravity(view: View) -> list[Group]:
+    """Compliances of joints, links and base; none where the masses are not known."""
+    if view.moment is None:
+        return []
+    dof = view.recording.dof
+    joints = [Group(f"joint_compliance:joint{i + 1}", (Column(i + 1, 5, partial(_moment, i, 2)),)) for i in range(dof)]
+    links = [
+        Group(f"link_compliance:link{i + 1}", tuple(Column(i + 1, 3 + k, partial(_moment, i, k)) for k in (0, 1)))
+        for i in range(dof)
+    ]
+    base = Group("base_compliance:base", tuple(Column(0, 3 + k, partial(_base_moment, k)) for k in (0, 1)))
+    return [*joints, *links, base]
+
+
+def other_physics(view: View) -> list[Group]:
+    """The rest of the catalogue that is linear in the joints' angles, as far as the rows have what it depends on."""
+    r, dof = view.recording, view.recording.dof
+
+    def column(i: int, driver: Callable[[View], Array]) -> Column:
+        return Column(i + 1, 5, driver)
+
+    found = [
+        Group(f"joint_backlash:joint{i + 1}", (column(i, lambda v, i=i: v.recording.direction_of_motion[:, i]),))
+        for i in range(dof)
+    ]
+    found += [
+        Group(f"joint_scale:joint{i + 1}", (column(i, lambda v, i=i: v.recording.joint_position[:, i]),))
+        for i in range(dof)
+    ]
+    found += [
+        Group(f"joint_coupling:joint{i + 1}", (column(i, lambda v, j=j: v.recording.joint_position[:, j]),))
+        for i, j in product(range(dof), range(dof))
+        if i != j
+    ]
+    if r.motion == "trajectory" and r.joint_velocity is not None:
+        found += [
+            Group(f"joint_lag:joint{i + 1}", (column(i, lambda v, i=i: v.recording.velocities()[:, i]),))
+            for i in range(dof)
+        ]
+    if r.time is not None:
+        drift = tuple(Column(0, k, _time) for k in range(3))
+        found.append(Group("base_drift:base", drift))
+    return found
+
+
+def design(view: View, columns: Sequence[Column]) -> Array:
+    """`(sample, row, column)`, how each column moves the tool, in base axes, over the noise."""
+    (R, o), (_, p) = view.frames, view.tool
+    samples, dof = o.shape[:2]
+    rows = 3 if view.turned is None else 6
+    J = np.empty((samples, rows, len(columns)))
+    for k, (site, component, driver) in enumerate(columns):
+        axes = np.broadcast_to(np.eye(3), R[:, 0].shape) if site == 0 else R[:, min(site, dof) - 1]
+        if site > dof:
+            axes = view.tool[0]
+        origin = np.zeros_like(p) if site == 0 else p if site > dof else o[:, site - 1]
+        axis = axes[:, :, component % 3] * driver(view)[:, None]
+        turns = component > 2
+        J[:, :3, k] = (np.cross(axis, p - origin) if turns else axis) / view.noise[0]
+        if rows == 6:
+            J[:, 3:, k] = axis / view.noise[1] if turns else 0.0
+    return J
+
+
+@dataclass(frozen=True, eq=False)
+class Gram:
+    """Normal equations of columns, block by block of neighbouring rows, and their residuals' sum of squares."""
+
+    A: Array
+    b: Array
+    squares: Array
+    count: Array
+
+    @classmethod
+    def of(cls, view: View, columns: Sequence[Column], blocks: int) -> "Gram":
+        """Summed in pieces, so that memory does not matter."""
+        assert view.missed is not None
+        size, samples = len(columns), view.recording.samples
+        A, b = np.zeros((blocks, size, size)), np.zeros((blocks, size))
+        squares, count = np.zeros(blocks), np.zeros(blocks)
+        block = np.arange(samples) * blocks // samples
+        for k in range(blocks):
+            for rows in np.array_split(np.flatnonzero(block == k), 1 + np.sum(block == k) // 500):
+                part = view.rows(rows)
+                J = design(part, columns).reshape(-1, size)
+                r = whitened(part).ravel()
+                A[k] += J.T @ J
+                b[k] += J.T @ r
+                squares[k] += r @ r
+                count[k] += r.size
+        return cls(A, b, squares, count)
+
+
+def whitened(view: View) -> Array:
+    """`(sample, row)`, residuals over the noise."""
+    assert view.missed is not None
+    parts = [view.missed / view.noise[0]]
+    if view.turned is not None:
+        parts.append(view.turned / view.noise[1])
+    return np.hstack(parts)
+
+
+def _corrected(columns: Sequence[Column], beta: Array) -> Callable[[View], Correction]:
+    def correct(view: View) -> Correction:
+        moved = np.empty((view.recording.samples, 6))
+        both = view._replace(turned=np.zeros_like(view.tool[1]))
+        for rows in np.array_split(np.arange(len(moved)), 1 + len(moved) // 500):
+            moved[rows] = design(both.rows(rows), columns) @ beta
+        return Correction(moved[:, :3] * view.noise[0], moved[:, 3:] * view.noise[1])
+
+    return correct
+
+
+def ridge(free: bool, seen: View) -> Fitted:
+    """Fourier orders 1–60 of every joint and gravity's moments, shrunk by what contiguous blocks of the rows prefer."""
+    fixed = nuisance(seen, free)
+    columns = [*fixed, *(c for group in (*waves(seen, ORDERS), *gravity(seen)) for c in group.columns)]
+    gram = Gram.of(seen, columns, _BLOCKS)
+    scale = np.sqrt(np.maximum(np.diagonal(gram.A.sum(0)), 1e-300))
+    shrunk = np.r_[np.full(len(fixed), _GAUGE), np.ones(len(columns) - len(fixed))]
+
+    def solved(A: Array, b: Array, strength: float) -> Array:
+        penalty = np.where(shrunk < 1, _GAUGE, strength * shrunk)
+        return np.linalg.solve(A / scale / scale[:, None] + np.diag(penalty), b / scale) / scale
+
+    missed = np.zeros(len(_RIDGES))
+    for k in range(_BLOCKS):
+        A, b = gram.A.sum(0) - gram.A[k], gram.b.sum(0) - gram.b[k]
+        for i, strength in enumerate(_RIDGES):
+            beta = solved(A, b, strength)
+            missed[i] += gram.squares[k] - 2 * beta @ gram.b[k] + beta @ gram.A[k] @ beta
+    beta = solved(gram.A.sum(0), gram.b.sum(0), float(_RIDGES[np.argmin(missed)]))
+    return Fitted(_corrected(columns, beta), len(columns) - len(fixed))
+
+
+def stepwise(free: bool, seen: View) -> Fitted:
+    """The catalogue and all orders: one more while the Bayesian information criterion falls, then less likewise."""
+    fixed = nuisance(seen, free)
+    groups = [*gravity(seen), *other_physics(seen), *waves(seen, ORDERS)]
+    columns = [*fixed, *(c for group in groups for c in group.columns)]
+    ends = np.cumsum([len(fixed), *(len(group.columns) for group in groups)])
+    slices = [slice(a, b) for a, b in pairwise(ends)]
+    gram = Gram.of(seen, columns, 1)
+    A, b, n = gram.A[0], gram.b[0], float(gram.count[0])
+    scale = np.sqrt(np.maximum(np.diagonal(A), 1e-300))
+    A, b = A / scale / scale[:, None], b / scale
+    held = np.arange(len(fixed))
+
+    def squares(chosen: Sequence[int]) -> tuple[float, Array, NDArray]:
+        at = np.concatenate([held, *(np.arange(len(b))[slices[g]] for g in chosen)]).astype(int)
+        beta = np.linalg.solve(A[np.ix_(at, at)] + _GAUGE * np.eye(len(at)), b[at])
+        return float(gram.squares[0] - b[at] @ beta), beta, at
+
+    def bic(rss: float, chosen: Sequence[int]) -> float:
+        return n * np.log(max(rss, 1e-12) / n) + np.log(n) * sum(len(groups[g].columns) for g in chosen)
+
+    chosen: list[int] = []
+    now, beta, at = squares(chosen)
+    while len(chosen) < _MOST_GROUPS:
+        # what each group would gain, the chosen and the geometry projected out
+        within = A[np.ix_(at, at)] + _GAUGE * np.eye(len(at))
+        rest = b - A[:, at] @ beta
+        explained = np.linalg.solve(within, A[at])
+        gains = np.full(len(groups), -np.inf)
+        for g, part in enumerate(slices):
+            if g not in chosen:
+                S = A[part, part] - A[part][:, at] @ explained[:, part]
+                S = S + _GAUGE * np.eye(len(S))
+                # what the geometry all but does is not to be told from it
+                if np.linalg.eigvalsh(S)[0] > 1e-6:
+                    gains[g] = rest[part] @ np.linalg.solve(S, rest[part])
+        worth = [bic(max(now - gain, 1e-12), [*chosen, g]) for g, gain in enumerate(gains)]
+        best = int(np.argmin(worth))
+        if not np.isfinite(gains[best]) or worth[best] >= bic(now, chosen):
+            break
+        chosen.append(best)
+        now, beta, at = squares(chosen)
+    while chosen:
+        without = [[g for g in chosen if g != gone] for gone in chosen]
+        worth = [bic(squares(kept)[0], kept) for kept in without]
+        best = int(np.argmin(worth))
+        if worth[best] >= bic(now, chosen):
+            break
+        chosen = without[best]
+        now, beta, at = squares(chosen)
+    _, beta, at = squares(chosen)
+    names = tuple(sorted({groups[g].name for g in chosen}))
+    used = [columns[k] for k in at]
+    return Fitted(_corrected(used, beta / scale[at]), len(at) - len(held), names)

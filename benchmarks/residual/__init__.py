@@ -1,1 +1,0 @@
-"""What others would do with a recording, beside the diagnosis."""

@@ -1,0 +1,270 @@
+"""The recordings of a folder diagnosed: a document for each and a row a recording; and pooled over many arms."""
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow as pa
+
+from lite6jax import storage
+from lite6jax.deferred import import_lazily
+from lite6jax.distribution.batches import Workers, run_batches
+from lite6jax.errors import InputError
+from lite6jax.fleet.place import DIED, Place, list_recordings
+
+with import_lazily():  # where recordings are pooled
+    from lite6jax.fleet import options, pooling, population, reduced, terms
+
+TABLE = "summary.parquet"
+POOLED = "fleet.json"
+"""In the folder of results."""
+DIAGNOSED, UNREADABLE = "diagnosed", "unreadable"
+
+_FINDING = pa.struct(
+    [("domain", pa.string()), ("effect", pa.string()), ("site", pa.string()), ("p_value", pa.float64())]
+)
+SCHEMA = pa.schema(
+    {
+        "file": pa.string(),
+        "result": pa.string(),
+        "message": pa.string(),
+        "document": pa.string(),
+        "samples": pa.int64(),
+        "verdict": pa.string(),
+        "quality": pa.string(),
+        "before_position_rms_m": pa.float64(),
+        "after_position_rms_m": pa.float64(),
+        "torque_verdict": pa.string(),
+        "before_torque_rms_Nm": pa.float64(),
+        "after_torque_rms_Nm": pa.float64(),
+        "data_faults": pa.list_(pa.string()),
+        "findings": pa.list_(_FINDING),
+    }
+)
+"""A row a recording; errors are of rows that were held out, and what a diagnosis does not have is null."""
+REDUCED = pa.schema({"reduced": pa.string()})
+"""What the table of a fleet has besides: the file of each reduced recording."""
+_CONTENT = {"document": "document_content", "reduced": "reduced_content"}
+"""The columns of what these files hold, on its way from where it was made."""
+_FEWEST, _FEWEST_DATES = 2, 4
+"""Recordings that are pooled at least; of a slope, so that its interval is finite and arms can vary about it."""
+
+
+def diagnose_folder(
+    folder: str | Path,
+    out: Path,
+    diagnose: Callable[..., pa.Table],
+    given: tuple[Any, ...],
+    *,
+    scheduler: str | None = None,
+    processes: int | None = None,
+    progress: Callable[[int, int], object] = lambda done, total: None,
+    overwrite: bool = False,
+) -> Path:
+    """Diagnoses every recording of a folder, one by one.
+
+    Args:
+        folder: a path, or a URL.
+        out: a folder for the documents and the table, made where it is not there.
+        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `make_row` or `make_refusal` each.
+        given: to it.
+        scheduler, processes: as `run_batches`.
+        progress: called with the number of recordings done since the last call, and of all.
+        overwrite: whether a table and documents that are there may be replaced.
+
+    Raises:
+        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the
+            recordings.
+    """
+    place = Place.of(folder)
+    names = list_recordings(place)
+    table = _make_folder(out, place) / TABLE
+    storage.check_writable(table, overwrite)
+    # a document has the stem of its recording, or the whole name where another has the same stem
+    stems = [Path(name).stem for name in names]
+    documents = {
+        name: f"{stem if stems.count(stem) == 1 else name}.json" for name, stem in zip(names, stems, strict=True)
+    }
+    for name in documents.values():
+        storage.check_writable(out / name, overwrite)
+
+    def write_files(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
+        """Writes the files of a row, and names them in it."""
+        (row,) = rows.to_pylist()
+        for what, suffix in (("document", ".json"), ("reduced", ".npz")):
+            if (content := row.get(_CONTENT[what])) is not None:
+                path = (out / documents[inputs[0]]).with_suffix(suffix)
+                storage.write_atomically(path, content, overwrite=True)
+                row[what] = path.name
+        schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
+        return pa.Table.from_pylist([row], schema)
+
+    return run_batches(
+        diagnose,
+        [[name] for name in names],
+        (place, *given),
+        out=table,
+        died=lambda name: make_refusal(name, f"{name}: {DIED}"),
+        store=write_files,
+        scheduler=scheduler,
+        processes=processes,
+        progress=lambda done: progress(done, len(names)),
+        overwrite=overwrite,
+    )
+
+
+def make_row(
+    name: str, document: Mapping[str, Any], text: str, reduced: bytes | None = None, message: str = ""
+) -> pa.Table:
+    """The row of a recording and its document.
+
+    Args:
+        name: of the recording in its folder.
+        document: as `diagnose` writes it.
+        text: of its file.
+        reduced: the file of its reduced recording, of a fleet.
+        message: what was remarked on the way.
+    """
+    of_torques = document.get("domain") == "torque"
+    poses = None if of_torques else document
+    torques = document if of_torques else document.get("torques")
+    row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
+    faults, findings = [], []
+    for domain, part in (("poses", poses), ("torques", torques)):
+        if part is None:
+            continue
+        faults += [fault["fault"] for fault in part["data_faults"]]
+        findings += [
+            {"domain": domain, "effect": found["effect"], "site": found["site"], "p_value": found["p_value"]}
+            for found in part["findings"]
+        ]
+    if poses is not None:
+        row |= {"verdict": poses["verdict"], "quality": poses["quality"]["verdict"]}
+        row |= {f"{when}_position_rms_m": poses[when].get("heldout_position_rms_m") for when in ("before", "after")}
+    if torques is not None:
+        row["torque_verdict"] = torques["verdict"]
+        row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}
+    row |= {"data_faults": list(dict.fromkeys(faults)), "findings": findings}
+    contents = {"document": text.encode()} | ({} if reduced is None else {"reduced": reduced})
+    return _table(row, contents)
+
+
+def make_refusal(name: str, message: str) -> pa.Table:
+    """The row of a recording that was not diagnosed, and why."""
+    return _table({"file": name, "result": UNREADABLE, "message": message}, {"document": None})
+
+
+def _table(row: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> pa.Table:
+    table = pa.Table.from_pylist([row], SCHEMA)
+    for what, content in contents.items():
+        table = table.append_column(_CONTENT[what], pa.array([content], pa.binary()))
+    return table
+
+
+def _make_folder(out: Path, place: Place) -> Path:
+    if not place.remote and out.exists() and out.samefile(place.root):
+        raise InputError(f"{out}: is the folder of the recordings; write to another")
+    try:
+        out.mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise InputError(f"{out}: is not a folder; name one to write the diagnoses to") from error
+    except OSError as error:
+        raise InputError(f"{out}: cannot be made ({error.strerror}); choose another folder") from error
+    return out
+
+
+# ------------------------------------------------------------------ pooled
+
+
+def pool_folder(
+    folder: str,
+    out: Path,
+    thresholds: "options.PoolingOptions",
+    over: Literal["date"] | None = None,
+    scheduler: str | None = None,
+    processes: int | None = None,
+    progress: Callable[[int], object] = lambda effects: None,
+) -> "population.Population":
+    """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type, or of one over time.
+
+    Args:
+        folder: of the recordings, as it was given: what messages name.
+        out: the folder of results, with the table and the reduced recordings.
+        thresholds: of the tests.
+        over: "date" where the recordings are of one arm, whose effects may drift with the dates of their sidecars.
+        scheduler, processes: as `run_batches`.
+        progress: called with the number of effects at each round of the search.
+
+    Raises:
+        InputError: too few of the recordings can be pooled, or have different dates; or as `read_heading`.
+    """
+    import numpy as np
+    import pyarrow.parquet as pq
+
+    rows = pq.read_table(out / TABLE).to_pylist()
+    places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
+    headings = {file: reduced.read_heading(path) for file, path in places.items()}
+    if not headings:
+        reason = next((row["message"] for row in rows if row["message"]), "no reason is known")
+        raise InputError(f"{folder}: none of its recordings could be diagnosed: {reason}")
+    kinds = [_kind(heading) for heading in headings.values()]
+    arm = max(kinds, key=kinds.count)
+    members = []
+    for row in rows:
+        heading = headings.get(row["file"])
+        if heading is None or row["result"] != DIAGNOSED:
+            about, found, unused = {}, (), row["message"] or "was not diagnosed"
+        else:
+            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm, over)
+        members.append(population.Member(row["file"], about, found, unused))
+    used = [i for i, member in enumerate(members) if not member.unused]
+    if len(used) < _FEWEST:
+        reason = next((f" ({member.unused})" for member in members if member.unused), "")
+        raise InputError(
+            f"{folder}: {len(used)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
+            "recordings of this type of arm"
+        )
+    dates = None
+    if over is not None:
+        dates = np.array([float(date.fromisoformat(members[i].about["date"]).toordinal()) for i in used])
+        if len(set(dates)) < _FEWEST_DATES:
+            raise InputError(
+                f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
+                f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
+            )
+    files = [members[i].file for i in used]
+    tried = terms.Tried([headings[file] for file in files], thresholds.engine)
+    with Workers(scheduler, processes, len(used)) as workers:
+        recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
+        return population.diagnose_population(arm[0], members, used, tried, recordings, dates, progress)
+
+
+def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
+    """Refuses a recording whose document would have the name of the fleet's, and a file that is there.
+
+    Raises:
+        InputError: as said.
+    """
+    for name in names:
+        if f"{Path(name).stem}.json" == POOLED:
+            raise InputError(f"{name}: its diagnosis would be named {POOLED}, as the fleet's; rename the recording")
+    if out.is_dir():
+        storage.check_writable(out / POOLED, overwrite)
+
+
+def _kind(heading: "reduced.Heading") -> tuple[str, int, str]:
+    """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
+    return heading.about["arm"], heading.about["joints"], heading.about["what"]
+
+
+def _reason_unused(heading: "reduced.Heading", arm: tuple[str, int, str], over: str | None) -> str:
+    """Why a recording that was diagnosed is not pooled; empty where it is."""
+    own = heading.about
+    if _kind(heading)[:2] != arm[:2]:
+        return f"is of the arm {own['arm']} with {own['joints']} joints, and most are of {arm[0]} with {arm[1]}"
+    if _kind(heading) != arm:
+        return f"has {own['what']}, and most have {arm[2]}; give --torques where all have torques"
+    if over is not None and own["date"] is None:
+        return "has no date; write `date: YYYY-MM-DD` into its sidecar"
+    return ""

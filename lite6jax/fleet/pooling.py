@@ -1,0 +1,305 @@
+"""The evidence of many recordings for one effect, and what workers compute for it.
+
+No effect in any arm is the hypothesis of all. What an arm says of the numbers β of an effect beside others is a
+likelihood of score b and information G. There are four ways for arms to have an effect:
+
+| way | score and information | cost |
+|---|---|---|
+| mean: all share its numbers | Σ b, Σ G | |
+| any: those of each arm are drawn from one prior | of each arm, with one variance | |
+| one: an arm alone has it | of that arm | ln of the arms |
+| drift: its numbers change with a covariate x | of the slope beside the mean | |
+
+The evidence is that of `estimation.evidence`: of processes with one variance of all coefficients, of names with all
+directions equally determined. Numbers of names have no prior: with T the χ² statistic and K directions, the likeliest
+ratio of prior to information gives −½ ν ln(1 − q T / S) + ½ K ln(1 − q).
+
+Noise that the model does not know is seen by the scatter of scores between blocks of samples: where that is larger than
+the information says, the likelihood is that of so many fewer samples. Whether a term is there is decided so; not which
+of two terms, as the scatter of each is known to a tenth.
+"""
+
+import pickle
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from lite6jax.distribution.batches import Workers
+from lite6jax.errors import InputError
+from lite6jax.estimation.evidence import best_amplitude, of_process
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.fleet.hierarchy import ArmLikelihoods
+from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
+from lite6jax.fleet.terms import PooledTerm, Process, Tested, Tried
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.floating]
+Way = Literal["mean", "any", "one", "drift"]
+Asked = tuple[Tested, tuple[Tested, ...]]
+"""A term, and those beside which it is measured."""
+
+_ROUNDING = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class Weighed:
+    """What all arms say of one term.
+
+    Attributes:
+        term: which.
+        evidence: of each arm, beside the others; None of an arm that does not show it.
+        cost: −ln of its prior probability.
+        gain: log evidence over its absence from all arms.
+        likelihood: gain of the likelihood.
+        scatter: of scores between blocks of samples over the information, at least 1.
+        way: in which it is likeliest.
+        variance: of the coefficients of a process; infinite of a name.
+        rivals: its alternatives, and by how much the evidence less the cost is lower.
+        nearest: of a process, the named term that explains most of it, and the share.
+    """
+
+    term: Tested
+    evidence: tuple[Evidence | None, ...]
+    cost: float
+    gain: float = 0.0
+    likelihood: float = 0.0
+    scatter: float = 1.0
+    way: Way = "mean"
+    variance: float = np.inf
+    rivals: tuple[tuple[Tested, float], ...] = ()
+    nearest: tuple[PooledTerm, float] | None = None
+
+    @property
+    def net(self) -> float:
+        """Log posterior odds of its presence."""
+        return self.gain - self.cost
+
+    @property
+    def sure(self) -> float:
+        """The same in noise of the scatter between blocks."""
+        return self.net - self.likelihood * (1 - 1 / self.scatter)
+
+    @property
+    def p_value(self) -> float:
+        """A bound on the probability that chance alone makes anything so likely: that of an evidence is one over it."""
+        return float(min(np.exp(-self.sure), 1.0))
+
+    def likelihoods(self, typical: Sequence[float], covariate: Array | None) -> ArmLikelihoods:
+        """What the arms say, for a hierarchical model; nothing where there is no evidence.
+
+        Args:
+            typical: sizes of its numbers.
+            covariate: `(arm,)`, or None.
+        """
+        size, arms = len(typical), len(self.evidence)
+        score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
+        for i, one in enumerate(self.evidence):
+            if one is not None:
+                score[i], information[i] = one.score, one.information
+        design = np.stack([np.ones(arms), *([] if covariate is None else [covariate])], 1)
+        return ArmLikelihoods(score, information, np.array(typical, float), design, self.variance)
+
+
+def weigh(
+    term: Tested,
+    evidence: Sequence[Evidence | None],
+    covariate: Array | None,
+    confounded: float,
+    cost: float = 0.0,
+) -> Weighed:
+    """The evidence of a term, over all ways.
+
+    Args:
+        term: which.
+        evidence: of each arm; None of an arm that does not show it.
+        covariate: `(arm,)`, what effects may drift with, or None.
+        confounded: eigenvalue over the largest below which a direction is in the model's span.
+        cost: −ln of its prior probability.
+    """
+    at = [arm for arm, one in enumerate(evidence) if one is not None]
+    shown = [one for one in evidence if one is not None]
+    if len(shown) < (2 if covariate is None else 3):  # which a hierarchical model takes
+        return Weighed(term, tuple(evidence), cost)
+    b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
+    spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
+    scatter = max(float(spread.sum() / chi_squared(b.sum(0), G.sum(0))[1]), 1.0)
+    left, freedom = np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
+
+    def of(score: Array, information: Array, left: float, freedom: float) -> tuple[float, float, float]:
+        """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
+        if not isinstance(term, Process):
+            statistic, size = np.sum(chi_squared(score, information), 1)
+            gain = evidence_of_names(statistic, size, left, freedom)
+            return float(gain), float(_log(statistic, left, freedom)), np.inf
+        values, V = np.linalg.eigh(information)
+        squares = (np.einsum("aij,ai->aj", V, score) ** 2).ravel()
+        values = np.maximum(values.ravel(), 0.0)
+        squares = np.where(values > confounded * values.max(), squares, 0.0)
+        found = best_amplitude(values, squares, left, freedom)
+        return float(found.gain), float(found.gain + found.volume), float(found.variance)
+
+    S, v = float(left.sum()), float(freedom.sum())
+    ways: list[tuple[tuple[float, float, float], Way]] = [
+        (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
+        (of(b, G, S, v), "any"),
+    ]
+    gain, likelihood, variance = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
+    ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
+    if covariate is not None:
+        own = _slope(b, G, covariate[at])
+        ways.append((of(own[0][None], own[1][None], S, v), "drift"))
+    (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
+    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, way, variance)
+
+
+def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:
+    """The evidence of numbers without a prior at the likeliest ratio of prior to information.
+
+    Args:
+        statistic: χ², of any shape.
+        size: directions, likewise.
+        left: S.
+        freedom: ν.
+    """
+    t, K = np.asarray(statistic) / left, np.asarray(size)
+    q = (freedom * t - K) / np.maximum(t * np.maximum(freedom - K, 1.0), 1e-300)
+    q = np.clip(q, 0.0, 1 - 1e-9)
+    return _log(q * t * left, left, freedom) + 0.5 * K * np.log1p(-q)
+
+
+def _log(explained: ArrayLike, left: float, freedom: float) -> Array:
+    """The gain in log-likelihood where so much of a sum of squares is explained."""
+    return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / left, 1 - 1e-12))
+
+
+def _slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
+    """Score and information of a slope over a covariate `(arm,)`, beside the mean."""
+    whole, first, second = (np.tensordot(x**k, G, 1) for k in range(3))
+    centre = first @ np.linalg.pinv(whole, hermitian=True)
+    own = second - centre @ first
+    # what one arm alone shows has no slope
+    own[np.abs(own) < _ROUNDING * np.abs(second).max(initial=0.0)] = 0.0
+    return x @ b - centre @ b.sum(0), own
+
+
+# ------------------------------------------------------------------ a search's scan
+
+
+def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evidence | None]], dict[str, Array]]:
+    """What all recordings say of all that is tested.
+
+    Of processes that are others in each arm it is approximate: F. Satterthwaite's equal directions (Biometrics Bulletin
+    2, 1946).
+
+    Args:
+        scans: of the arms.
+        confounded: eigenvalue over the largest below which a direction is in the model's span.
+
+    Returns:
+        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each
+        group `(group,)`.
+    """
+    named, total, alone = dict[str, list[Evidence | None]](), dict[str, list[Array]](), dict[str, Array]()
+    arms, S, v = 0, 0.0, 0.0
+    for scan in scans:
+        for key in {**named, **scan.named}:
+            named.setdefault(key, [None] * arms).append(scan.named.get(key))
+        for key, one in scan.groups.items():
+            own = _evidence_of_sums(one.sums, scan.left, scan.freedom)
+            total[key] = [a + b for a, b in zip(total[key], one, strict=True)] if key in total else list(one)
+            alone[key] = np.maximum(alone.get(key, 0.0), own)
+        arms, S, v = arms + 1, S + scan.left, v + scan.freedom
+    found = dict[str, Array]()
+    for key, (score, information, sums) in total.items():
+        if key in SCREENED:
+            means = [of_process(score @ R, R.T @ information @ R, S, v, confounded).gain for R in SCREENED[key]]
+        else:
+            means = [evidence_of_names(*chi_squared(score, information), S, v)]
+        found[key] = np.max([*means, _evidence_of_sums(sums, S, v), alone[key] - np.log(arms)], 0)
+    return named, found
+
+
+def _evidence_of_sums(sums: Array, left: float, freedom: float) -> Array:
+    """By `Screened.sums`, `(group,)`: that of as many equal directions."""
+    square, trace, of_square = sums
+    scale = trace / np.maximum(of_square, 1e-300)
+    return np.max(evidence_of_names(square * scale, trace * scale, left, freedom), 1)
+
+
+# ------------------------------------------------------------------ workers
+
+
+@final
+class Reduced:
+    """The reduced recordings of a run, and the workers that compute with them.
+
+    Each recording is a task of its own, computed by one thread: numbers do not depend on workers and their number.
+    """
+
+    def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
+        """Computes nothing.
+
+        Args:
+            stored: paths of files of `ReducedArm.to_bytes`.
+            options: thresholds.
+            workers: that compute, started.
+        """
+        self._stored, self.options, self._workers = tuple(stored), options, workers
+
+    def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:
+        """What each recording says of all that is tested, beside some terms, in order."""
+        return self._found(scanned, (tuple(beside), (*tried.singles, *tried.pairs), self.options))
+
+    def evidence(self, asked: Sequence[Asked]) -> list[list[Evidence | None]]:
+        """For each recording, what it says of each term that is asked for."""
+        return list(self._found(measured, (tuple(asked), self.options)))
+
+    def _found(self, function: Any, given: tuple[Any, ...]) -> Iterator[Any]:
+        batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
+        waiting: dict[int, pa.Table] = {}
+        following = 0
+        for number, rows in self._workers.outcomes(function, batches, given, died=_died):
+            waiting[number] = rows
+            while following in waiting:
+                yield pickle.loads(waiting.pop(following)["found"][0].as_py())
+                following += 1
+
+
+def _died(stored: bytes) -> "pa.Table":
+    raise InputError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def scanned(
+    stored: Sequence[bytes], beside: tuple[Tested, ...], processes: tuple[Process, ...], options: PoolingOptions
+) -> "pa.Table":
+    """The `Scan` of one recording beside some terms, as a table of one row."""
+    (one,) = stored
+    return _row(ReducedArm.from_bytes(one).beside(beside, options).scan(processes, options))
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: PoolingOptions) -> "pa.Table":
+    """What one recording says of each term that is asked for, as a table of one row."""
+    (one,) = stored
+    arm, known, found = ReducedArm.from_bytes(one), dict[tuple[Tested, ...], ReducedArm](), list[Evidence | None]()
+    for term, beside in asked:
+        if beside not in known:
+            known[beside] = arm.beside(beside, options)
+        found.append(known[beside].evidence(term, options))
+    return _row(found)
+
+
+def _row(found: Any) -> "pa.Table":
+    import pyarrow as pa
+
+    return pa.table({"found": pa.array([pickle.dumps(found)], pa.binary())})

@@ -1,0 +1,281 @@
+"""The result: effects of a type with mean and spread, each arm's numbers, outliers, drifts; codes and numbers."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from lite6jax.checksum import with_checksum
+from lite6jax.effects.drivers import driver_of
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.fleet.hierarchy import Hierarchy, fitted
+from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.pooling import Reduced, Weighed
+from lite6jax.fleet.reduced import Found
+from lite6jax.fleet.select import Search
+from lite6jax.fleet.terms import Candidate, Process, Tested, Tried
+
+Array = NDArray[np.floating]
+
+SCHEMA = "lite6jax/fleet_diagnosis/1"
+POINTS = 41
+"""Of the curve of a function of one driver."""
+
+
+@final
+@dataclass(frozen=True)
+class Member:
+    """A recording of the fleet.
+
+    Attributes:
+        file: its name.
+        about: as in `ReducedArm`; empty where the recording is not used.
+        found: by the recording alone.
+        unused: why it is not pooled; empty where it is.
+    """
+
+    file: str
+    about: Mapping[str, Any]
+    found: tuple[Found, ...] = ()
+    unused: str = ""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TypeEffect:
+    """An effect of the type.
+
+    Attributes:
+        selected: which, and how it was found.
+        candidate: as a report names it.
+        hierarchy: of all arms but the outliers.
+        outliers: p-values of the arms that differ from the others, family-wise over arms and effects, by arm.
+        between_p_value: of estimates that vary as much if all arms but the outliers are alike (W. Cochran, Biometrics
+            10, 1954).
+        drift_p_value: of as large a slope, family-wise over effects, in a model whose arms vary about a line; None
+            where there is no covariate.
+    """
+
+    selected: Weighed
+    candidate: Candidate
+    hierarchy: Hierarchy
+    outliers: Mapping[int, float]
+    between_p_value: float
+    drift_p_value: float | None
+
+    def estimates(self) -> list[tuple[Array, Array] | None]:
+        """Of each arm the numbers and their standard deviations; None of an arm that does not show the effect.
+
+        Those of an outlier are of its recording alone; the others are estimates of empirical Bayes.
+        """
+        usual = iter(zip(*self.hierarchy.shrunken(), strict=True))
+        found: list[tuple[Array, Array] | None] = []
+        for arm, one in enumerate(self.selected.evidence):
+            if arm in self.outliers:
+                assert one is not None
+                covariance = scaled_inverse(one.information + np.eye(len(one.score)) / self.selected.variance)
+                value = covariance @ one.score
+            else:
+                value, covariance = next(usual)
+            std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+            found.append(None if one is None else (value, std))
+        return found
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Population:
+    """What the arms of a type share, and which of them differ.
+
+    Attributes:
+        arm: the name of the nominal arm.
+        members: all recordings.
+        used: the places of those that were pooled, in `members`.
+        effects: in the order in which they were found.
+        tried: all that the recordings were tested for.
+        dates: `(used,)`, days as ordinals, where recordings are of one arm over time; else None. Means are those at
+            their mean.
+        options: thresholds.
+    """
+
+    arm: str
+    members: tuple[Member, ...]
+    used: tuple[int, ...]
+    effects: tuple[TypeEffect, ...]
+    tried: Tried
+    dates: Array | None
+    options: PoolingOptions
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `lite6jax/fleet_diagnosis/1`: codes, numbers in SI units, a checksum."""
+        over, mean = None, None
+        if self.dates is not None:
+            over, mean = "date", date.fromordinal(round(float(self.dates.mean()))).isoformat()
+        return with_checksum(
+            {
+                "schema": SCHEMA,
+                "arm": self.arm,
+                "over": over,
+                "mean_date": mean,
+                "level": self.options.engine.level,
+                "recordings": [self._member(i) for i in range(len(self.members))],
+                "effects": [self._effect(effect) for effect in self.effects],
+            }
+        )
+
+    def _member(self, place: int) -> dict[str, Any]:
+        member = self.members[place]
+        arm = self.used.index(place) if place in self.used else None
+        return {
+            "file": member.file,
+            "used": arm is not None,
+            "reason": member.unused or None,
+            "date": member.about.get("date"),
+            "verdict": member.about.get("verdict"),
+            "found_alone": [{"label": one.label, "p_value": one.p_value} for one in member.found],
+            "outlier_in": [self._named(effect.selected.term) for effect in self.effects if arm in effect.outliers],
+        }
+
+    def _named(self, term: Tested) -> dict[str, Any]:
+        candidate, further = self.tried.candidate(term), dict[str, Any]()
+        if isinstance(term, Process):
+            further = {"component": term.component, "kernel": term.kernel}
+        elif term.order is not None:
+            further = {"order": term.order}
+        elif source := term.key.partition("source_joint=")[2].partition(",")[0]:
+            further = {"source_joint": int(source)}
+        return {"effect": candidate.effect, "site": candidate.site, "driver": candidate.driver, **further}
+
+    def _effect(self, effect: TypeEffect) -> dict[str, Any]:
+        selected, hierarchy, names = effect.selected, effect.hierarchy, effect.candidate.names
+        mean = hierarchy.coefficients[0]
+        document = {
+            **self._named(selected.term),
+            "found_by": selected.way,
+            "p_value": selected.p_value,
+            "parameters": {
+                name: _interval("mean", hierarchy, 0, i) | {"between_std": float(hierarchy.between[i])}
+                for i, name in enumerate(names)
+            },
+            "between_p_value": effect.between_p_value,
+        }
+        if isinstance(selected.term, Process):
+            document |= _curve(selected.term, hierarchy)
+        elif selected.term.order is not None:
+            unit = names[0].rpartition("_")[2]
+            document[f"amplitude_rms_{unit}"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
+        if selected.nearest is not None:
+            document["nearest"] = {**self._named(selected.nearest[0]), "share": selected.nearest[1]}
+        if effect.drift_p_value is not None:
+            slopes = {name: _interval("value", hierarchy, 1, i) for i, name in enumerate(names)}
+            document["drift"] = {"p_value": effect.drift_p_value, "per_day": slopes}
+        document["arms"] = [
+            {
+                "file": self.members[self.used[arm]].file,
+                "parameters": {
+                    name: {"value": float(found[0][i]), "std": float(found[1][i])} for i, name in enumerate(names)
+                },
+                "outlier_p_value": effect.outliers.get(arm),
+            }
+            for arm, found in enumerate(effect.estimates())
+            if found is not None
+        ]
+        document["rivals"] = [{**self._named(term), "log_likelihood_gap": gap} for term, gap in selected.rivals]
+        return document
+
+
+def _interval(name: str, hierarchy: Hierarchy, covariate: int, number: int) -> dict[str, Any]:
+    """A coefficient with its standard deviation and its 95 % interval."""
+    value, std, half = (
+        float(each[covariate, number]) for each in (hierarchy.coefficients, hierarchy.std, hierarchy.half_width)
+    )
+    return {name: value, "std": std, "interval_95": [value - half, value + half]}
+
+
+def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
+    """The mean of a process of one driver, or of one and of a direction of motion, then forwards."""
+    further = [driver_of(phrase).discrete for phrase in process.drivers[1:]]
+    if not all(further):
+        return {}
+    low, high, *others = process.bounds
+    at = np.linspace(low, high, POINTS)
+    values = np.stack([at, *(np.full(POINTS, upper) for upper in others[1::2])])
+    B = process.functions(values)
+    covariance = hierarchy.covariance[: len(B), : len(B)]
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0))
+    mean = hierarchy.coefficients[0] @ B
+    name = f"curve_{process.unit}"
+    return {"curve": {"name": name, "driver": at.tolist(), "mean": mean.tolist(), "std": std.tolist()}}
+
+
+def diagnose_population(
+    arm: str,
+    members: Sequence[Member],
+    used: Sequence[int],
+    tried: Tried,
+    reduced: Reduced,
+    dates: Array | None = None,
+    progress: Callable[[int], object] = lambda effects: None,
+) -> Population:
+    """Finds what the arms of a type share, and which of them differ.
+
+    Args:
+        arm: the name of the nominal arm.
+        members: all recordings.
+        used: places of those in `reduced`, in its order.
+        tried: all that they are tested for.
+        reduced: the recordings.
+        dates: `(used,)`, days as ordinals, where recordings are of one arm over time.
+        progress: called with the number of effects at each round of the search.
+    """
+    covariate = None if dates is None else dates - dates.mean()
+    found = Search(reduced, tried, covariate, progress).selected()
+    effects = [_effect(one, tried.candidate(one.term), covariate, len(found), reduced.options) for one in found]
+    return Population(arm, tuple(members), tuple(used), tuple(effects), tried, dates, reduced.options)
+
+
+def _effect(
+    selected: Weighed, candidate: Candidate, covariate: Array | None, effects: int, options: PoolingOptions
+) -> TypeEffect:
+    """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
+    evidence = selected.evidence
+    kept, outliers = list(range(len(evidence))), dict[int, float]()
+    hierarchy = fitted(selected.likelihoods(candidate.typical, covariate))
+    assert hierarchy is not None, "an effect was selected that too few arms show"
+    shown = sum(one is not None for one in evidence)
+    while shown - len(outliers) >= options.fewest_arms:
+        p_values = [hierarchy.outlier_p_value(i) for i in range(len(kept))]
+        most = int(np.argmin(p_values))
+        p = min(p_values[most] * shown * effects, 1.0)
+        if p >= options.engine.level:
+            break
+        outliers[kept.pop(most)] = p
+        rest = fitted(hierarchy.arms.without(most))
+        assert rest is not None
+        hierarchy = rest
+    drift = None if covariate is None else _drift_p_value(hierarchy, effects)
+    return TypeEffect(selected, candidate, hierarchy, outliers, _between_p_value(hierarchy), drift)
+
+
+def _between_p_value(hierarchy: Hierarchy) -> float:
+    """Cochran's test that all arms are alike."""
+    arms = replace(hierarchy.arms, variance=np.inf)
+    values, _, along = arms.eigen
+    coefficients, M, *_ = arms.solved(0.0)
+    shown = values > 0
+    each = float(np.sum(along[shown] ** 2 / values[shown]))
+    freedom = int(shown.sum()) - hierarchy.determined
+    return float(chdtrc(freedom, max(each - float(coefficients @ M @ coefficients), 0.0))) if freedom > 0 else 1.0
+
+
+def _drift_p_value(hierarchy: Hierarchy, effects: int) -> float:
+    """Of a slope as large, by F with the degrees of freedom of its interval."""
+    size = hierarchy.coefficients.shape[1]
+    slope, covariance = hierarchy.coefficients[1], hierarchy.covariance[size:, size:]
+    root = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    squared = float((slope / root) @ np.linalg.pinv(covariance / np.outer(root, root), hermitian=True) @ (slope / root))
+    return min(float(fdtrc(size, hierarchy.freedom, squared / size)) * effects, 1.0)

@@ -1,0 +1,342 @@
+"""Readers with files to damage, and how a file is damaged; a further reader is one more entry of `READERS`."""
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+
+from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
+from lite6jax.errors import InputError, InputWarning
+from lite6jax.recordings import (
+    Recording,
+    read_recording,
+    read_targets,
+    sidecar_path,
+    write_recording,
+)
+from lite6jax.recordings.checksums import KEY
+from lite6jax.recordings.ros import ArmJoints
+from lite6jax.recordings.sources import open_table
+
+SAMPLES = 60
+LITE6 = load_bundled("lite6")
+
+
+class Seen(NamedTuple):
+    """What a reader returns: the value as text that is equal where the value is, and what it remarks on the file."""
+
+    value: str
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader with a file for it.
+
+    Attributes:
+        name: of both.
+        write: writes a whole file, and what belongs to it, into a folder; returns the file to read.
+        read: reads it; raises `InputError` where it cannot.
+        damaged: the file to damage, from the one to read; the same where not given.
+        sealed: whether we wrote the file with checksums: then no damage may change the value without a remark.
+    """
+
+    name: str
+    write: Callable[[Path], Path]
+    read: Callable[[Path], Seen]
+    damaged: Callable[[Path], Path] = lambda path: path
+    sealed: bool = False
+
+
+# ------------------------------------------------------------------ damage
+
+HOSTILE = (
+    *(b"1e15", b"1e160", b"1e308", b"-1e308", b"3.4028235e38", b"1e-320", b"-0", b"nan", b".inf", b"1e999", b"0x10"),
+    *(b"9223372036854775808", b"1:30", b"1_000", b"true", b"null", b"''", b"\x00", b"\xff", b"\xed\xa0\x80", b"\n"),
+    *(b",", b'"', b": ", b"- ", b"{", b"}", b"[" * 200, b"&a [*a]", b"*a", b"!!python/object:os.system", b"<<: *a"),
+    *(b"<!ENTITY a 'b'>", b"1:" * 300 + b"0.5", b"0001-01-01 00:00:00 +23:59", b"\xef\xbb\xbf", b"#", b"PAR1"),
+)
+"""Fragments that have confused readers of numbers, text, YAML, XML and Parquet."""
+_NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+
+
+def damage(content: bytes, rng: Random) -> bytes:
+    """Content with one to three faults of transmission, storage or editing; of text, a number is a frequent place."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        content = rng.choice(_DAMAGES)(content, rng)
+    return content
+
+
+def flip_bit(content: bytes, rng: Random) -> bytes:
+    """Content with one bit inverted."""
+    if not content:
+        return content
+    place, bit = rng.randrange(len(content)), rng.randrange(8)
+    return content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
+
+
+def _set_byte(content: bytes, rng: Random) -> bytes:
+    place = rng.randrange(len(content) + 1)
+    return content[:place] + bytes([rng.randrange(256)]) + content[place + 1 :]
+
+
+def _cut_off(content: bytes, rng: Random) -> bytes:
+    return content[: rng.randrange(len(content) + 1)]
+
+
+def _slice(content: bytes, rng: Random) -> tuple[int, int]:
+    start = rng.randrange(len(content) + 1)
+    return start, min(start + rng.choice((1, 2, 8, 64, 512)), len(content))
+
+
+def _drop(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:start] + content[end:]
+
+
+def _repeat(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:end] + content[start:end] * rng.choice((1, 2, 20)) + content[end:]
+
+
+def _zero(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:start] + bytes(end - start) + content[end:]
+
+
+def _insert(content: bytes, rng: Random) -> bytes:
+    place = rng.randrange(len(content) + 1)
+    return content[:place] + rng.choice(HOSTILE) + content[place:]
+
+
+def _replace_number(content: bytes, rng: Random) -> bytes:
+    numbers = list(_NUMBER.finditer(content))
+    if not numbers:
+        return _insert(content, rng)
+    start, end = rng.choice(numbers).span()
+    return content[:start] + rng.choice(HOSTILE) + content[end:]
+
+
+_DAMAGES = (flip_bit, flip_bit, flip_bit, _set_byte, _cut_off, _drop, _repeat, _zero, _insert, *(_replace_number,) * 3)
+
+
+# ------------------------------------------------------------------ files and readers
+
+
+def recording(samples: int = SAMPLES) -> Recording:
+    """Poses of a Lite 6 that is slightly off, as a tracker measures them, with all kinds of columns."""
+    from lite6jax.arms.frames import chain
+    from lite6jax.simulation import draw_calibration
+
+    rng = np.random.default_rng(0)
+    lower, upper = LITE6.joint_limits.T
+    q = (lower + upper) / 2 + 0.35 * (upper - lower) * sample_joints(LITE6.dof, samples) / np.pi
+    arm = Arm("lite6", draw_calibration(LITE6, seed=1))
+    poses = chain(arm.links, q)
+    return Recording.from_arrays(
+        q,
+        poses[:, :3, 3] + 2e-5 * rng.standard_normal((samples, 3)),
+        time=8.0 * np.arange(samples),
+        joint_temperature=np.full_like(q, 25.0),
+        payload=np.full(samples, 0.3),
+        run=np.arange(samples) // (samples // 2),
+        arm="lite6",
+        pose_frame="base",
+        tool="none",
+        motion="static",
+        position_noise_m=2e-5,
+        pose_source="laser_tracker",
+    )
+
+
+def _written(suffix: str, bound: bool) -> Callable[[Path], Path]:
+    """Writes the recording; not `bound`, as by hand: without the checksums of the sidecar."""
+
+    def write(folder: Path) -> Path:
+        path = write_recording(recording(), folder / f"run7{suffix}", overwrite=True)
+        if not bound:
+            sidecar = sidecar_path(path)
+            _, _, declared = sidecar.read_text().partition("recording:")
+            sidecar.write_text(f"recording:{declared}")
+            assert KEY not in sidecar.read_text()
+        return path
+
+    return write
+
+
+def _read_recording(path: Path) -> Seen:
+    limits = {"dof": LITE6.dof, "joint_limits": LITE6.joint_limits, "reach": LITE6.reach}
+    return _of_recording(read_recording(path, **limits))
+
+
+def _of_recording(read: Recording) -> Seen:
+    columns = {name: column.tobytes() for name, column in read.columns().items()}
+    return Seen(repr((columns, read.motion, read.row.tolist(), read.settings)), read.notes)
+
+
+def _exported(folder: Path) -> Path:
+    """Such as a spreadsheet gives: a title, groups, names, units, decimal commas, Latin-1."""
+    read = recording()
+    assert read.position is not None
+    lines = [
+        "Messung 7;" + 8 * ";",
+        "",
+        "Gelenke" + 6 * ";" + "Pose;;",
+        ";".join([*map("J{}".format, range(1, 7)), *"XYZ"]),
+    ]
+    lines.append(";".join(6 * ["[°]"] + 3 * ["[mm]"]))
+    table = np.hstack([np.rad2deg(read.joint_position), 1e3 * read.position])
+    lines += [";".join(f"{value:.3f}".replace(".", ",") for value in row) for row in table]
+    path = folder / "run7.csv"
+    path.write_bytes("\r\n".join([*lines, ""]).encode("latin-1"))
+    return path
+
+
+def _listed(folder: Path) -> Path:
+    """Lists in cells, as numpy writes them."""
+    read = recording()
+    assert read.position is not None
+    rows = [
+        f'{k},"{q}",{p.tolist()}\n' for k, (q, p) in enumerate(zip(read.joint_position, read.position, strict=True))
+    ]
+    path = folder / "run7.txt"
+    path.write_text("t,q,position\n" + "".join(rows))
+    return path
+
+
+def _aligned(folder: Path) -> Path:
+    """Columns of a fixed width below comments."""
+    path = folder / "run7.dat"
+    np.savetxt(
+        path, recording().joint_position, "%12.6f", header="run 7\n" + " ".join(map("q{}_rad".format, range(1, 7)))
+    )
+    return path
+
+
+def _read_table(path: Path) -> Seen:
+    notes: list[str] = []
+    _, table = open_table(path, (), ArmJoints(), notes)
+    columns = [(name, None if values is None else values.tolist()) for name, values in table.numbers()]
+    return Seen(repr(columns), tuple(notes))
+
+
+def _targets(folder: Path) -> Path:
+    path = folder / "targets.csv"
+    path.write_text("note,x_m,y_m,z_m,payload_kg\na,0.2,0.1,0.3,0\nb,0.25,-0.1,0.2,0.5\n")
+    return path
+
+
+def _read_targets(path: Path) -> Seen:
+    targets = read_targets(path, LITE6.dof, LITE6.joint_limits, LITE6.reach)
+    return _of_recording(targets.recording)
+
+
+def _of_arm(arm: Arm) -> Seen:
+    arrays = (arm.kinematics, arm.joint_limits, arm.T_joint_flange, arm.mass, arm.center_of_mass, arm.dh)
+    return Seen(repr((arm.name, *(None if array is None else array.tolist() for array in arrays))))
+
+
+def _read_factory(path: Path) -> Seen:
+    read = read_factory(path)
+    return Seen(repr((read.kinematics.tolist(), read.T_joint_flange.tolist(), read.arm.name)))
+
+
+def _factory(folder: Path) -> Path:
+    from lite6jax.simulation import draw_calibration
+
+    return write_factory(draw_calibration(LITE6, seed=1), folder / "arm.yaml", overwrite=True)
+
+
+def _mcap(folder: Path) -> Path:
+    from mcap_ros2.writer import Writer
+
+    path = folder / "run7.mcap"
+    header = "std_msgs/Header header\n{}" + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
+    header += "string frame_id\n" + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    fields = "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", header.format(fields))
+        for k, q in enumerate(recording().joint_position):
+            message = {
+                "header": {"stamp": {"sec": 1000 + 8 * k, "nanosec": 0}, "frame_id": "base"},
+                "name": [f"joint{j + 1}" for j in range(len(q))],
+                "position": q.tolist(),
+                "velocity": [],
+                "effort": [],
+            }
+            writer.write_message("/joint_states", schema, message, log_time=8_000_000_000 * k)
+        writer.finish()
+    return path
+
+
+CSV = Reader("csv", _written(".csv", bound=True), _read_recording, sealed=True)
+CSV_BY_HAND = Reader("csv by hand", _written(".csv", bound=False), _read_recording)
+PARQUET = Reader("parquet", _written(".parquet", bound=True), _read_recording, sealed=True)
+PARQUET_ALONE = Reader("parquet, page checksums alone", _written(".parquet", bound=False), _read_recording)
+SIDECAR = Reader("sidecar", _written(".csv", bound=True), _read_recording, sidecar_path, sealed=True)
+SIDECAR_BY_HAND = Reader("sidecar by hand", _written(".csv", bound=False), _read_recording, sidecar_path)
+EXPORTED = Reader("table of a spreadsheet", _exported, _read_table)
+LISTED = Reader("table of lists", _listed, _read_table)
+ALIGNED = Reader("aligned text", _aligned, _read_table)
+TARGETS = Reader("targets", _targets, _read_targets)
+DESCRIPTION = Reader(
+    "description",
+    lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True),
+    lambda path: _of_arm(read_arm(path)),
+    sealed=True,
+)
+FACTORY = Reader("factory file", _factory, _read_factory, sealed=True)
+TABLE = Reader(
+    "table",
+    lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True),
+    _read_factory,
+    sealed=True,
+)
+URDF = Reader(
+    "urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), lambda p: _of_arm(read_arm(p))
+)
+MCAP = Reader("mcap", _mcap, lambda path: _of_recording(read_recording(f"{path}#/joint_states", dof=LITE6.dof)))
+READERS = (
+    *(CSV, CSV_BY_HAND, PARQUET, PARQUET_ALONE, SIDECAR, SIDECAR_BY_HAND, TARGETS, DESCRIPTION, FACTORY, TABLE),
+    *(URDF, MCAP, EXPORTED, LISTED, ALIGNED),
+)
+
+
+class Trial:
+    """A reader with its whole file in a folder."""
+
+    def __init__(self, reader: Reader, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.reader = reader
+        self._path = reader.write(folder)
+        self._damaged = reader.damaged(self._path)
+        self.content = self._damaged.read_bytes()
+        self._whole = reader.read(self._path)
+
+    def judged(self, content: bytes) -> tuple[str, str]:
+        """The outcome of reading `content`, and a detail: read, refused, silent change, or traceback."""
+        self._damaged.write_bytes(content)
+        try:
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("error")
+                warnings.simplefilter("always", InputWarning)  # what the command line prints as a line
+                seen = self.reader.read(self._path)
+        except InputError as error:
+            return ("traceback", repr(str(error))) if "\n" in str(error) else ("refused", "")
+        except Exception as error:
+            return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        whole = self._whole
+        if said or not self.reader.sealed or seen.value == whole.value or seen.remarks != whole.remarks:
+            return "read", ""
+        pairs = zip(seen.value, whole.value, strict=False)
+        place = next((k for k, (one, other) in enumerate(pairs) if one != other), 0)
+        return "silent change", f"{whole.value[place : place + 40]!r} became {seen.value[place : place + 40]!r}"

@@ -1,0 +1,243 @@
+"""Campaigns of poses and torques: sealed first, opened last, kept as they come, told in tables and stories."""
+
+import ast
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from concealed_rows import TRUTH, WAVE, a_finding, a_hidden, a_row
+from concealed_work import dying, refusing
+from torque_answers import the_oracle, the_prediction
+
+from benchmarks import __main__ as harness
+from benchmarks.campaigns.campaign import given_in, opened, sealed_in
+from benchmarks.campaigns.command import differences
+from benchmarks.campaigns.report import detection, markdown, sections, story, tables
+from benchmarks.concealed import plans
+from benchmarks.concealed.campaign import POSES
+from benchmarks.measure import DONE, UNUSABLE
+from benchmarks.torque_trials import plans as torque_plans
+from benchmarks.torque_trials import trials as torque_trials
+from benchmarks.torque_trials.campaign import TORQUES
+
+RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1.0_seed8.parquet"
+OURS = ("lite6jax", "jax", "tests")
+DOMAINS = pytest.mark.parametrize("campaign", [POSES, TORQUES], ids=lambda campaign: campaign.name)
+CONTACT = next(
+    i
+    for i in torque_plans.ROUNDS.indices(4, 30, "faulty")
+    if torque_plans.draw_plan(4, i, np.random.default_rng(0)).fault == "contact"
+)
+
+
+def test_drawing_a_trial_takes_nothing_of_the_library():
+    """Nothing of it is loaded, and no module of the generator imports it anywhere."""
+    said = (
+        "import json, sys; from benchmarks.concealed import trials; from benchmarks.torque_trials import trials as t;"
+    )
+    said += "trials.draw(0, 5), t.draw(0, 1); loaded = {name: str(getattr(module, '__file__', ''))"
+    said += " for name, module in sys.modules.items()}; print(json.dumps(loaded))"
+    run = subprocess.run([sys.executable, "-c", said], cwd=RECORD.parents[2], capture_output=True, text=True)
+    loaded = json.loads(run.stdout)
+    assert not [name for name in loaded if name.split(".")[0] in OURS]
+    generator = {name: path for name, path in loaded.items() if name.split(".")[0] == "benchmarks"}
+    assert len(generator) > 25
+    for name, path in generator.items():
+        for node in ast.walk(ast.parse(Path(path).read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [each for each in names if each.split(".")[0] in OURS], name
+            assert not [each for each in names if each.startswith("benchmarks.") and each not in generator], name
+
+
+def quietly(campaign, seed, wanted, out, **options):
+    return campaign.run(seed, wanted, out, 0, lambda said: None, lambda *counts: None, **options)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Truths with their rows, a trial of every kind, by the name of the campaign."""
+    clean = [a_row(kind="clean", index=i, noise=noise) for i, noise in enumerate(plans.NOISES * 2)]
+    said = dict.fromkeys(("order", "amplitude_rad", "phase_rad"), 0.0) | {"order": 12.0, "phase_rad": 3.0}
+    wave = a_finding("joint_harmonic", "joint3", **said)
+    hit = [a_row([WAVE], wave, size=s, index=50 + i) for i, s in enumerate(plans.SIZES)]
+    bump = a_hidden("joint_bump", "joint3", {"height_rad": 1e-3}, drivers=[["position of joint 3"]])
+    unnamed = a_finding("unnamed", "joint3", driver="position of joint 3")
+    out = [a_row([bump], unnamed, kind="outside", size=5.0, index=80)]
+    bad = [a_row(kind="faulty", fault="swapped_joints", faults=["swapped_joints"], index=90)]
+    both = [a_row([WAVE, WAVE], wave, kind="mixture", index=91)]
+    poses = [(TRUTH | {"hidden": [WAVE]}, row) for row in hit]
+    poses += [(TRUTH | {"hidden": []}, row) for row in clean + bad]
+    poses += [(TRUTH | {"hidden": [bump]}, row) for row in out] + [(TRUTH | {"hidden": [WAVE] * 2}, *both)]
+    indices = [CONTACT, *(torque_plans.ROUNDS.indices(4, 1, kind)[0] for kind in torque_plans.KINDS)]
+    truths = [torque_trials.draw(4, index).truth for index in dict.fromkeys(indices)]
+    rng = np.random.default_rng(0)
+    torques = [
+        (t, TORQUES.score(t, the_oracle(t, rng), the_prediction(t), 1.0, "") | {"sha256": "0" * 64}) for t in truths
+    ]
+    return {"concealed": poses, "torque": torques}
+
+
+@DOMAINS
+def test_tables_and_stories_are_told_of_every_kind(campaign, rows):
+    truths, found = zip(*rows[campaign.name], strict=True)
+    shown = list(sections(campaign, found))
+    assert {title for title, *_ in shown} >= {
+        *("Goals", "Nothing hidden", "One effect hidden, by size", "Several hidden", "Outside the catalogue"),
+        *("Something wrong with the data", "The run"),
+    }
+    assert "| false alarms, upper end of the interval: 1 % |" in markdown(shown)
+    assert "| NO |" in markdown(shown)
+    assert all(table.row_count for table in tables(shown))
+    assert all(goal.met is None for goal in campaign.goals([]))
+    for truth, row in zip(truths, found, strict=True):
+        told = "\n".join(story(campaign, truth, row))
+        assert told.startswith(truth["kind"].capitalize())
+        assert all(effect["effect"] in told for effect in truth["hidden"])
+
+
+@DOMAINS
+def test_results_keep_their_types_and_are_read_again(campaign, rows, tmp_path):
+    found = sorted((row for _, row in rows[campaign.name]), key=lambda row: row["index"])
+    campaign.write_rows(found, tmp_path / "a.parquet")
+    again = campaign.read_rows(tmp_path / "a.parquet")
+    assert set(again[0]) == set(found[0])
+    assert again == found
+    assert json.loads(json.dumps(again))
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_the_goals_of_poses_are_met_or_not(rows):
+    met = {goal.asked: goal.met for goal in POSES.goals([row for _, row in rows["concealed"]])}
+    assert met["found at twice the threshold, effect and site: 95 %"] is True
+    assert met["false alarms, upper end of the interval: 1 %"] is False  # none, of too few
+    assert met["outside the catalogue: unnamed, at its site, by its driver: 90 %"] is True
+
+
+def test_the_figure_is_drawn_of_what_there_is(rows, tmp_path):
+    for name, found in (("some", [row for _, row in rows["concealed"]]), ("none", [])):
+        assert detection(found, tmp_path / f"{name}.png").stat().st_size > 5000
+
+
+@DOMAINS
+def test_the_diagnosis_is_given_no_truth_and_a_touched_one_is_not_opened(campaign, tmp_path):
+    index = campaign.indices(4, 1, "single")[0]
+    digest = campaign.seal(4, index, tmp_path)
+    assert opened(tmp_path, index, digest)["index"] == index
+    given = {path.name for path in given_in(tmp_path, index).iterdir()}
+    assert given - {"arm.yaml", "factory.yaml"} == {"recording.csv", "recording.yaml", "unseen.csv"}
+    sealed = sealed_in(tmp_path, index)
+    assert hashlib.sha256(sealed.read_bytes()).hexdigest() == digest
+    sealed.write_text(sealed.read_text().replace("4", "5", 1))
+    with pytest.raises(ValueError, match="is not what was sealed"):
+        opened(tmp_path, index, digest)
+
+
+def test_a_worker_that_dies_costs_its_trial_only(tmp_path):
+    poses = replace(POSES, answer=dying)
+    (row,) = poses.run(0, [5], tmp_path / "a.parquet", 1, lambda said: None, lambda *_: None)
+    assert (row["index"], row["error"]) == (5, "WorkerDiedError: the process died")
+
+
+@DOMAINS
+def test_a_campaign_goes_on_where_it_stopped(campaign, tmp_path):
+    out = tmp_path / "a.parquet"
+    first, second, third = campaign.indices(4, 3, "clean")
+    asked = []
+    refused = replace(campaign, answer=refusing)
+
+    def stop(what, done, total):
+        asked.append((what, done, total))
+        if (what, done) == ("diagnosed", 1):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        refused.run(4, [first, second], out, 0, lambda said: None, stop)
+    rows = refused.run(4, [first, second], out, 0, lambda said: None, lambda *counts: asked.append(counts))
+    assert asked == [
+        *(("sealed", 1, 2), ("sealed", 2, 2), ("diagnosed", 1, 2)),
+        *(("diagnosed", 1, 2), ("diagnosed", 2, 2)),
+    ]
+    assert [row["error"] for row in rows] == ["OSError: no diagnosis here"] * 2
+    listed = [line.split("  ")[1] for line in out.with_suffix(".sha256").read_text().splitlines()]
+    assert listed == [f"a.trials/sealed/{index:05d}.json" for index in (first, second)]
+    assert subprocess.run(["sha256sum", "-c", "a.sha256"], cwd=tmp_path, capture_output=True).returncode == 0
+    again = replace(campaign, answer=lambda given: pytest.fail("was done before"))
+    assert quietly(again, 4, [first, second], out) == rows
+    more = quietly(refused, 4, [second, third], out)
+    assert more[0] == rows[1]
+    assert [row["index"] for row in campaign.read_rows(out)] == [first, second, third]
+    with pytest.raises(ValueError, match="another seed"):
+        quietly(refused, 1, [first], out)
+
+
+@DOMAINS
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--trial", "1", "--out", "a.parquet"], "leave --kind, --out, --figure and --compare out"),
+        (["--out", "a.csv"], "end its name in .parquet"),
+        (["--trials", "0"], "invalid whole number from 1"),
+        (["--seed", "-1"], "invalid whole number from 0"),
+        (["--kind", "dirty"], "invalid choice"),
+    ],
+)
+def test_arguments_that_cannot_be_used_are_said(campaign, arguments, why, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        harness.main([campaign.name, *arguments])
+    assert why in capsys.readouterr().err
+
+
+@DOMAINS
+def test_a_file_of_another_seed_is_not_overwritten(campaign, rows, tmp_path, capsys):
+    out = tmp_path / "a.parquet"
+    campaign.write_rows([row for _, row in rows[campaign.name]], out)
+    before = out.read_bytes()
+    assert harness.main([campaign.name, "--seed", "7", "--trials", "1", "--out", str(out)]) == UNUSABLE
+    assert "has trials of another seed" in capsys.readouterr().err
+    assert out.read_bytes() == before
+
+
+@pytest.mark.long
+def test_one_trial_is_told_from_end_to_end(capsys):
+    index = plans.ROUNDS.indices(0, 1, "faulty")[0]
+    assert harness.main(["concealed", "--seed", "0", "--trial", str(index)]) == DONE
+    told = capsys.readouterr().out
+    assert f"Trial {index} of seed 0: truth sealed, SHA-256" in told
+    assert "Hidden: nothing" in told
+    assert "Found exactly: yes" in told
+    assert "the oracle by" in told
+
+
+def test_trials_are_exported_with_their_truth(tmp_path, capsys):
+    for name, index in (("concealed", 5), ("torque", CONTACT)):
+        folder = tmp_path / name
+        assert harness.main([name, "--seed", "4", "--trial", str(index), "--export", str(folder)]) == DONE
+        (case,) = folder.iterdir()
+        assert str(case.name) in capsys.readouterr().out.replace("\n", "")
+        assert json.loads((case / "truth.json").read_text())["index"] == index
+        assert (case / "recording.csv").exists()
+    truth = json.loads((case / "truth.json").read_text())
+    (touched,) = truth["effects"]
+    span = touched["args"]
+    times = [float(line.split(",")[0]) for line in (case / "recording.csv").read_text().splitlines()[1:]]
+    assert [k for k, t in enumerate(times) if span["start"] < t < span["stop"]] == truth["fault_rows"]
+
+
+def test_what_differs_from_the_record_of_an_earlier_version_is_named():
+    record = POSES.read_rows(RECORD)
+    assert list(differences(record, record)) == [
+        f"{len(record)} of {len(record)} trials have the same findings and data faults."
+    ]
+    found = next(row for row in record if row["findings"])
+    changed = [row | {"findings": []} if row is found else row for row in record]
+    line, agreeing = differences(record, changed)
+    assert line.startswith(f"trial {found['index']} ({found['kind']}): before (['{found['findings'][0]['effect']}:")
+    assert agreeing.startswith(f"{len(record) - 1} of {len(record)} trials")
+    others = [row | {"sha256": "0"} for row in record]  # of another truth
+    assert list(differences(record, others)) == ["0 of 0 trials have the same findings and data faults."]

@@ -1,0 +1,245 @@
+"""The judge of concealed trials: which findings are true, what is misleading, how errors and intervals are counted."""
+
+import numpy as np
+import pytest
+from concealed_rows import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
+
+from benchmarks.campaigns import judgement, shares
+from benchmarks.campaigns.report import sections, story
+from benchmarks.concealed import campaign
+from benchmarks.concealed.campaign import POSES, scored
+
+DRIFT = a_hidden(
+    *("squared_coupling", "joint4", {"turn_rad": 1e-4}),
+    size=10.0,
+    drivers=[["position of joint 2"]],
+    sites=["joint4", "link4"],
+    beside=["joint_coupling", "joint_offset"],
+)
+PRODUCT = a_hidden(
+    "joint_product", "joint4", {"turn_rad": 1e-4}, drivers=[["position of joint 2"], ["position of joint 3"]]
+)
+YIELDS = a_hidden(
+    *("yielding_spring", "joint2", {"turn_rad": 1e-4}),
+    drivers=[["gravity torque of joint 2"]],
+    sum_of=["joint_compliance", "joint_windup"],
+)
+SOFT = a_hidden("joint_compliance", "joint2", {"compliance_rad_per_Nm": 1e-5}, size=5.0)
+
+
+def a_document(*findings, verdict="partly_explained", left=1.0):
+    rms = left * 3**0.5 * TRUTH["noise_m"]
+    return {"findings": list(findings), "verdict": verdict, "after": {"heldout_position_rms_m": rms}}
+
+
+def grade(hidden, *findings, rows=300, **said):
+    document = a_document(*findings, **said)
+    return judgement.judged(TRUTH | {"hidden": list(hidden)}, document, rows).grade
+
+
+def unnamed(site, driver, **more):
+    return a_finding("unnamed", site, driver=driver, **more)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "findings", "expected"),
+    [
+        ([DRIFT], [unnamed("joint4", "position of joint 2")], "right"),
+        ([DRIFT], [unnamed("link4", "position of joint 2")], "right"),  # no recording tells these sites apart
+        ([DRIFT], [unnamed("joint4", "position of joint 1 and position of joint 2")], "right"),
+        ([DRIFT], [unnamed("joint4", "time")], "misleading"),
+        ([DRIFT], [unnamed("joint3", "position of joint 2")], "misleading"),
+        ([DRIFT], [a_finding("joint_harmonic", "joint4", order=2.0)], "misleading"),
+        ([DRIFT], [a_finding("joint_coupling", "joint4", source_joint=2.0)], "misleading"),  # the straight part alone
+        (
+            [DRIFT],
+            [unnamed("joint4", "position of joint 2"), a_finding("joint_coupling", "joint4", source_joint=2.0)],
+            "right",
+        ),
+        ([DRIFT], [a_finding("joint_lag", "joint4", rivals=[("unnamed", "joint4", 2.0)])], "right"),
+        ([DRIFT], [a_finding("joint_lag", "joint4", rivals=[("unnamed", "joint4", 7.0)])], "misleading"),
+        ([DRIFT], [], "partial"),
+        ([PRODUCT], [unnamed("joint4", "position of joint 2")], "partial"),
+        ([PRODUCT], [unnamed("joint4", "position of joint 2 and position of joint 3")], "right"),
+        ([YIELDS], [unnamed("joint2", "gravity torque of joint 2")], "right"),
+        ([YIELDS], [a_finding("joint_compliance", "joint2"), a_finding("joint_windup", "joint2")], "right"),  # its sum
+        ([YIELDS], [a_finding("joint_compliance", "joint2"), a_finding("joint_windup", "joint3")], "misleading"),
+        ([YIELDS], [a_finding("joint_windup", "joint2")], "misleading"),
+        ([SOFT], [a_finding("joint_compliance", "joint2")], "right"),
+        ([SOFT], [a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 0.4)])], "right"),
+        ([SOFT], [unnamed("joint2", "gravity torque of joint 2")], "partial"),  # true, but it has a name
+        ([SOFT], [a_finding("joint_compliance", "joint3")], "misleading"),
+        ([SOFT], [a_finding("joint_compliance", "joint2"), a_finding("base_drift", "base")], "misleading"),
+        ([WAVE], [a_finding("joint_harmonic", "joint3", order=13.0)], "misleading"),
+        ([], [], "right"),
+        ([], [a_finding("joint_lag", "joint1")], "misleading"),
+    ],
+)
+def test_a_statement_is_right_partial_or_misleading(hidden, findings, expected):
+    assert grade(hidden, *findings) == expected
+
+
+@pytest.mark.parametrize("verdict", ["consistent", "explained"])
+def test_a_verdict_that_nothing_is_left_is_false_where_something_is(verdict):
+    right = a_finding("joint_compliance", "joint2")
+    assert grade([SOFT], right, verdict=verdict, left=1.29) == "right"
+    assert grade([SOFT], right, verdict=verdict, left=1.31) == "misleading"
+    assert grade([SOFT], right, verdict="partly_explained", left=1.31) == "right"
+    turned = a_document(right, verdict=verdict) | {"left": {"orientation_over_noise": 1.4}}
+    assert judgement.judged(TRUTH | {"hidden": [SOFT]}, turned, 300).grade == "misleading"
+
+
+def test_a_verdict_that_nothing_is_left_is_false_where_a_large_effect_was_missed():
+    assert grade([SOFT], verdict="consistent") == "misleading"  # 100 µm beside a noise of 20 µm
+    assert grade([SOFT | {"moved_m": 6e-5}], verdict="consistent", rows=20) == "partial"  # three times the noise
+    assert grade([SOFT | {"seen": 0.1}], verdict="consistent") == "partial"  # most of it looks like a frame
+    assert grade([SOFT], verdict="undetermined", rows=20) == "partial"
+
+
+def test_what_theory_says_is_undetectable_need_not_be_found():
+    faint = SOFT | {"size": 1.5}
+    assert grade([faint], verdict="consistent", rows=20) == "right"
+    assert grade([faint], a_finding("joint_lag", "joint1"), rows=20) == "misleading"
+
+
+def test_both_harmonics_of_a_joint_are_to_be_found():
+    second = WAVE | {"parameters": WAVE["parameters"] | {"order": 1.0}}
+    one = a_finding("joint_harmonic", "joint3", order=12.0)
+    assert grade([WAVE, second], one) == "partial"
+    assert grade([WAVE, second], one, a_finding("joint_harmonic", "joint3", order=1.0)) == "right"
+    row = a_row([WAVE, second], one, kind="edge")
+    assert not row["found"]  # one finding is not both
+
+
+def test_found_is_effect_and_site_as_hidden_or_as_listed():
+    assert a_row([SOFT], a_finding("joint_compliance", "joint2"))["found"]
+    assert a_row([SOFT], a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 0.4)]))["found"]
+    other = a_row([SOFT], a_finding("joint_compliance", "joint3"))
+    assert (other["detected"], other["found"]) == (True, False)
+
+
+def test_no_answer_is_misleading():
+    assert judgement.judged(TRUTH | {"hidden": []}, None, 300) == ("misleading", "no answer")
+
+
+def a_wrong_and_a_right_one():
+    true, false = unnamed("joint4", "position of joint 2"), a_finding("joint_lag", "joint4")
+    rows = [a_row([DRIFT], true, kind="outside", index=k) for k in range(3)]
+    rows += [a_row([DRIFT], false, kind="outside", index=3), a_row([SOFT], false, kind="edge", index=4)]
+    return [*rows, a_row([SOFT], false, kind="single", index=5)]  # what is at stake elsewhere does not count here
+
+
+def test_the_first_line_is_the_rate_of_wrong_names_with_its_interval():
+    rows = a_wrong_and_a_right_one()
+    assert campaign.wrong_names(rows) == (2, 5)
+    title, _, cells = next(iter(sections(POSES, rows)))
+    assert title == "Goals"
+    assert cells[0][0] == "wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %"
+    assert cells[0][1:] == ("40 % (5.3–85) of 5", "NO")
+    assert campaign.goals([])[0].met is None
+
+
+@pytest.mark.parametrize(("trials", "wrong", "met"), [(91, 0, True), (90, 0, False), (300, 6, False), (300, 5, True)])
+def test_few_wrong_names_are_few_by_the_upper_end_too(trials, wrong, met):
+    row = {"kind": "outside", "statement": "right"}
+    rows = [row | {"statement": "misleading"}] * wrong + [row] * (trials - wrong)
+    found = campaign.wrong_names(rows)
+    assert (found.value <= campaign.WRONG_NAMES and found.high <= campaign.WRONG_NAMES_AT_MOST) == met
+
+
+def test_orders_that_are_reported_count_in_the_coverage():
+    whole = a_hidden("joint_harmonic", "joint3", {"order": 2.0, "amplitude_rad": 1e-4, "phase_rad": 0.1}, size=5.0)
+    off = a_row([whole], a_finding("joint_harmonic", "joint3", order=2.1))  # by one standard deviation
+    assert [number["name"] for number in judgement.numbers([off], 3.0)] == ["order"]
+    said = a_finding("joint_harmonic", "joint3", order=2.0)
+    said["parameters"]["order"]["std"] = 0.0
+    exact = a_row([whole], said)
+    assert judgement.numbers([exact], 3.0) == []
+    assert judgement.exact_orders([exact, off]) == (1, 1)
+
+
+def test_the_story_and_the_results_say_what_was_judged(tmp_path):
+    rows = a_wrong_and_a_right_one()
+    told = list(story(POSES, TRUTH | {"hidden": [DRIFT], "edge": "masses off", "mass_errors": [0.1, -0.05]}, rows[3]))
+    assert any(line.startswith("Statement: misleading: false: joint_lag@joint4") for line in told)
+    assert "masses differ by +10 %, -5 %; noise as declared, masses off." in told[0]
+    POSES.write_rows(rows, tmp_path / "a.parquet")
+    assert [row["statement"] for row in POSES.read_rows(tmp_path / "a.parquet")][3:] == ["misleading"] * 3
+
+
+def test_a_finding_is_the_truth_by_name_site_order_and_source():
+    right = a_finding("joint_harmonic", "joint3", order=12.1, amplitude_rad=1e-4, phase_rad=-3.1)
+    row = a_row([WAVE], right)
+    assert (row["exact"], row["top_named"], row["detected"], row["hidden"][0]["named"]) == (True,) * 4
+    assert row["hidden"][0]["numbers"][0]["off"] == pytest.approx(2 * np.pi - 6.2)  # a phase goes round
+    assert not a_row([WAVE], a_finding("joint_harmonic", "joint3", order=12.3, amplitude_rad=1e-4))["exact"]
+    elsewhere = a_row([WAVE], a_finding("joint_harmonic", "joint2", order=12.0))
+    assert not elsewhere["top_site"]
+    assert elsewhere["detected"]
+    pulled = a_hidden("joint_coupling", "joint3", {"coupling": 1e-4, "source_joint": 2.0})
+    assert a_row([pulled], a_finding("joint_coupling", "joint3", coupling=1e-4, source_joint=2.0))["exact"]
+    assert not a_row([pulled], a_finding("joint_coupling", "joint3", coupling=1e-4, source_joint=4.0))["exact"]
+
+
+def test_a_finding_admits_what_it_says_it_cannot_be_told_from():
+    soft = a_hidden("joint_compliance", "joint2", {"compliance_rad_per_Nm": 1e-5})
+    said = a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 0.3)])
+    row = a_row([soft], said)
+    assert (row["exact"], row["exact_in_set"], row["top_in_set"], row["top_site"]) == (False, True, True, False)
+    far = a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 7.0)])
+    assert not a_row([soft], far)["exact_in_set"]
+    assert not a_row([soft], said, a_finding("base_drift", "base", gain=1.0))["exact_in_set"]  # one too many
+
+
+def test_physics_outside_the_catalogue_is_to_be_unnamed_at_its_joint():
+    bump = a_hidden("joint_bump", "joint3", {"height_rad": 1e-3}, drivers=[["position of joint 3"]])
+    assert a_row([bump], a_finding("unnamed", "joint3", driver="position of joint 3"), kind="outside")["exact"]
+    assert not a_row([bump], a_finding("unnamed", "joint3", driver="time"), kind="outside")["exact"]
+    named = a_row([bump], a_finding("joint_harmonic", "joint3", order=2.0), kind="outside")
+    assert not named["exact"]
+    assert named["hidden"][0]["site_found"]
+
+
+def test_unseen_errors_leave_out_rows_that_cannot_be_predicted_and_say_how_many():
+    row = a_row(off=3e-5)
+    assert row["unseen_m"] == pytest.approx(3e-5 / np.sqrt(2))
+    assert row["unseen_rad"] == pytest.approx(0, abs=1e-12)  # a quaternion and its negative are one rotation
+    missing = scored(
+        TRUTH | {"hidden": []}, a_diagnosis(), {"x_m": [np.nan, 0.2], "y_m": [0, 0.2], "z_m": [0, 0.2]}, 1, ""
+    )
+    assert (missing["unseen_missing"], missing["unseen_m"]) == (0.5, 0.0)
+
+
+def test_bars_hold_unseen_positions_or_not():
+    """Noise is drawn for the truth, and counts beside the bars: a row that is far off is not within them."""
+    shown = {name: [0.1, 0.2] for name in ("x_m", "y_m", "z_m")} | {"outside": [0.0, 1.0]}
+    truth = TRUTH | {"hidden": [], "noise_m": 2e-5, "unseen_position_m": [[0.1, 0.1, 0.1], [0.2, 0.2, 0.3]]}
+    bars = {f"{axis}_std_m": [1e-3, 1e-3] for axis in "xyz"}
+    row = scored(truth, a_diagnosis(), shown | bars, 1, "")
+    assert (row["inside_components"], row["inside_covered"]) == (3.0, 3.0)
+    assert (row["outside_components"], row["outside_covered"]) == (3.0, 2.0)
+    assert campaign.within_bars([row], "inside") == 1.0
+    assert campaign.within_bars([row], "outside") == pytest.approx(2 / 3)
+    assert np.isnan(campaign.within_bars([scored(truth, a_diagnosis(), shown, 1, "")], "inside"))
+
+
+def test_a_trial_without_an_answer_counts_as_wrong():
+    row = scored(TRUTH | {"hidden": [WAVE]}, None, None, 2.0, "InputError: no")
+    assert (row["exact"], row["detected"], row["unseen_m"], row["error"]) == (False, False, None, "InputError: no")
+    clean = scored(TRUTH | {"hidden": [], "sizes": []}, None, None, 2.0, "InputError: no")
+    assert not clean["exact"]
+
+
+def test_shares_have_the_intervals_of_clopper_and_pearson():
+    found = shares.share([True] * 95 + [False] * 5)
+    assert (found.low, found.high) == pytest.approx((0.8872, 0.9836), abs=1e-4)
+    assert shares.Share(0, 367).high == pytest.approx(0.01, abs=1e-4)
+    assert (shares.Share(0, 5).low, shares.Share(5, 5).high) == (0.0, 1.0)
+    assert str(shares.Share(0, 0)) == "none"
+
+
+def test_ratios_are_of_root_mean_squares():
+    found = shares.ratio([2.0, 2.0, 4.0], [1.0, 2.0, 4.0])
+    assert found.value == pytest.approx(np.sqrt(24 / 21))
+    assert found.low <= found.value <= found.high
+    assert shares.ratio([], []).of == 0
