@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
     *("interruption", "errors", "checksum", "schema", "storage", "results", "progress", "threads"),
     *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search", "controller", "fitting"),
-    *("distribution", "design", "domains", "diagnosis", "fleet", "simulation", "emulator"),
+    *("distribution", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
     *("report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -17,9 +17,9 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory as factories
     from lite6jax.arms import files
+    from lite6jax.design import readings
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.report import screen, words
-    from lite6jax.simulation import readings
 
 if TYPE_CHECKING:
     import numpy as np

@@ -16,6 +16,7 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.design import candidates, clearance, identify, information, motions, poses, sensitivity, torques
+    from lite6jax.design import readings as touching
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
     from lite6jax.fitting import source
@@ -29,8 +30,26 @@ if TYPE_CHECKING:
     Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
     """A design, what is written of it, and its report."""
 
-SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
+SensorName = Literal[
+    "tracker",
+    "tracker_6d",
+    "motion_capture",
+    "camera",
+    "dial_gauge",
+    "ball_bar",
+    "contact",
+    "plane",
+    "distance",
+    "axis",
+    "fixed_camera",
+    "flange_camera",
+]
 Known = Literal["known", "unknown"]
+_TRIED_PLACES = 4
+"""Times as many places are tried as are wanted."""
+_TRIED_READINGS = 2000
+"""Poses that read them, among which a design chooses."""
+_READINGS_OF_PLACE = 60
 
 
 @final
@@ -39,7 +58,11 @@ class Setup:
     """How poses are measured; the sidecar states it for a recording that has poses."""
 
     sensor: SensorName = "tracker"
-    """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar."""
+    """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar.
+    Readings of which places and tool are unknown: contact (sockets), plane, distance, axis, fixed_camera,
+    flange_camera."""
+    places: int | None = None
+    """Plates with two sockets each (2 where not given), or with a plane (3)."""
     chain: Literal["hayati", "six_parameter"] = "hayati"
     """The parameters: Hayati's effective model, or the six numbers a joint of a factory file."""
     frame: Known = "unknown"
@@ -53,7 +76,7 @@ class Setup:
     center: command.Triple = (300.0, 0.0, 0.0)
     """The ball bar's other end, mm in the sensor's frame."""
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
-    """One standard deviation per axis, mm, in place of the sensor's."""
+    """One standard deviation per axis, mm, in place of the sensor's; px of a camera's corners."""
     orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
     """One standard deviation per axis, degrees."""
     joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
@@ -76,6 +99,10 @@ class Setup:
                 raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
         if not (math.isfinite(self.payload) and self.payload >= 0):
             raise InputError(f"--payload {self.payload}: give a mass in kg, not below 0")
+        if self.reads:
+            return self._of_readings(arm)
+        if self.places is not None:
+            raise InputError("--places: is for --sensor contact or plane; leave it out")
         sensor = sensors.sensor_named(self.sensor).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
@@ -89,6 +116,53 @@ class Setup:
             tool=self.tool == "unknown",
             tool_at=command.metres(self.tool_at),
         )
+        return self._with_effects(setup)
+
+    @property
+    def reads(self) -> bool:
+        """Whether the sensor reads no poses, so that the arm is to reach its places."""
+        return self.sensor in touching.READERS
+
+    def chosen_places(self) -> int:
+        """How many places are touched."""
+        return self.places or (3 if self.sensor == "plane" else 2)
+
+    def _of_readings(self, arm: "arms.Arm") -> "information.Experiment":
+        given = [
+            f"--{name.replace('_', '-')}"
+            for name in ("chain", "frame", "tool", "axis", "center", "orientation_noise")
+            if getattr(self, name) != getattr(Setup, name)
+        ]
+        if given:
+            raise InputError(
+                f"{given[0]}: of {self.sensor} the six numbers of each joint, the tool and the places are unknown; "
+                "leave it out"
+            )
+        pixels = self.sensor.endswith("_camera")
+        noise = None if self.position_noise is None else self.position_noise / (1 if pixels else 1e3)
+        if noise is not None and not (math.isfinite(noise) and noise > 0):
+            raise InputError(f"--position-noise {self.position_noise}: give one standard deviation, above 0")
+        setup = touching.plan_reading(
+            arm,
+            self.sensor,
+            _TRIED_PLACES * self.chosen_places() if self.sensor in ("contact", "plane") else 1,
+            noise=noise,
+            tool_at=command.metres(self.tool_at) if any(self.tool_at) else None,
+            joint_noise=math.radians(self.joint_noise),
+        )
+        return self._with_effects(setup)
+
+    def choose_places(self, setup: "information.Experiment", readings: int, seed: int) -> "information.Experiment":
+        """The experiment with the best of the places that were drawn."""
+        if self.sensor not in ("contact", "plane"):
+            return setup
+        count = self.chosen_places()
+        tried = _READINGS_OF_PLACE * _TRIED_PLACES * count
+        return touching.choose_places(setup, touching.draw_readings(setup, tried, seed).joint_position, count, readings)
+
+    def _with_effects(self, setup: "information.Experiment") -> "information.Experiment":
+        import numpy as np
+
         if not self.effect:
             return setup
         effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
@@ -231,6 +305,9 @@ class Identify:
         if recording is None or recording.position is None:
             q = None if recording is None else recording.joint_position
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
+            if self.setup.reads:
+                experiment = self.setup.choose_places(experiment, self.poses, self.seed)
+                q = touching.draw_readings(experiment, self.poses, self.seed).joint_position if q is None else q
             found = identify.identify(experiment, q, poses=self.poses, seed=self.seed)
         else:
             if replace(self.setup, effect=()) != Setup():
@@ -434,10 +511,16 @@ class Design:
             recorded = recorded.joint_position
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
-        drawn = candidates.candidates(arm, self.candidates, self.seed, filters, margin)
+        if self.setup.reads:
+            experiment = self.setup.choose_places(experiment, self.poses, self.seed)
+            drawn = touching.draw_readings(
+                experiment, min(self.candidates, _TRIED_READINGS), self.seed, filters, margin
+            )
+        else:
+            drawn = candidates.candidates(arm, self.candidates, self.seed, filters, margin)
         options = {
             "recorded": recorded,
-            "refined": self.refine,
+            "refined": self.refine and not self.setup.reads,
             "limits": candidates.inside_limits(arm, margin),
             "feasible": lambda q: candidates.all_pass(filters, q),
             "seed": self.seed,
@@ -452,8 +535,12 @@ class Design:
             found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[poses.shortest_round(found.joint_position)]
         settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
-        planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding)
         report = study.design_report(found, drawn, disabled, self.source, accuracy)
+        readings = None
+        if self.setup.reads:
+            settings, readings = touching.planned_readings(experiment, q, settings)
+            report = (*report, *study.places_report(experiment, q))
+        planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding, readings=readings)
         return found, planned, report
 
     def _design_motion(self, arm: "arms.Arm") -> "Designed":

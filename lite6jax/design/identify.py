@@ -12,7 +12,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.design.determination import Determination, Observability, determination_of, narrow_joints, observability
 from lite6jax.design.information import Experiment, check_joints, recording_experiment
-from lite6jax.design.sensor import BARE, Quantity
+from lite6jax.design.sensor import Quantity, Sensor
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import require_type
 from lite6jax.fitting.fit import fit_recording
@@ -36,13 +36,14 @@ _ON_AXIS = 1e-6
 def determine(experiment: Experiment, joint_position: ArrayLike) -> Determination:
     """What readings at `joint_position` `(sample, joint)` rad determine.
 
-    Sensor frame and tool come first, effects last: what is held is then named after the geometry, or is an effect.
+    Sensor frame, tool and places come first, effects last: what is held is then named after the geometry, or is an
+    effect.
 
     Raises:
         InputError: joints that the arm does not have.
     """
     e = experiment
-    geometry, rigid = (int(e.movable[:size].sum()) for size in (e.form.chain.size, e.form.size))
+    geometry, rigid = (int(e.movable[:size].sum()) for size in (e.form.chain.size, e.form.size + len(e.own)))
     whole = e.movable.all() and not e.physics.effects
     return determination_of(
         e.root(joint_position),
@@ -52,7 +53,7 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
         samples=len(np.asarray(joint_position)),
         order=[*range(geometry, rigid), *range(geometry), *range(rigid, e.size)],
         prior=np.diagonal(e.prior),
-        theory=count(e.form, e.sensor.quantity, on_last_axis(e)) if whole else None,
+        theory=count(e.form, e.sensor.quantity, on_last_axis(e)) if whole and isinstance(e.sensor, Sensor) else None,
     )
 
 
@@ -111,7 +112,7 @@ class Accuracy(NamedTuple):
 
 def predict_accuracy(experiment: Experiment, determination: Determination, joint_position: ArrayLike) -> Accuracy:
     """How well a model fitted to what `determination` has determined predicts the tool at `(sample, joint)` rad."""
-    J = experiment.with_sensor(BARE).rows(joint_position)
+    J = experiment.error_rows(joint_position)
     variance = np.sum((J / experiment.unit @ determination.covariance) * (J / experiment.unit), 2)
     lost = J @ determination.open_directions
     position, orientation = slice(3), slice(3, 6)
@@ -252,6 +253,7 @@ def identify_recording(
     experiment = recording_experiment(recording, arm, geometry)
     notes = list(recording.notes)
     settings, sensor = recording.settings, experiment.sensor
+    assert isinstance(sensor, Sensor)
     if settings.position_noise_m is None or (sensor.rows == 6 and settings.orientation_noise_rad is None):
         noise = fit_recording(recording, arm, geometry=geometry).noise
         assert noise is not None

@@ -19,7 +19,7 @@ from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
-from lite6jax.design.sensor import Sensor, sensor_named
+from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
@@ -31,6 +31,7 @@ from lite6jax.fitting.residual import BLOCK, pad, predict_frames, step_order, tw
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.units import real_array
+from lite6jax.sensors.sensor import OwnNumber
 
 Array = NDArray[np.floating]
 Chain = Literal["hayati", "six_parameter"]
@@ -38,6 +39,8 @@ Approach = Literal["sequence", "zero"]
 
 TOLERANCE = {"m": 0.8e-3, "rad": float(np.deg2rad(0.15))}
 """What assembly leaves in a length and an angle of a Lite 6, one standard deviation."""
+WITHIN_REACH = {"m": 0.3, "rad": 0.5}
+"""One standard deviation of a place that is planned about where it will be."""
 
 
 class Numbers(NamedTuple):
@@ -66,17 +69,19 @@ class Reader(NamedTuple):
 
     Attributes:
         form: of the geometry, the sensor's frame and the tool.
-        physics: the effects. The parameters are those of a step of `form`, then the numbers of `physics`.
+        physics: the effects. The parameters are those of a step of `form`, the sensor's own, then those of `physics`.
         sensor: what is read.
+        own: how many unknowns of its own a sensor has; another one does not depend on them.
     """
 
     form: ModelForm
     physics: Physics
-    sensor: Sensor
+    sensor: AnySensor
+    own: int = 0
 
     @property
     def size(self) -> int:
-        """How many parameters."""
+        """How many parameters the tool depends on."""
         return self.form.size + self.physics.size
 
     def tool(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, step: jax.Array) -> Frame:
@@ -123,6 +128,10 @@ class Reader(NamedTuple):
             tool = predict_frames(self.form, numbers.model, joint)[1]
             columns = twist_columns(self.form, numbers.model, joint, partial(self.sensor.change, tool))
             columns = columns[step_order(self.form)]
+        if self.own:
+            still = jnp.zeros((self.own, *columns.shape[1:]))
+            by_own = still if isinstance(self.sensor, Sensor) else self.sensor.by_own(tool)
+            columns = jnp.concatenate([columns[: self.form.size], by_own, columns[self.form.size :]])
         if not self.sensor.joint_noise:
             return columns
         return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
@@ -132,7 +141,8 @@ class Reader(NamedTuple):
         self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, weight: jax.Array
     ) -> jax.Array:
         """The information `(parameter, parameter)` in SI units of readings with weights `(sample,)` 0 or 1."""
-        J = (self.columns(numbers, joint_position, direction) * weight).reshape(self.size, -1)
+        columns = self.columns(numbers, joint_position, direction) * weight
+        J = columns.reshape(len(columns), -1)
         return J @ J.T
 
     def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
@@ -172,7 +182,7 @@ def _twist(frame: Frame, moved: Frame) -> Twist:
 class Experiment:
     """Which model is to be identified with which sensor.
 
-    Its parameters are the entries of a step of `form`, then the numbers of `physics`.
+    Its parameters are the entries of a step of `form`, the sensor's own unknowns, then the numbers of `physics`.
 
     Attributes:
         arm: the nominal arm; its masses cause the loads that effects depend on.
@@ -187,12 +197,13 @@ class Experiment:
         payload: kg at the flange.
         approach: from where each pose is approached, on which effects of the direction of motion depend:
             the pose before it, for the first all joints at zero; or always all joints at zero.
+        own: the unknowns that the sensor has, as points that are touched.
     """
 
     arm: Arm
     form: ModelForm
     model: ArmModel
-    sensor: Sensor
+    sensor: AnySensor
     movable: NDArray[np.bool_]
     precision: Array
     scale: Array
@@ -200,16 +211,19 @@ class Experiment:
     values: tuple[float, ...] = ()
     payload: float = 0.0
     approach: Approach = "sequence"
+    own: tuple[OwnNumber, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
-        return tuple(compress((*self.form.names, *self.physics.names), self.movable))
+        own = (one.name for one in self.own)
+        return tuple(compress((*self.form.names, *own, *self.physics.names), self.movable))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m`, `rad`, or an effect's unit, of each."""
-        return tuple(compress((*self.form.units, *self.physics.units), self.movable))
+        own = (one.unit for one in self.own)
+        return tuple(compress((*self.form.units, *own, *self.physics.units), self.movable))
 
     @property
     def size(self) -> int:
@@ -229,7 +243,7 @@ class Experiment:
     @property
     def reader(self) -> Reader:
         """What is read of which model."""
-        return Reader(self.form, self.physics, self.sensor)
+        return Reader(self.form, self.physics, self.sensor, len(self.own))
 
     @cached_property
     def numbers(self) -> Numbers:
@@ -262,6 +276,30 @@ class Experiment:
         columns = np.asarray(self.reader.columns(self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
+    def error_rows(self, joint_position: ArrayLike) -> Array:
+        """How the tool's pose changes with the parameters, `(sample, 6, size)` m and rad per tolerance.
+
+        A sensor with unknown places of its own determines no base: then but for the displacement of the base that
+        moves the positions as nearly alike.
+        """
+        J = self.with_sensor(BARE).rows(joint_position)
+        if not self.own:
+            return J
+        q = np.asarray(joint_position, float)
+        still = jnp.zeros(self.reader.size)
+        p = np.asarray(self.reader.tool(self.numbers, jnp.asarray(q), jnp.asarray(self.direction(q)), still).origin)
+        base = np.tile(np.eye(6), (len(q), 1, 1))
+        base[:, :3, 3:] = np.cross(np.eye(3), p.T[:, None]).swapaxes(1, 2)
+        alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
+        return J - base @ alike
+
+    def outside_places(self, rows: Array) -> Array:
+        """Rows `(sample, row, size)` less what the sensor's own unknowns explain of them."""
+        first = int(self.movable[: self.form.size].sum())
+        flat = rows.reshape(-1, self.size)
+        own = flat[:, first : first + len(self.own)]
+        return (flat - own @ np.linalg.lstsq(own, flat, rcond=1e-9)[0]).reshape(rows.shape)
+
     def traceable_rows(self, joint_position: jax.Array) -> jax.Array:
         """As `rows` of poses approached from zero, to be differentiated by the joint positions; unchecked."""
         columns = self.reader.columns(self.numbers, joint_position, jnp.sign(joint_position))
@@ -292,7 +330,7 @@ class Experiment:
         for first in range(0, len(q), size):
             yield tuple(pad(part[first : first + size], 0, size) for part in parts)  # type: ignore[misc]
 
-    def with_sensor(self, sensor: Sensor) -> "Experiment":
+    def with_sensor(self, sensor: AnySensor) -> "Experiment":
         """The same model with another sensor."""
         return replace(self, sensor=sensor)
 
@@ -306,7 +344,7 @@ class Experiment:
         Raises:
             InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
         """
-        physics, rigid = Physics(tuple(effects)), self.form.size
+        physics, rigid = Physics(tuple(effects)), self.form.size + len(self.own)
         extended = replace(
             self,
             movable=np.concatenate([self.movable[:rigid], np.ones(physics.size, bool)]),
@@ -374,19 +412,26 @@ def experiment(
     arm: Arm,
     form: ModelForm,
     model: ArmModel,
-    sensor: Sensor,
+    sensor: AnySensor,
     movable: NDArray[np.bool_] | None = None,
     precision: Array | None = None,
 ) -> Experiment:
-    """An experiment of any model; all parameters are unknown and without a prior where not given."""
+    """An experiment of any model; all parameters are unknown and without a prior where not given.
+
+    The sensor's own unknowns are unknown, and somewhere within reach.
+    """
+    own = () if isinstance(sensor, Sensor) else sensor.own
+    movable = np.ones(form.size, bool) if movable is None else movable
+    precision = np.zeros(form.size) if precision is None else precision
     return Experiment(
         arm=arm,
         form=form,
         model=ArmModel(*(np.asarray(leaf) for leaf in model)),  # type: ignore[arg-type]
         sensor=sensor,
-        movable=np.ones(form.size, bool) if movable is None else movable,
-        precision=np.zeros(form.size) if precision is None else precision,
-        scale=np.array([TOLERANCE[unit] for unit in form.units]),
+        movable=np.concatenate([movable, np.ones(len(own), bool)]),
+        precision=np.concatenate([precision, [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in own]]),
+        scale=np.array([TOLERANCE[unit] for unit in (*form.units, *(one.unit for one in own))]),
+        own=own,
     )
 
 

@@ -15,7 +15,6 @@ from lite6jax.design.criteria import CRITERIA, Criterion, discrimination, evalua
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import Experiment
 from lite6jax.design.selection import Design, Pool, Refinement, choose, refine
-from lite6jax.design.sensor import BARE
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.fitting.start import sample_within_limits
@@ -116,11 +115,15 @@ def plan_poses(
     q = np.asarray(candidates, float)
     experiment = replace(experiment, approach="zero")  # which pose precedes a candidate is not known
     prior = _prior_information(experiment, recorded)
-    pool = Pool(experiment.rows(q), prior)
+    rows = experiment.rows(q)
+    pool = Pool(rows, prior)
     anywhere = sample_within_limits(experiment.arm, WORKSPACE, seed + 1)
-    error = workspace(experiment.with_sensor(BARE).rows(anywhere)[:, :3])  # m per tolerance
+    error = workspace(experiment.error_rows(anywhere)[:, :3])  # m per tolerance
     by = error if criterion == "I" else CRITERIA[criterion]
-    design = choose(pool, count, by)
+    start = None
+    if experiment.own:  # one reading of a place tells nothing but the place: as if others had told that
+        start = choose(Pool(experiment.outside_places(rows), prior), count, by).indices
+    design = choose(pool, count, by, start)
     chosen, refinement, rows = _refine_chosen(experiment, q[design.indices], pool, by, prior, refined, limits, feasible)
     try:
         judged = error.within(pool.coordinates)

@@ -138,8 +138,14 @@ class Design(NamedTuple):
         return float(self.values[-1])
 
 
-def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
+def choose(pool: Pool, count: int, criterion: Criterion, start: Indices | None = None) -> Design:
     """The `count` candidates whose information is best by `criterion`.
+
+    Args:
+        pool: the candidates.
+        count: how many.
+        criterion: which design is better.
+        start: `(count,)` of them, from which exchanges begin; built one by one where not given.
 
     Raises:
         InputError: more poses than candidates, too few for the parameters, or what the criterion refuses.
@@ -156,7 +162,7 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
             f" {needed}, or give a prior"
         )
     criterion = criterion.within(pool.coordinates)
-    built = _build(criterion, pool, count)
+    built = _build(criterion, pool, count) if start is None else start
     improved, exchanges, cycles = exchange(criterion, pool, built)
     ends = []
     for chosen in (built, improved):

@@ -1,14 +1,21 @@
 """What a sensor reads off the tool, with which noise, and how its reading changes as the tool moves."""
 
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from lite6jax.arms.se3 import Frame, Twist, cross
 from lite6jax.errors import InputError
+from lite6jax.sensors.camera import Lens, Mounted, seen_corners
+from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
+from lite6jax.sensors.sensor import OwnNumber
+from lite6jax.sensors.sensor import Sensor as ReadingSensor
 
 Quantity = Literal["position", "pose", "axis", "distance"]
 
@@ -117,6 +124,163 @@ class Sensor:
             along = tool.origin - jnp.array(self.center)[:, None]
             along = along / jnp.sqrt(jnp.sum(along**2, 0))
         return jnp.sum(along * shift, 0, keepdims=True) / self.position_noise
+
+
+Point = tuple[float, float, float]
+Places = tuple[tuple[str, Point], ...]
+
+
+@final
+@dataclass(frozen=True)
+class PlacedReading:
+    """A reading that is no pose, with unknowns of its own, as a `sensors.Sensor` of places that are planned. Hashable.
+
+    A sample is of the place that the tool's point is nearest to.
+
+    Attributes:
+        quantity: `contact`, `plane`, `distance` or `axis`, as in `sensors.points`.
+        position_noise: one standard deviation of what is read, m.
+        places: the name and the point, m in the base's frame: of a socket, in a plate, the anchor; one of an axis.
+        normals: of each plate, or the axis.
+        rods: of contacts whose distance is known, each with the one before it: its standard deviation, m.
+        joint_noise: as of `Sensor`.
+    """
+
+    quantity: Literal["contact", "plane", "distance", "axis"]
+    position_noise: float
+    places: Places
+    normals: tuple[Point, ...] = ()
+    rods: tuple[tuple[int, float], ...] = ()
+    joint_noise: float = 0.0
+
+    @property
+    def rows(self) -> int:
+        """How many numbers a reading has."""
+        return 3 if self.quantity == "contact" else 1
+
+    @property
+    def phrase(self) -> str:
+        """It in words."""
+        count = len(self.places)
+        reads = {
+            "contact": f"touches of {count} sockets",
+            "plane": f"touches of {count} plates",
+            "distance": "distances to an anchor",
+            "axis": "heights along an axis",
+        }[self.quantity]
+        return f"{reads} to ±{1e3 * self.position_noise:.3g} mm, whose places are unknown"
+
+    @cached_property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """Its unknowns, each with a name of its own."""
+        found = self._at(np.zeros(1, int)).own
+        seen, several = Counter[str](), Counter(one.name for one in found)
+        named = []
+        for one in found:
+            seen[one.name] += 1
+            name = f"{one.name} {seen[one.name]}" if several[one.name] > 1 else one.name
+            named.append(one._replace(name=name))
+        return tuple(named)
+
+    def nearest(self, point: Any) -> Any:
+        """The place `(sample,)` of tool points `(3, sample)`."""
+        places = jnp.array([at for _, at in self.places])
+        apart = point.T[:, None] - places
+        if self.quantity == "plane":
+            return jnp.argmin(jnp.abs(jnp.sum(apart * jnp.array(self.normals), 2)), 1)
+        return jnp.argmin(jnp.sum(apart**2, 2), 1)
+
+    def _at(self, group: Any) -> ReadingSensor:
+        """The sensor of samples at some places, all of which are unknown."""
+        names, points = zip(*self.places, strict=True)
+        places, free, unit = np.array(points).T, (True,) * len(names), np.full(2, 1 / self.position_noise)
+        if self.quantity == "contact":
+            lengths = [float(np.linalg.norm(places[:, k] - places[:, k - 1])) for k, _ in self.rods]
+            rods = tuple(Rod(k - 1, k, length, std) for (k, std), length in zip(self.rods, lengths, strict=True))
+            return Contact(group, unit, places, names, free, rods)
+        if self.quantity == "plane":
+            return Plane(group, unit, np.array(self.normals).T, places, np.zeros(len(names)), names, free)
+        value = np.zeros(len(group))
+        if self.quantity == "distance":
+            return Distance(group, unit, value, places, np.zeros(1), names, free)
+        return Axis(group, unit, value, np.array(self.normals[0]), np.zeros(1), True)
+
+    def change(self, tool: Frame, twist: Twist) -> Array:
+        """As `Sensor.change`, by automatic differentiation of the reading."""
+        spin = jnp.zeros_like(twist.linear) if twist.angular is None else twist.angular
+        x, y, z = (cross(spin, axis) for axis in tool[:3])
+        moved = Frame(x, y, z, twist.linear + cross(spin, tool.origin))
+        return jax.jvp(self._at(self.nearest(tool.origin)).residual, (tool,), (moved,))[1]
+
+    def by_own(self, tool: Frame) -> Array:
+        """How the whitened reading changes with its own unknowns, `(number, row, sample)`, per m or rad."""
+        sensor = self._at(self.nearest(tool.origin))
+        by = jax.jacfwd(lambda numbers: sensor.moved(numbers).residual(tool))(jnp.zeros(len(self.own)))
+        return jnp.moveaxis(by, -1, 0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it reads and how well, in SI units."""
+        return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)}
+
+
+@final
+@dataclass(frozen=True)
+class BoardView:
+    """A camera that sees a board: the pose of the one in the other, with the covariance of its corners. Hashable.
+
+    Attributes:
+        mounted: `fixed`, of the board on the flange in the camera's frame; `on_flange`, of the camera in the board's.
+        pixel_noise: one standard deviation of a corner's pixel, px.
+        lens: fx, fy, cx, cy, then k1, k2, p1, p2, k3.
+        corners: m in the board's frame.
+        joint_noise: as of `Sensor`.
+    """
+
+    mounted: Mounted
+    pixel_noise: float
+    lens: tuple[float, ...]
+    corners: tuple[Point, ...]
+    joint_noise: float = 0.0
+    quantity = "images"
+    rows = 6
+
+    @property
+    def phrase(self) -> str:
+        """It in words."""
+        where = "on the flange" if self.mounted == "on_flange" else "that stands"
+        return f"images by a camera {where}, corners to ±{self.pixel_noise:.3g} px"
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """None: the camera's and the board's poses are the sensor's frame and the tool."""
+        return ()
+
+    def change(self, tool: Frame, twist: Twist) -> Array:
+        """As `Sensor.change`: with J the slopes of pixels over their noise, and JᵀJ = UᵀU, it is U times the motion."""
+        spin = jnp.zeros_like(twist.linear) if twist.angular is None else twist.angular
+        shift = twist.linear + cross(spin, tool.origin)
+        turn = jnp.stack([jnp.sum(axis * spin, 0) for axis in tool[:3]])  # in the moved axes
+        pinhole, lens = np.array(self.lens[:4]), np.array(self.lens[4:])
+
+        def pixels(T: Array, twist: Array) -> Array:
+            return seen_corners(self.mounted, Lens(pinhole, lens), np.array(self.corners), T, twist) / self.pixel_noise
+
+        T = jnp.zeros((*tool.origin.shape[1:], 4, 4)).at[:, 3, 3].set(1.0)
+        T = T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0))
+        J = jax.vmap(lambda T: jax.jacfwd(lambda twist: pixels(T, twist))(jnp.zeros(6)).reshape(-1, 6))(T)
+        root = jnp.linalg.cholesky(jnp.swapaxes(J, 1, 2) @ J)
+        return jnp.einsum("ski,ks->is", root, jnp.concatenate([shift, turn]))
+
+    def by_own(self, tool: Frame) -> Array:
+        """Of no unknowns."""
+        return jnp.zeros((0, 6, tool.origin.shape[1]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it reads and how well, px and m."""
+        return asdict(self) | {"quantity": self.quantity}
+
+
+AnySensor = Sensor | PlacedReading | BoardView
 
 
 BARE = Sensor("pose", 1.0, 1.0)

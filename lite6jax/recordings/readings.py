@@ -99,7 +99,7 @@ class _Found(NamedTuple):
 
 
 def readings_from_arrays(
-    kind: Kind, *, value: Any = None, labels: Sequence[str] | None = None, pixels: Any = None, samples: int = 0
+    kind: Kind, *, value: Any = None, labels: Sequence[str] | None = None, pixels: Any = None
 ) -> Readings:
     """Readings of arrays: of touches their labels, of distances and heights their values, of a camera its pixels.
 
@@ -108,10 +108,8 @@ def readings_from_arrays(
         value: `(sample,)` m.
         labels: `(sample,)`, which contact, plane or anchor; one where not given.
         pixels: `(sample, corner, 2)`, NaN where a corner was not seen.
-        samples: how many, where nothing else says so.
     """
-    given = [len(each) for each in (value, labels, pixels) if each is not None]
-    samples = given[0] if given else samples
+    samples = next(len(each) for each in (value, labels, pixels) if each is not None)
     names = tuple(dict.fromkeys(labels or ())) or (kind,)
     place = {name: k for k, name in enumerate(names)}
     group = np.zeros(samples, np.int64) if labels is None else np.array([place[name] for name in labels], np.int64)

@@ -12,8 +12,9 @@ from lite6jax.design.determination import NARROW, Dependency, Determination
 from lite6jax.design.identify import Identification, on_last_axis
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
+from lite6jax.design.readings import read_places
 from lite6jax.design.sensitivity import Sensitivity
-from lite6jax.design.sensor import Sensor
+from lite6jax.design.sensor import AnySensor, PlacedReading, Sensor
 from lite6jax.design.torques import (
     JOINT,
     JOINT_UNITS,
@@ -61,8 +62,11 @@ def _beginning(source: str, what: str, disabled: Sequence[tuple[str, str]] = ())
 # ------------------------------------------------------------------ what poses determine
 
 
-def described(sensor: Sensor) -> str:
+def described(sensor: AnySensor) -> str:
     """A sensor in a phrase."""
+    if not isinstance(sensor, Sensor):
+        joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
+        return sensor.phrase + joints
     noise = f"{1e3 * sensor.position_noise:.3g} mm"
     reads = {
         "position": "positions",
@@ -259,6 +263,22 @@ def design_report(
     yield Text(
         f"Chosen by {way}; {d.rank} combinations of {found.experiment.size} unknown parameters are identifiable."
     )
+
+
+def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterator[RenderableType]:
+    """Where the places of touches are, in the base's frame, and how many poses `(pose, joint)` touch each."""
+    sensor = experiment.sensor
+    if not isinstance(sensor, PlacedReading) or sensor.quantity not in ("contact", "plane"):
+        return
+    counts = np.bincount(read_places(experiment, joint_position), minlength=len(sensor.places))
+    rows = (
+        (name, *(f"{1e3 * part:.0f}" for part in at), str(count))
+        for (name, at), count in zip(sensor.places, counts, strict=True)
+    )
+    yield ""
+    yield Text("Put them within some centimetres of these places (mm in the arm's base frame)")
+    yield ""
+    yield listing("", "x", "y", "z", "touches", rows=rows)
 
 
 def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType]:

@@ -13,6 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.design.readings import READERS
 from lite6jax.design.sensor import SENSORS, Sensor
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -25,7 +26,6 @@ from lite6jax.recordings.settings import PoseSource
 from lite6jax.recordings.units import other_joints
 from lite6jax.simulation import readings
 from lite6jax.simulation.motions import MotionKind, draw_motion, make_generator, make_motion
-from lite6jax.simulation.readings import READERS
 
 Array = NDArray[np.floating]
 
@@ -281,7 +281,7 @@ def _measure_readings(
         at = motion_of_recording(moved)
         return np.array(predict_poses(at.chain, physics, model, values, at, statics))
 
-    found = readings.read(sensor, motion, arm, poses, rigid, noise, seed)
+    found = readings.read(sensor, motion, arm, model, poses, noise, seed)
     true, bare = poses(found), rigid(found)
     read_out = joint_noise * make_generator(seed, "joints").standard_normal(found.joint_position.shape)
     read_out[:, arm.slides] = 0.0

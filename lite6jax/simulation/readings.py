@@ -1,72 +1,35 @@
 """Simulated readings that are no poses: an arm that touches sockets or plates, is gauged, or shows a board to a camera.
 
-The joints of each row are moved until the tool is where it is to be: in a socket, on a plate, or where the board is in
-sight. The rigid chain leads there, and a few steps more the arm with its effects.
+The tool is led to where it is to be: in a socket, on a plate, or where the board is in sight. The inverse kinematics of
+the rigid chain lead there, and again from where its effects have left the tool.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import final
 
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.design.readings import BOARD, CAMERA, DISTORTION, READERS, SOCKETS_APART, draw_place, draw_views
+from lite6jax.domains.pose.inverse import REACHED, Target, reach
 from lite6jax.errors import InputError
+from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
-from lite6jax.recordings.readings import Kind, Readings, readings_from_arrays
-from lite6jax.recordings.settings import BoardSettings, CameraSettings, KnownDistance, PoseSource
+from lite6jax.recordings.readings import Readings, readings_from_arrays
+from lite6jax.recordings.settings import CameraSettings, KnownDistance
 from lite6jax.sensors.camera import Lens, project
 
 Array = NDArray[np.floating]
 Poses = Callable[[Recording], Array]
 
-_ROUNDS, _TRIES, _CORRECTIONS = 60, 12, 6
-_STEP = 1e-6
-_REACHED = 1e-7
-_TILT = 0.6
-"""rad, by which a board is turned from facing the camera."""
-SOCKETS_APART = 0.05
-_BOARD = BoardSettings(7, 5, 0.02, 2e-5)
-_CAMERA = {"fx": 1450.0, "fy": 1452.0, "cx": 958.0, "cy": 603.0, "width": 1920.0, "height": 1200.0}
-_DISTORTION = (-0.11, 0.09, 4e-4, -3e-4, -0.02)
-TOOLS: Mapping[str, tuple[float, float, float]] = {
-    "contact": (0.02, 0.0, 0.09),
-    "plane": (0.0, 0.03, 0.06),
-    "distance": (0.01, -0.02, 0.05),
-    "axis": (0.02, 0.0, 0.05),
-    "fixed_camera": (0.02, 0.0, 0.03),
-    "flange_camera": (0.04, 0.0, 0.03),
-}
-"""m in the flange's frame, where the point or the board of each is, away from the last joint's axis."""
-
-
-class Reader(NamedTuple):
-    """A reading that can be simulated.
-
-    Attributes:
-        kind: of readings.
-        noise: one sigma, m, and px of a camera.
-        source: its name in a sidecar.
-    """
-
-    kind: Kind
-    noise: float
-    source: PoseSource
-
-
-READERS: Mapping[str, Reader] = {
-    "contact": Reader("contact", 1e-4, "touch"),
-    "plane": Reader("plane", 2e-5, "touch"),
-    "distance": Reader("distance", 5e-5, "draw_wire"),
-    "axis": Reader("axis", 2e-5, "height_gauge"),
-    "fixed_camera": Reader("camera", 0.15, "camera"),
-    "flange_camera": Reader("camera", 0.15, "camera"),
-}
-"""By name."""
+_CORRECTIONS = 6
+"""Times that the rigid arm is led to where it and its effects are in the place."""
+_PLATE = 0.25
+"""Of the reach, half a plate's side."""
 
 
 @final
@@ -75,18 +38,20 @@ class _Scene:
     """What rows are to reach.
 
     Attributes:
-        off: how far from there tools `(sample, 4, 4)` are, `(sample, number)` m and rad.
+        target: where the tool is to be, `(sample, 4, 4)`; None where that is anywhere.
+        turned: whether its orientation matters.
         readings: of tools.
         settings: what a sidecar declares of it.
     """
 
-    off: Callable[[Array], Array]
+    target: Array | None
+    turned: bool
     readings: Callable[[Array], Readings]
     settings: Mapping[str, object]
 
 
 def read(
-    reading: str, motion: Recording, arm: Arm, poses: Poses, rigid: Poses, noise: float | None, seed: int
+    reading: str, motion: Recording, arm: Arm, model: ArmModel, poses: Poses, noise: float | None, seed: int
 ) -> Recording:
     """A recording of readings; rows whose place the arm does not reach are dropped.
 
@@ -94,97 +59,63 @@ def read(
         reading: which.
         motion: joint positions to start from, and what effects depend on.
         arm: its limits.
-        poses: the tool's poses `(sample, 4, 4)` in a motion, with all effects, in the base's frame.
-        rigid: without effects.
+        model: the rigid arm and its tool, in the base's frame.
+        poses: the tool's poses `(sample, 4, 4)` in a motion, with all effects.
         noise: one sigma in place of the usual one; zero is none, and declared as the usual one.
         seed: of the places and the noise.
 
     Raises:
         InputError: an arm that reaches too few of the places.
     """
-    rng = np.random.default_rng([seed, 50])
-    usual = READERS[reading].noise
+    rng, usual = np.random.default_rng([seed, 50]), READERS[reading].noise
     scene = _SCENES[reading](rng, motion.samples, arm, usual if noise is None else noise, noise or usual)
-    q, reached = _reached(motion, arm, rigid, scene, rng)
+    wanted, q = scene.target, motion.joint_position
+    reached = np.ones(motion.samples, bool)
+    if wanted is not None:
+        q, reached = reach(model, _target(wanted, scene.turned), q, arm.joint_limits, arm.sliding, rng)
     if reached.sum() < 2:
         raise InputError(
             f"simulation: the {arm.name} reaches no place where it could read a {reading}; take another arm"
         )
-    moved = motion.select(reached).made_anew(joint_position=q[reached], row=np.arange(1, int(reached.sum()) + 1))
     chosen = np.flatnonzero(reached)
-    for _ in range(_CORRECTIONS):
-        off = scene.off(_spread(poses(moved), chosen, motion.samples))[chosen]
-        if not off.size or np.abs(off).max() < _REACHED:
-            break
-        step = _step(moved, rigid, lambda T: scene.off(_spread(T, chosen, motion.samples))[chosen], off)
-        moved = moved.made_anew(joint_position=moved.joint_position - step)
-    found = scene.readings(_spread(poses(moved), chosen, motion.samples)).select(chosen)
+    moved = motion.select(reached).made_anew(joint_position=q[reached], row=np.arange(1, len(chosen) + 1))
+    if wanted is not None:
+        wanted = led = wanted[chosen]
+        for _ in range(_CORRECTIONS):
+            tool = poses(moved)
+            off = np.linalg.inv(tool if scene.turned else _shifts(tool[:, :3, 3])) @ wanted
+            if np.abs(off - np.eye(4)).max() < REACHED:
+                break
+            led = led @ off
+            q, _ = reach(model, _target(led, scene.turned), moved.joint_position, arm.joint_limits, arm.sliding, rng)
+            moved = moved.made_anew(joint_position=q)
+    tools = np.tile(np.eye(4), (motion.samples, 1, 1))  # places and noise belong to samples of the motion
+    tools[chosen] = poses(moved)
     settings = replace(moved.settings, pose_source=READERS[reading].source, tool="unknown", **scene.settings)
+    found = scene.readings(tools).select(chosen)
     return replace(
         moved.made_anew(settings=settings, position=None, quaternion=None, readings=found), notes=motion.notes
     )
 
 
-def _spread(T: Array, chosen: NDArray[np.integer], samples: int) -> Array:
-    """Poses of chosen samples among all, the identity elsewhere: places belong to samples."""
-    every = np.tile(np.eye(4), (samples, 1, 1))
-    every[chosen] = T
-    return every
+def _target(T: Array, turned: bool) -> Target:
+    return Target(T[:, :3, 3].T, np.moveaxis(T[:, :3, :3], 0, -1) if turned else None)  # type: ignore[arg-type]
 
 
-def _step(motion: Recording, rigid: Poses, off: Callable[[Array], Array], now: Array) -> Array:
-    """The change of the joints by which the rigid chain would undo `now`, `(sample, joint)`."""
-    q, base = motion.joint_position, off(rigid(motion))
-    J = np.empty((*base.shape, motion.dof))
-    for j in range(motion.dof):
-        moved = motion.made_anew(joint_position=q + _STEP * np.eye(motion.dof)[j])
-        J[..., j] = (off(rigid(moved)) - base) / _STEP
-    H = J @ np.swapaxes(J, 1, 2) + 1e-8 * np.eye(now.shape[1])
-    return np.einsum("skj,sk->sj", J, np.linalg.solve(H, now[..., None])[..., 0])
-
-
-def _reached(
-    motion: Recording, arm: Arm, rigid: Poses, scene: _Scene, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Joint positions that reach the place of each sample, from several starts, and where that succeeded."""
-    lower, upper = arm.joint_limits.T
-    q, reached = motion.joint_position.copy(), np.zeros(motion.samples, bool)
-    if not scene.off(rigid(motion)).shape[1]:
-        return q, ~reached
-    for attempt in range(_TRIES):
-        trial = q.copy()
-        if attempt:
-            trial[~reached] = rng.uniform(lower, upper, (int((~reached).sum()), arm.dof))
-        for _ in range(_ROUNDS):
-            at = motion.made_anew(joint_position=trial)
-            off = scene.off(rigid(at))
-            step = _step(at, rigid, scene.off, off)
-            step[reached] = 0.0
-            trial = trial - step * np.minimum(1.0, 0.3 / np.maximum(np.abs(step).max(1, keepdims=True), 1e-12))
-            if np.abs(off[~reached]).max(initial=0.0) < _REACHED:
-                break
-        off = np.abs(scene.off(rigid(motion.made_anew(joint_position=trial)))).max(1)
-        inside = ((trial > lower) & (trial < upper)).all(1)
-        now = ~reached & (off < 10 * _REACHED) & inside
-        q[now], reached = trial[now], reached | now
-        if reached.all():
-            break
-    return q, reached
+def _shifts(at: Array) -> Array:
+    """Poses `(sample, 4, 4)` at points `(sample, 3)`, not turned."""
+    T = np.tile(np.eye(4), (len(at), 1, 1))
+    T[:, :3, 3] = at
+    return T
 
 
 # ------------------------------------------------------------------ the scenes
 
 
-def _place(rng: np.random.Generator, arm: Arm, angle: float) -> Array:
-    """A point within reach, in front of the arm at an angle about its base."""
-    radius, height = arm.reach * rng.uniform(0.45, 0.6), arm.reach * rng.uniform(0.1, 0.4)
-    return np.array([radius * np.cos(angle), radius * np.sin(angle), height])
-
-
 def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
     points, names, distances = [], [], []
     for k, angle in enumerate((-0.6, 0.7)):
-        one = _place(rng, arm, angle)
+        one = draw_place(rng, arm, angle)
         along = rng.standard_normal(3)
         along = along / np.linalg.norm(along)
         points += [one, one + SOCKETS_APART * along]
@@ -194,7 +125,8 @@ def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, dec
     target = np.array(points)[group] + noise * rng.standard_normal((samples, 3))
     labels = [names[k] for k in group]
     return _Scene(
-        lambda T: T[:, :3, 3] - target,
+        _shifts(target),
+        False,
         lambda T: readings_from_arrays("contact", labels=labels),
         {"contact_noise_m": declared, "contact_distances": tuple(distances)},
     )
@@ -203,20 +135,24 @@ def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, dec
 def _plane(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
     normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.1, 0.1], [0.1, 1.0, 0.2]])
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    centres = np.array([_place(rng, arm, angle) for angle in (0.0, 0.6, -0.9)])
+    centres = np.array([draw_place(rng, arm, angle) for angle in (0.0, 0.6, -0.9)])
     group, error = np.arange(samples) % 3, noise * rng.standard_normal(samples)
     labels = [f"plate{k + 1}" for k in group]
+    aside = _PLATE * arm.reach * rng.uniform(-1, 1, (samples, 3))
+    aside += normals[group] * (error - np.sum(normals[group] * aside, 1))[:, None]
     return _Scene(
-        lambda T: (np.sum(normals[group] * (T[:, :3, 3] - centres[group]), 1) - error)[:, None],
+        _shifts(centres[group] + aside),
+        False,
         lambda T: readings_from_arrays("plane", labels=labels),
         {"plane_noise_m": declared},
     )
 
 
 def _distance(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
-    anchor, error = _place(rng, arm, 2.5) * 1.6, noise * rng.standard_normal(samples)
+    anchor, error = draw_place(rng, arm, 2.5) * 1.6, noise * rng.standard_normal(samples)
     return _Scene(
-        lambda T: np.zeros((len(T), 0)),
+        None,
+        False,
         lambda T: readings_from_arrays("distance", value=np.linalg.norm(T[:, :3, 3] - anchor, axis=1) + error),
         {"distance_noise_m": declared},
     )
@@ -225,7 +161,8 @@ def _distance(rng: np.random.Generator, samples: int, arm: Arm, noise: float, de
 def _axis(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
     error = 0.3 + noise * rng.standard_normal(samples)
     return _Scene(
-        lambda T: np.zeros((len(T), 0)),
+        None,
+        False,
         lambda T: readings_from_arrays("axis", value=T[:, 2, 3] + error),
         {"axis_noise_m": declared, "axis": (0.0, 0.0, 1.0)},
     )
@@ -233,46 +170,25 @@ def _axis(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declar
 
 def _camera(fixed: bool) -> Callable[[np.random.Generator, int, Arm, float, float], _Scene]:
     def scene(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
-        corners = np.array(_BOARD.points)
-        printed = corners + _BOARD.noise_m * rng.standard_normal(corners.shape)
-        middle = corners.mean(0)
-        facing = np.diag([1.0, -1.0, -1.0])  # the board's z towards the camera
-        turn = Rotation.from_rotvec(_TILT * rng.uniform(-1, 1, (samples, 3)) * [1, 1, 2]).as_matrix()
-        wide = 0.3 * arm.reach if fixed else 0.1
-        far = (0.9 if fixed else 0.35) + wide * rng.uniform(-1, 1, samples)
-        seen = np.tile(np.eye(4), (samples, 1, 1))  # of the board in the camera
-        seen[:, :3, :3] = facing @ turn
-        aside = wide * rng.uniform(-1, 1, (samples, 2))
-        centre = np.concatenate([aside, far[:, None]], 1)
-        seen[:, :3, 3] = centre - seen[:, :3, :3] @ middle
-        centre_of_work = _place(rng, arm, 0.0)
-        T = np.eye(4)
-        if fixed:  # looks along −x at the arm
-            T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-            T[:3, 3] = centre_of_work + np.array([0.9, 0.0, 0.0])
-            target = T @ seen
-        else:  # the board lies on the table, its z upwards
-            T[:3, 3] = centre_of_work * [1, 1, 0.2] - middle
-            target = T @ np.linalg.inv(seen)
-        lens = Lens(np.array([_CAMERA[key] for key in ("fx", "fy", "cx", "cy")]), np.array(_DISTORTION))
+        corners = np.array(BOARD.points)
+        printed = corners + BOARD.noise_m * rng.standard_normal(corners.shape)
+        seen, T = draw_views(rng, samples, arm, fixed)
+        target = T @ (seen if fixed else np.linalg.inv(seen))
+        lens = Lens(np.array([CAMERA[key] for key in ("fx", "fy", "cx", "cy")]), np.array(DISTORTION))
         error = noise * rng.standard_normal((samples, len(corners), 2))
-
-        def off(tool: Array) -> Array:
-            apart = Rotation.from_matrix(np.swapaxes(target[:, :3, :3], 1, 2) @ tool[:, :3, :3]).as_rotvec()
-            return np.concatenate([tool[:, :3, 3] - target[:, :3, 3], apart], 1)
 
         def readings(tool: Array) -> Readings:
             in_camera = np.linalg.inv(T) @ tool if fixed else np.linalg.inv(tool) @ T
             points = printed @ np.swapaxes(in_camera[:, :3, :3], 1, 2) + in_camera[:, None, :3, 3]
             pixels = np.asarray(project(lens, jnp.asarray(points))) + error
-            inside = (pixels > 0).all(2) & (pixels < [_CAMERA["width"], _CAMERA["height"]]).all(2)
+            inside = (pixels > 0).all(2) & (pixels < [CAMERA["width"], CAMERA["height"]]).all(2)
             pixels[~inside | (points[..., 2] <= 0)] = np.nan
             return readings_from_arrays("camera", pixels=pixels)
 
         mounted = "fixed" if fixed else "on_flange"
-        fx, fy, cx, cy, width, height = _CAMERA.values()
-        camera = CameraSettings(mounted, fx, fy, cx, cy, _DISTORTION, width, height)
-        return _Scene(off, readings, {"pixel_noise_px": declared, "camera": camera, "board": _BOARD})
+        fx, fy, cx, cy, width, height = CAMERA.values()
+        camera = CameraSettings(mounted, fx, fy, cx, cy, DISTORTION, width, height)
+        return _Scene(target, True, readings, {"pixel_noise_px": declared, "camera": camera, "board": BOARD})
 
     return scene
 
@@ -289,4 +205,4 @@ _SCENES: Mapping[str, Callable[[np.random.Generator, int, Arm, float, float], _S
 
 def tool_of(reading: str) -> Array:
     """`T_flange_tool` `(4, 4)` of a reading's point, board or camera."""
-    return frames.transform_from_row([*TOOLS[reading], 0.0, 0.0, 0.0])
+    return frames.transform_from_row([*READERS[reading].tool, 0.0, 0.0, 0.0])

@@ -1,5 +1,6 @@
 """Joint positions at which an arm with effects reaches given poses: damped least squares within limits, batched."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
+from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia
 from lite6jax.model import LEVER, ArmModel, predict_frames_with
 
@@ -30,6 +32,10 @@ _CREEPING = 1e-8
 """Relative decrease of the cost below which a step is the last."""
 _LONGEST = 0.5
 """rad, the longest step of a joint."""
+_TRIES = 12
+"""Starts from which a target is sought."""
+REACHED = 1e-7
+"""m, and rad at `LEVER`: a target that is missed by less is reached."""
 
 
 class Target(NamedTuple):
@@ -115,6 +121,44 @@ def solve(
         for whole, part in zip(found, later, strict=True):
             whole[..., rows] = part
     return found
+
+
+def reach(
+    model: ArmModel,
+    target: Target,
+    start: NDArray[np.floating],
+    limits: NDArray[np.floating],
+    sliding: Sequence[int],
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+    """Joint positions at which the rigid arm reaches targets, from a start and then from others inside its limits.
+
+    Args:
+        model: its chain, of six parameters, with the sensor's frame and the tool.
+        target: the poses.
+        start: `(sample, joint)` rad.
+        limits: `(joint, 2)` rad.
+        sliding: the prismatic joints, counted from 0.
+        rng: draws the other starts.
+
+    Returns:
+        `(sample, joint)`, the start where none leads there, and where that succeeded `(sample,)`.
+    """
+    lower, upper = limits.T
+    q, reached = start.copy(), np.zeros(len(start), bool)
+    for attempt in range(_TRIES):
+        rows = np.flatnonzero(~reached)
+        if not rows.size:
+            break
+        trial = q[rows] if attempt == 0 else rng.uniform(lower, upper, (len(rows), len(limits)))
+        at: Any = trial.T
+        still = Motion(at, None, None, None, np.zeros((2, len(rows)), int), None, np.zeros(len(rows)))  # type: ignore[arg-type]
+        still = still._replace(sliding=Sliding(tuple(sliding)))
+        own = Target(*(None if part is None else np.asarray(part)[..., rows] for part in target))  # type: ignore[arg-type]
+        found = solve(Physics(()), model, np.zeros(0), still, None, own, limits, _MOST_NEED)
+        there = (found.cost < REACHED**2) & ~found.pressed.any(0)
+        q[rows[there]], reached[rows[there]] = found.joint_position.T[there], True
+    return q, reached
 
 
 class _State(NamedTuple):

@@ -8,6 +8,7 @@ import pytest
 from lite6jax.arms import frames
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm
+from lite6jax.design.readings import READERS
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.fit import fit_recording
@@ -18,7 +19,6 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.simulation import simulate
 from lite6jax.simulation.motions import draw_calibration
-from lite6jax.simulation.readings import TOOLS
 
 TOUCHES = ("contact", "plane", "distance", "axis")
 NOTHING = Terms(), np.zeros(0)
@@ -43,7 +43,7 @@ def test_a_fit_finds_the_tool_within_its_standard_deviations(tmp_path, sensor):
     tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
     std = solution.standard_deviation[-6:-3]
     assert (std > 0).all()
-    assert (np.abs(tool - TOOLS[sensor]) < 4 * std).all()
+    assert (np.abs(tool - READERS[sensor].tool) < 4 * std).all()
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
     assert solution.quality.verdict == "good"
     assert all(np.isfinite(value).all() for place in solution.places for value in place.std.values())
@@ -101,7 +101,7 @@ def test_relinearised_touches_go_on_where_they_were(tmp_path):
 def test_images_of_a_board_tell_where_camera_and_board_are(tmp_path, sensor):
     solution = fit_recording(recording_of(tmp_path, sensor, samples=50))
     tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
-    assert (np.abs(tool - TOOLS[sensor]) < 4 * solution.standard_deviation[-6:-3]).all()
+    assert (np.abs(tool - READERS[sensor].tool) < 4 * solution.standard_deviation[-6:-3]).all()
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
 
 

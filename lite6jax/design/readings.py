@@ -1,0 +1,301 @@
+"""Where to put sockets, plates, an anchor or a camera, and the poses at which an arm reads them.
+
+Poses are reached by inverse kinematics: the tool's point in each socket or on each plate at any orientation, the board
+in sight of the camera. Places are chosen one after the other by the errors of predicted positions that they leave.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
+from lite6jax.design.criteria import workspace
+from lite6jax.design.information import Experiment, experiment
+from lite6jax.design.sensor import BoardView, PlacedReading, Point
+from lite6jax.domains.pose.inverse import Target, reach
+from lite6jax.errors import InputError
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.fitting.problem import TOUCHED_TOLERANCE
+from lite6jax.fitting.start import sample_within_limits
+from lite6jax.model import ArmModel, ModelForm
+from lite6jax.recordings.readings import Kind, Readings, readings_from_arrays
+from lite6jax.recordings.settings import BoardSettings, KnownDistance, PoseSource, RecordingSettings
+
+Array = NDArray[np.floating]
+
+SOCKETS_APART = 0.05
+"""m, of the two sockets of one plate, …"""
+SOCKETS_KNOWN = 5e-5
+"""… and its standard deviation."""
+BOARD = BoardSettings(7, 5, 0.02, 2e-5)
+CAMERA = {"fx": 1450.0, "fy": 1452.0, "cx": 958.0, "cy": 603.0, "width": 1920.0, "height": 1200.0}
+DISTORTION = (-0.11, 0.09, 4e-4, -3e-4, -0.02)
+_TILT = 0.6
+"""rad, by which a board is turned from facing the camera."""
+_PLATE = 0.08
+"""m, half a plate's side."""
+_WORKSPACE = 300
+_ROUNDS = 5
+"""Times as many poses are tried as are wanted, at most: filters refuse some, and some places are out of reach."""
+
+
+class Reader(NamedTuple):
+    """A reading that is no pose.
+
+    Attributes:
+        kind: of readings.
+        noise: one sigma, m, and px of a camera.
+        source: its name in a sidecar.
+        tool: m in the flange's frame, where the point, the board or the camera is, away from the last joint's axis.
+    """
+
+    kind: Kind
+    noise: float
+    source: PoseSource
+    tool: Point
+
+
+READERS: Mapping[str, Reader] = {
+    "contact": Reader("contact", 1e-4, "touch", (0.02, 0.0, 0.09)),
+    "plane": Reader("plane", 2e-5, "touch", (0.0, 0.03, 0.06)),
+    "distance": Reader("distance", 5e-5, "draw_wire", (0.01, -0.02, 0.05)),
+    "axis": Reader("axis", 2e-5, "height_gauge", (0.02, 0.0, 0.05)),
+    "fixed_camera": Reader("camera", 0.15, "camera", (0.02, 0.0, 0.03)),
+    "flange_camera": Reader("camera", 0.15, "camera", (0.04, 0.0, 0.03)),
+}
+"""By name."""
+
+
+def draw_place(rng: np.random.Generator, arm: Arm, angle: float) -> Array:
+    """A point within reach, in front of the arm at an angle about its base."""
+    radius, height = arm.reach * rng.uniform(0.45, 0.6), arm.reach * rng.uniform(0.1, 0.4)
+    return np.array([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def draw_views(rng: np.random.Generator, samples: int, arm: Arm, fixed: bool) -> tuple[Array, Array]:
+    """Poses of a board in sight of a camera `(sample, 4, 4)`, and where what stands is in the arm's base `(4, 4)`."""
+    middle = np.array(BOARD.points).mean(0)
+    facing = np.diag([1.0, -1.0, -1.0])  # the board's z towards the camera
+    turn = Rotation.from_rotvec(_TILT * rng.uniform(-1, 1, (samples, 3)) * [1, 1, 2]).as_matrix()
+    wide = 0.3 * arm.reach if fixed else 0.1
+    far = (0.9 if fixed else 0.35) + wide * rng.uniform(-1, 1, samples)
+    seen = np.tile(np.eye(4), (samples, 1, 1))
+    seen[:, :3, :3] = facing @ turn
+    aside = wide * rng.uniform(-1, 1, (samples, 2))
+    seen[:, :3, 3] = np.concatenate([aside, far[:, None]], 1) - seen[:, :3, :3] @ middle
+    centre, T = draw_place(rng, arm, 0.0), np.eye(4)
+    if fixed:  # looks along −x at the arm
+        T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        T[:3, 3] = centre + np.array([0.9, 0.0, 0.0])
+    else:  # the board lies on the table, its z upwards
+        T[:3, 3] = centre * [1, 1, 0.2] - middle
+    return seen, T
+
+
+# ------------------------------------------------------------------ the experiment
+
+
+def plan_reading(
+    arm: Arm,
+    name: str,
+    places: int = 2,
+    *,
+    noise: float | None = None,
+    tool_at: Point | None = None,
+    joint_noise: float = 0.0,
+    seed: int = 0,
+) -> Experiment:
+    """An experiment with a reading of `READERS`, whose places, tool and camera are unknown.
+
+    Readings determine no base frame: the base is held, and places are relative to it. The chain's numbers are known to
+    1 mm and 5 mrad where no pose is measured, as in a fit of touches.
+
+    Args:
+        arm: at its nominal geometry.
+        name: of the reading.
+        places: how many plates, each with two sockets of a known distance, or with one plane.
+        noise: one standard deviation, m, and px of a camera; the usual one where not given.
+        tool_at: the tool's point, m in the flange's frame; the usual one where not given.
+        joint_noise: rad, one standard deviation of each joint's read-out.
+        seed: of the places.
+
+    Raises:
+        InputError: no places.
+    """
+    if places < 1:
+        raise InputError(f"{places} places: give 1 or more")
+    reader, rng = READERS[name], np.random.default_rng([seed, 51])
+    sigma, point = noise or reader.noise, np.eye(4)
+    point[:3, 3] = tool_at or reader.tool
+    form, T_tool = SixParameterForm(arm.dof, arm.sliding), arm.T_joint_flange @ point
+    if reader.kind == "camera":
+        T = np.linalg.inv(draw_views(rng, 1, arm, name == "fixed_camera")[1])
+        lens = (*(CAMERA[key] for key in ("fx", "fy", "cx", "cy")), *DISTORTION)
+        mounted = "fixed" if name == "fixed_camera" else "on_flange"
+        view = BoardView(mounted, sigma, lens, BOARD.points, joint_noise)
+        model = ArmModel(arm.kinematics.ravel(), T, T_tool)  # type: ignore[arg-type]
+        return experiment(arm, ModelForm(form, True, True), model, view)
+    angles = np.linspace(-1.2, 1.2, places) if places > 1 else [0.0]
+    points = [draw_place(rng, arm, float(angle)) for angle in angles]
+    normals: list[Array] = []
+    rods: tuple[tuple[int, float], ...] = ()
+    if name == "contact":
+        along = rng.standard_normal((places, 3)) * [1, 1, 0.2]
+        along = SOCKETS_APART * along / np.linalg.norm(along, axis=1, keepdims=True)
+        points = [one for at, shift in zip(points, along, strict=True) for one in (at, at + shift)]
+        rods = tuple((2 * k + 1, SOCKETS_KNOWN) for k in range(places))
+    elif name == "plane":
+        tilted = np.array([[0.0, 0.0, 1.0], [1.0, 0.1, 0.1], [0.1, 1.0, 0.2]])
+        normals = [tilted[k % 3] / np.linalg.norm(tilted[k % 3]) for k in range(places)]
+    else:
+        points = [1.6 * draw_place(rng, arm, 2.5)]
+        normals = [np.array([0.0, 0.0, 1.0])]
+    names = [f"plate{k // 2 + 1}_{'ab'[k % 2]}" if rods else f"plate{k + 1}" for k in range(len(points))]
+    placed = tuple((one, _point(at)) for one, at in zip(names, points, strict=True))
+    sensor = PlacedReading(reader.kind, sigma, placed, tuple(map(_point, normals)), rods, joint_noise)  # type: ignore[arg-type]
+    whole = ModelForm(form, False, True)
+    known = np.array([TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.units])
+    movable = np.arange(whole.size) >= 6
+    model = ArmModel(arm.kinematics.ravel(), np.eye(4), T_tool)  # type: ignore[arg-type]
+    return experiment(arm, whole, model, sensor, movable, np.concatenate([known, np.zeros(6)]))
+
+
+def _point(at: Array) -> Point:
+    x, y, z = map(float, at)
+    return x, y, z
+
+
+# ------------------------------------------------------------------ its poses
+
+
+def draw_readings(
+    of: Experiment, count: int, seed: int = 0, filters: Sequence[Filter] = (), limit_margin: float = 0.0
+) -> Candidates:
+    """Joint positions at which an arm reads, as many of each place, until `count` pass all filters.
+
+    Args:
+        of: with the places, and the camera or the board.
+        count: how many.
+        seed: the same gives the same.
+        filters: applied in this order.
+        limit_margin: rad, how far each joint stays from its limits.
+
+    Raises:
+        InputError: the arm reaches too few of the places, or filters refuse nearly all.
+    """
+    sensor, rng = of.sensor, np.random.default_rng([seed, 52])
+    limits = inside_limits(of.arm, limit_margin)
+    lower, upper = limits.T
+    kept: list[Array] = []
+    tried = passed = 0
+    for _ in range(_ROUNDS):
+        q = rng.uniform(lower, upper, (count, of.arm.dof))
+        if (target := _targets(of, rng, count)) is not None:
+            q, reached = reach(of.model, target, q, limits, of.arm.sliding, rng)
+            q = q[reached]
+        tried += count
+        kept.append(q[all_pass(filters, q)])
+        passed += len(kept[-1])
+        if passed >= count:
+            break
+    if passed < min(count, 10):
+        what = getattr(sensor, "quantity", "images")
+        raise InputError(
+            f"candidates: {passed} of {tried} poses for {what} are reached and pass; take another place of the tool "
+            "(--tool-at), another arm, or widen the filters"
+        )
+    every = np.concatenate(kept)
+    return Candidates(every[:count], tried, {"reach": tried - passed})
+
+
+def _targets(of: Experiment, rng: np.random.Generator, count: int) -> Target | None:
+    """Where the tool is to be in the sensor's coordinates, of each place as often; None where that is anywhere."""
+    sensor = of.sensor
+    if isinstance(sensor, BoardView):
+        seen = draw_views(rng, count, of.arm, sensor.mounted == "fixed")[0]
+        T = seen if sensor.mounted == "fixed" else np.linalg.inv(seen)
+        return Target(T[:, :3, 3].T, np.moveaxis(T[:, :3, :3], 0, -1))  # type: ignore[arg-type]
+    if not isinstance(sensor, PlacedReading) or sensor.quantity in ("distance", "axis"):
+        return None
+    at = np.array([point for _, point in sensor.places])[np.arange(count) % len(sensor.places)]
+    if sensor.quantity == "plane":
+        normal = np.array(sensor.normals)[np.arange(count) % len(sensor.places)]
+        aside = rng.uniform(-_PLATE, _PLATE, (count, 3))
+        at = at + aside - normal * np.sum(aside * normal, 1, keepdims=True)
+    return Target(at.T, None)  # type: ignore[arg-type]
+
+
+def read_places(of: Experiment, joint_position: Array) -> NDArray[np.integer]:
+    """The place that each pose `(sample, joint)` reads, `(sample,)`; zero of what has but one."""
+    if not isinstance(of.sensor, PlacedReading):
+        return np.zeros(len(joint_position), int)
+    T = frames.chain(frames.transform_from_row(of.arm.kinematics), joint_position, of.arm.sliding)
+    point = (T @ np.asarray(of.model.T_flange_tool))[:, :3, 3]
+    return np.asarray(of.sensor.nearest(jnp.asarray(point.T)))
+
+
+def choose_places(of: Experiment, joint_position: Array, count: int, readings: int) -> Experiment:
+    """The experiment with the places that predict positions over the workspace best, one chosen after the other.
+
+    Args:
+        of: with the places to choose among.
+        joint_position: `(sample, joint)` rad, poses that read them.
+        count: how many plates to choose.
+        readings: how many readings these will share.
+    """
+    sensor = of.sensor
+    if not isinstance(sensor, PlacedReading) or sensor.quantity in ("distance", "axis"):
+        return of
+    each = 2 if sensor.rods else 1
+    plates = len(sensor.places) // each
+    if count >= plates:
+        return of
+    rows, plate = of.rows(joint_position), read_places(of, joint_position) // each
+    parts = [rows[plate == k].reshape(-1, of.size) for k in range(plates)]
+    shares = [part.T @ part * readings / count / max(len(part) / sensor.rows, 1) for part in parts]
+    anywhere = sample_within_limits(of.arm, _WORKSPACE, 1)
+    weight = np.asarray(workspace(of.error_rows(anywhere)[:, :3]).weight)
+    chosen, known = list[int](), of.prior + 1e-9 * np.eye(of.size)
+    for _ in range(count):
+        left = [k for k in range(plates) if k not in chosen]
+        errors = [float(np.sum(weight * scaled_inverse(known + shares[k]))) for k in left]
+        chosen.append(left[int(np.argmin(errors))])
+        known = known + shares[chosen[-1]]
+    kept = [k for plate in sorted(chosen) for k in range(each * plate, each * (plate + 1))]
+    fewer = replace(
+        sensor,
+        places=tuple(sensor.places[k] for k in kept),
+        normals=tuple(sensor.normals[k] for k in kept) if sensor.normals else (),
+        rods=tuple((2 * k + 1, std) for k, (_, std) in enumerate(sensor.rods[:count])),
+    )
+    size = of.form.size
+    found = experiment(of.arm, of.form, of.model, fewer, of.movable[:size], of.precision[:size])
+    return found.with_physics(of.physics.effects, of.values) if of.physics.effects else found
+
+
+def planned_readings(
+    of: Experiment, joint_position: Array, settings: RecordingSettings
+) -> tuple[RecordingSettings, Readings | None]:
+    """The sidecar of poses `(sample, joint)` that are to be read, and of touches which place each touches.
+
+    Distances, heights and images are still to be measured: of these there are no readings.
+    """
+    sensor = of.sensor
+    if not isinstance(sensor, PlacedReading) or sensor.quantity not in ("contact", "plane"):
+        return settings, None
+    names = [name for name, _ in sensor.places]
+    labels = [names[k] for k in read_places(of, joint_position)]
+    noise = {f"{sensor.quantity}_noise_m": sensor.position_noise}
+    if sensor.rods:
+        said = (KnownDistance((names[k - 1], names[k]), SOCKETS_APART, std) for k, std in sensor.rods)
+        noise["contact_distances"] = tuple(said)  # type: ignore[assignment]
+    settings = replace(settings, pose_source="touch", tool="unknown", **noise)  # type: ignore[arg-type]
+    return settings, readings_from_arrays(sensor.quantity, labels=labels)
