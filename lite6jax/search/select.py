@@ -258,7 +258,7 @@ class Selector:
     def _above_rest(self, state: State) -> State:
         """Without a term that explains less than noise would at its component: what that leaves there is more.
 
-        Nor a process in whose place noise that persists is likelier: where a read-out wanders, whatever varies as slowly
+        Nor a process in whose place noise that persists is likelier: where a read-out wanders, what varies as slowly
         explains a part.
         """
         while state.tested:
