@@ -14,9 +14,9 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import bundled, files
+    from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export
     from lite6jax.effects import listing
-    from lite6jax.fitting import source as sources
     from lite6jax.report import listings, screen
 
 

@@ -22,12 +22,12 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import urdf
+    from lite6jax.calibration import source as sources
     from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
-    from lite6jax.fitting import source as sources
     from lite6jax.recordings import fault, naming, raw, writing
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import sources as tables

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.source import arm_of, load_nominal, load_recording
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.diagnose import diagnose, diagnose_against
 from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, estimate_effect, side_entry
@@ -25,8 +27,6 @@ from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.source import arm_of, load_nominal, load_recording
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.design.candidates import candidates
 from lite6jax.design.information import experiment
 from lite6jax.design.poses import plan_discrimination, shortest_round
@@ -16,7 +17,6 @@ from lite6jax.effects.composition import missing
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
-from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]

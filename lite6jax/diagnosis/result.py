@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from lite6jax.calibration.quality import Quality, quality_of_poses
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
 from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
@@ -31,7 +32,6 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
-from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
 from lite6jax.diagnosis.estimates import (
     DISAGREE,
     Known,
@@ -33,7 +34,6 @@ from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.fitting.source import declared_arm_of, load_nominal, load_recording, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks

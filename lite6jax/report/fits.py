@@ -11,11 +11,11 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.fleet import Comparison
+from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
+from lite6jax.calibration.quality import ABOVE_NOISE
+from lite6jax.calibration.solution import Result, Solution
 from lite6jax.estimation.robust import DOWNWEIGHTED
-from lite6jax.fitting.fleet import Comparison
-from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE
-from lite6jax.fitting.quality import ABOVE_NOISE
-from lite6jax.fitting.solution import Result, Solution
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen

@@ -6,6 +6,9 @@ To add a kind, let its class inherit `lite6jax.results.PublicResult` and registe
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.calibration.fleet import Comparison, FleetSolution
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import Sensitivity
@@ -16,9 +19,6 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.fitting.fleet import Comparison, FleetSolution
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, reference, statements
 from lite6jax.report.compensation import outside_sentence
