@@ -259,7 +259,7 @@ class Selector:
         """Without a term that explains less than noise would at its component: what that leaves there is more.
 
         Nor a process in whose place noise that persists is likelier: where a read-out wanders, what varies as slowly
-        explains a part.
+        explains a part. A process of the time persists itself.
         """
         while state.tested:
             marginal = Marginal(score_test(self.problem, state.fit, self.options))
@@ -267,7 +267,7 @@ class Selector:
             for k, one in enumerate(state.tested):
                 component = self._component_of(one.term)
                 noise = -np.inf if component is None else float(marginal.of_noise(component.column).gain)
-                if component is not None and one.term.nonparametric:
+                if component is not None and one.term.nonparametric and not self._follows_order(one.term):
                     instead = Marginal(self.beside(state, k)).of_persistent_noise(component.column)
                     noise = max(noise, float(instead.gain))
                 excess.append(noise - one.gain)
@@ -276,6 +276,11 @@ class Selector:
                 break
             state = self._dropped(self._left_out(state, k))
         return state
+
+    def _follows_order(self, process: Term) -> bool:
+        """Whether a quantity of a process never falls from sample to sample, as the time."""
+        _, which = self._process_of(process)
+        return any(bool(np.all(np.diff(self.scan.quantities[k].values) >= 0)) for k in which)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         found = self._weighed(test, one)
