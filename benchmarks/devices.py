@@ -19,11 +19,11 @@ from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE, measured
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.calibration.gauss_newton import inverse
+from lite6jax.calibration.residual import Observations, evaluate, linearise, observe, over_blocks
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.sensor import Sensor
 from lite6jax.errors import InputError
-from lite6jax.fitting.gauss_newton import inverse
-from lite6jax.fitting.residual import Observations, evaluate, linearise, observe, over_blocks
 from lite6jax.model import ArmModel, ModelForm
 
 

@@ -16,9 +16,9 @@ from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import six_parameter_to_hayati
-from lite6jax.fitting.fleet import FleetSolution, fit_fleet
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.residual import Observations, observe, residuals
+from lite6jax.calibration.fleet import FleetSolution, fit_fleet
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.residual import Observations, observe, residuals
 from lite6jax.model import ModelForm, arm_model
 
 OURS = "lite6jax"

@@ -27,12 +27,12 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.factory import write_factory
+from lite6jax.calibration.fleet import fit_fleet
+from lite6jax.calibration.quality import Result
 from lite6jax.design.criteria import Determinant
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.selection import Pool, choose
 from lite6jax.design.sensor import Sensor
-from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.quality import Result
 from lite6jax.fleet.place import BATCH
 
 MILLION = 10**6

@@ -21,12 +21,12 @@ from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.measure import DONE, ended
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.compiled import keep_compiled_code
+from lite6jax.calibration.source import declared_arm_of
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.filtering import sample_rate
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.errors import InputError
-from lite6jax.fitting.compiled import keep_compiled_code
-from lite6jax.fitting.source import declared_arm_of
 from lite6jax.recordings import Recording, read_recording
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 

@@ -18,8 +18,8 @@ from benchmarks.concealed.chain import Chain, vector_from_rotation
 from benchmarks.concealed.plain_physics import moments
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import hayati_to_six_parameter
+from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.domains.pose.fit import fit
-from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.recordings import Recording
 
 Array = NDArray[Any]

@@ -32,11 +32,11 @@ from benchmarks.residual import (
     rotations,
     stepwise,
 )
+from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.registration import register, register_model
 from lite6jax.errors import InputError
-from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable
 

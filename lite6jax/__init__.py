@@ -65,13 +65,13 @@ if TYPE_CHECKING:
     from lite6jax.effects.user_effects import load_effects as load_effects
     from lite6jax.errors import InputError as InputError
     from lite6jax.estimation.options import EngineOptions as EngineOptions
-    from lite6jax.fitting.fleet import (
+    from lite6jax.calibration.fleet import (
         FleetSolution as FleetSolution,
         fit_fleet as fit_fleet,
         fit_fleet_calibrations as fit_fleet_calibrations,
     )
-    from lite6jax.fitting.quality import Result as Result
-    from lite6jax.fitting.solution import Solution as Solution
+    from lite6jax.calibration.quality import Result as Result
+    from lite6jax.calibration.solution import Solution as Solution
     from lite6jax.design.candidates import (
         above_floor as above_floor,
         all_pass as all_pass,
@@ -122,9 +122,9 @@ _NAMES = {
     "lite6jax.errors": ("InputError",),
     "lite6jax.estimation.options": ("EngineOptions",),
     "lite6jax.domains.pose.fit": ("fit",),
-    "lite6jax.fitting.fleet": ("FleetSolution", "fit_fleet", "fit_fleet_calibrations"),
-    "lite6jax.fitting.quality": ("Result",),
-    "lite6jax.fitting.solution": ("Solution",),
+    "lite6jax.calibration.fleet": ("FleetSolution", "fit_fleet", "fit_fleet_calibrations"),
+    "lite6jax.calibration.quality": ("Result",),
+    "lite6jax.calibration.solution": ("Solution",),
     "lite6jax.design.candidates": ("above_floor", "all_pass", "candidates", "clear_of_itself"),
     "lite6jax.design.clearance": ("link_frames", "self_collision"),
     "lite6jax.design.identify": ("identify", "identify_recording"),

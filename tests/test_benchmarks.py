@@ -12,7 +12,20 @@ import pytest
 from domains.torque.moved import hidden, recorded
 
 from benchmarks import __main__ as harness
-from benchmarks import ceres, command, devices, diagnose, fits, folders, growth, measure, problem, regressor, seed_way
+from benchmarks import (
+    ceres,
+    command,
+    devices,
+    diagnose,
+    fits,
+    folders,
+    growth,
+    measure,
+    models,
+    problem,
+    regressor,
+    seed_way,
+)
 from benchmarks.ladder import STEPS, LowPass, climbed, half_of, main, rms
 from benchmarks.measure import Record
 from lite6jax.arms import dynamics
@@ -117,6 +130,13 @@ def test_a_folder_is_fitted_alike_by_one_process_and_two():
     records = list(folders.folders(files=40, repeats=1))
     assert [record.failed for record in records] == [""] * len(records)
     assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2"}
+
+
+@pytest.mark.long
+def test_the_models_of_a_chain_are_as_good_as_they_are_said_to_be():
+    found = {(one.subject, one.metric): one for one in models.models(arms=2, samples=60, fresh=50)}
+    assert [record.failed for record in found.values()] == [""] * len(found)
+    assert found["base, Hayati", "condition, median"].value < 10 < found["base, plain DH", "condition, median"].value
 
 
 def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):

@@ -18,11 +18,11 @@ from typed import flat, refused, run
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.calibration import compiled
+from lite6jax.calibration.quality import Result
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.errors import InputError
-from lite6jax.fitting import compiled
-from lite6jax.fitting.quality import Result
 from lite6jax.fleet import fit
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
@@ -95,7 +95,7 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lite6jax.fitting.fit.fit_calibration", interrupt)
+    monkeypatch.setattr("lite6jax.calibration.fit.fit_calibration", interrupt)
     out = calibration.with_suffix(".json")
     code, said, err = run(capsys, "fit", calibration, "--out", out)
     assert (code, said, err) == (130, "", "interrupted: nothing is left half-written\n")
@@ -150,7 +150,7 @@ def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting.compiled import keep_compiled_code; keep_compiled_code();"
+        "import jax; from lite6jax.calibration.compiled import keep_compiled_code; keep_compiled_code();"
         "assert jax.config.jax_compilation_cache_dir is None; print(jax.jit(lambda x: x + 1)(1))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)

@@ -86,7 +86,7 @@ import sys
 from lite6jax.deferred import import_lazily
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.fitting import source
+    from lite6jax.calibration import source
     from lite6jax.recordings import sidecar
     from lite6jax.arms import joint_units
 print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-10:])

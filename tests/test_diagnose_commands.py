@@ -139,7 +139,7 @@ def test_diagnose_finds_an_effect_of_ones_own(capsys, arm, tmp_path):
     # what a curve like this may pass for without its own name is not asked here
     path = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
-    code, said, _ = run(capsys, "diagnose", path, "--out", out, "--effects", own)
+    code, said, _ = run(capsys, "diagnose", path, "--quick", "--out", out, "--effects", own)
     assert code == 0
     assert "Cable drag at joint3, a function of the position of joint 3, is significant: drag " in flat(said)
     found = json.loads(out.read_text())

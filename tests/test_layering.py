@@ -8,7 +8,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
     *("interruption", "errors", "checksum", "schema", "storage", "results", "progress", "threads"),
-    *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search", "controller", "fitting"),
+    *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
+    *("controller", "calibration"),
     *("distribution", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
     *("report", "cli"),
 ]
@@ -57,11 +58,11 @@ def test_diagnosis_never_imports_simulation():
     ("source", "found"),
     [
         ("from lite6jax import cli", ["cli"]),
-        ("import lite6jax.fitting.residual as r", ["fitting"]),
+        ("import lite6jax.calibration.residual as r", ["calibration"]),
         ("def f():\n    from lite6jax.simulation import noise", ["simulation"]),
         ("from lite6jax import fit", ["lite6jax"]),
         ("import lite6jax", ["lite6jax"]),
-        ("from ..fitting import residual", ["fitting"]),
+        ("from ..calibration import residual", ["calibration"]),
         ("from ..errors import InputError\nfrom . import se3\nfrom lite6jax.arms.se3 import inverse\nimport numpy", []),
     ],
 )

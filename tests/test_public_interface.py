@@ -112,7 +112,7 @@ def test_reports_and_commands_use_no_private_name(path):
 
 
 def test_what_that_check_finds():
-    source = "from lite6jax.fitting import fit, _solve\nfrom numpy import _core\nfit._rounds\nfit.public\nself._own"
+    source = "from lite6jax.calibration import fit, _solve\nfrom numpy import _core\nfit._rounds\nfit.public\nself._own"
     assert list(private_uses(source)) == ["_solve", "fit._rounds"]
 
 

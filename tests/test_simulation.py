@@ -17,11 +17,11 @@ from lite6jax import cli
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.calibration.fit import fit_recording
 from lite6jax.design.sensor import Sensor
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.fit import fit_recording
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
     INSTRUMENTS,

@@ -100,19 +100,6 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
     return jnp.stack(quaternion_components(jnp.moveaxis(jnp.asarray(R), (-2, -1), (0, 1))), -1)
 
 
-def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotations `(..., 3, 3)` of quaternions `(..., 4)`, scalar first, of any non-zero norm."""
-    q = jnp.asarray(quaternion)
-    w, x, y, z = jnp.moveaxis(q, -1, 0)
-    s = 2 / jnp.sum(q * q, -1)
-    rows = [
-        [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-        [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-        [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-    ]
-    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
-
-
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """Rigid transforms `(..., 4, 4)` of rotations `(..., 3, 3)` and translations `(..., 3)` in m."""
     R, p = jnp.asarray(R), jnp.asarray(p)

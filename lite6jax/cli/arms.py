@@ -14,9 +14,9 @@ from lite6jax.errors import InputError
 with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import bundled, files
+    from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export
     from lite6jax.effects import listing
-    from lite6jax.fitting import source as sources
     from lite6jax.report import listings, screen
 
 
@@ -83,7 +83,7 @@ class Convert:
         if not export.is_diagnosis(source):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None
-        nominal = nominal or sources.load_nominal(command.find_nominal(document.parsed_document(source), Path(source)))
+        nominal = nominal or sources.load_nominal(command.find_nominal(document.parse_document(source), Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
         if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
             raise InputError(

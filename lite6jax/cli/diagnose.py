@@ -20,21 +20,12 @@ from lite6jax.storage import write_atomically
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.diagnosis import (
-        combined,
-        diagnose,
-        fold_processes,
-        torque_diagnosis,
-    )
-    from lite6jax.diagnosis import (
-        document as diagnosis_file,
-    )
-    from lite6jax.diagnosis import (
-        options as diagnosis_options,
-    )
+    from lite6jax.calibration import source
+    from lite6jax.diagnosis import combined, diagnose, fold_processes, torque_diagnosis
+    from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
-    from lite6jax.fitting import source
     from lite6jax.fleet import diagnoses, options, reduction
     from lite6jax.report import (
         canvas,

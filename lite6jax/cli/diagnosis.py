@@ -66,13 +66,13 @@ class Report:
     def run(self) -> int:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
-        document, written = diagnosis_file.parsed_document(self.diagnosis), []
+        document, written = diagnosis_file.parse_document(self.diagnosis), []
         of_fleet = population_schema.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
         check(document, self.diagnosis)
-        diagnosis_file.check_sum(document, self.diagnosis)
+        diagnosis_file.verify_checksum(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
@@ -132,13 +132,13 @@ class View:
         return command.DONE
 
     def _scene(self) -> "tuple[viewer.Scene, Path]":
-        document, effects = diagnosis_file.parsed_document(self.diagnosis), command.load_own_effects(self.effects)
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
         if self.torques or diagnosis_file.is_of_torques(document):
             motors = diagnosis_file.read_torque_model(self.diagnosis, effects)
             file = self.recording or command.require_recording(document, self.diagnosis)
             with command.refuse_damage(self.diagnosis):
                 recording = recordings.read_recording(file, arm=motors.arm)
-                return viewer.torque_scene(diagnosis_file.torques_of(document) or {}, motors, recording), file
+                return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, motors, recording), file
         arm = diagnosis_file.read_model(self.diagnosis, effects)
         file = self.recording or command.require_recording(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
@@ -179,7 +179,7 @@ class Predict:
         import numpy as np
         import pyarrow as pa
 
-        document, effects = diagnosis_file.parsed_document(self.diagnosis), command.load_own_effects(self.effects)
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
         opening: list[Any] = []
         said: list[str] = []
         registered, poses = None, None
@@ -187,7 +187,7 @@ class Predict:
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
             motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.check_sum(document, self.diagnosis)
+            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, motors)
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
@@ -195,13 +195,13 @@ class Predict:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.check_sum(document, self.diagnosis)
+            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, model)
             if self.register:
                 model, registered = registration.register_model(model, recording)
             found = poses = pose_predict.predicted(model, recording)
             columns, first = pose_predict.prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
-            if diagnosis_file.torques_of(document) is not None:
+            if diagnosis_file.find_torques(document) is not None:
                 columns, said = self._add_torques(document, columns, recording, effects)
             if model.reference is not None:
                 opening.append(reference.origin_statement(model.reference))
@@ -211,7 +211,7 @@ class Predict:
         path = write_atomically(self.out, lambda target: writing.write_table(table, target), self.force)
         if self.json:
             rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
-            document = rows if poses is None else documents.of_prediction(poses, registered)
+            document = rows if poses is None else documents.prediction_document(poses, registered)
             return command.present(True, document, (), [path])
         screen.show(opening)
         screen.show(screen.notes(recording.notes))

@@ -15,14 +15,14 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory
+    from lite6jax.calibration import fit, solution
+    from lite6jax.calibration import fleet as comparing
+    from lite6jax.calibration import source as sources
     from lite6jax.controller import calibration as controller_calibration
     from lite6jax.controller import connection
     from lite6jax.controller import verification as verifying
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
-    from lite6jax.fitting import fit, solution
-    from lite6jax.fitting import fleet as comparing
-    from lite6jax.fitting import source as sources
     from lite6jax.fleet import folder
     from lite6jax.report import data_faults, documents, figures, fits, fleets, live, screen
 

@@ -22,12 +22,12 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import urdf
+    from lite6jax.calibration import source as sources
     from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
-    from lite6jax.fitting import source as sources
     from lite6jax.recordings import fault, naming, raw, writing
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import sources as tables
@@ -300,7 +300,11 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         found = pose_joining.with_pose_of_reflectors(columns) if columns else None
         if found is None:
             return None
-        place, columns, notes = _name_table(first, "poses", overwrite), found.columns, joining.said_of_reflectors(found)
+        place, columns, notes = (
+            _name_table(first, "poses", overwrite),
+            found.columns,
+            joining.describe_reflectors(found),
+        )
     else:
         if arm is None:
             example = command_line("init", *sources, "--arm", "NAME")
@@ -310,7 +314,7 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
             path, columns = _read_columns(source, arm)
             if (found := pose_joining.with_pose_of_reflectors(columns)) is not None:
                 columns = found.columns
-                notes += [f"{path.name}: {said}" for said in joining.said_of_reflectors(found)]
+                notes += [f"{path.name}: {said}" for said in joining.describe_reflectors(found)]
             own = {name: meaning for name, meaning in given.items() if name in columns}
             meanings = pose_inspection.inspect(list(columns.items()), arm, own, str(path))
             files.append(pose_joining.File(str(path), path.stem, columns, meanings))
@@ -320,10 +324,10 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         if joints.found.of("q") is None:
             moved = pose_joining.with_joints(joints, arm)
             joints = moved.file
-            notes += joining.said_of_path(moved, arm.name)
+            notes += joining.describe_solved_joints(moved, arm.name)
         place = _name_table(Path(files[0].source), files[1].stem, overwrite)
         whole = pose_joining.join_files(joints, poses, arm)
-        notes += joining.said_of_files(whole, Path(joints.source).name, Path(poses.source).name)
+        notes += joining.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
         columns = whole.columns
     made = raw.of_arrays(columns)
     return _Table(place, made, list(made.numbers()), notes)

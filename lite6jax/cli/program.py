@@ -37,7 +37,7 @@ from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
 
 with import_lazily():
-    from lite6jax.fitting import compiled
+    from lite6jax.calibration import compiled
 
 COMMANDS = {
     command.__name__.lower(): command

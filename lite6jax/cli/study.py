@@ -15,11 +15,11 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
+    from lite6jax.calibration import source
     from lite6jax.design import candidates, clearance, identify, information, motions, poses, sensitivity, torques
     from lite6jax.design import readings as touching
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
-    from lite6jax.fitting import source
     from lite6jax.report import figures, study, words
 
 if TYPE_CHECKING:

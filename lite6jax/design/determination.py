@@ -24,6 +24,7 @@ _UNOBSERVABLE = 1e-10
 """Length of a column over the longest, below which readings do not depend on the parameter."""
 _TAKES_PART = 1e-6
 """Share of a parameter in a dependency, in typical sizes, below which it is rounding."""
+_CORRELATED = 0.95
 _QUOTED = {"m": 1e-3, "rad": float(np.deg2rad(1.0))}
 """How far a parameter is moved in a statement: 1 mm, 1 degree; another one by its typical size."""
 
@@ -148,10 +149,10 @@ class Determination:
         worse = self.free & (self.standard_deviation > self.scale)
         return tuple(self.names[i] for i in np.flatnonzero(worse))
 
-    def correlated(self, above: float = 0.95) -> list[tuple[str, str, float]]:
-        """Pairs of parameters whose estimates move together, the closest first."""
+    def correlated(self) -> list[tuple[str, str, float]]:
+        """Pairs of parameters whose estimates correlate above 0.95, the closest first."""
         rho = np.triu(self.correlation, 1)
-        found = sorted(zip(*np.nonzero(np.abs(rho) > above), strict=True), key=lambda ij: -abs(rho[ij]))
+        found = sorted(zip(*np.nonzero(np.abs(rho) > _CORRELATED), strict=True), key=lambda ij: -abs(rho[ij]))
         return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
 
 

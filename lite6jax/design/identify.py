@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
+from lite6jax.calibration.fit import fit_recording
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.source import load_nominal, load_recording, with_arm
+from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.determination import Determination, Observability, determination_of, narrow_joints, observability
 from lite6jax.design.information import Experiment, check_joints, recording_experiment
 from lite6jax.design.sensor import Quantity, Sensor
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import require_type
-from lite6jax.fitting.fit import fit_recording
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.source import load_nominal, load_recording, with_arm
-from lite6jax.fitting.start import sample_within_limits
 from lite6jax.model import ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult

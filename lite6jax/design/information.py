@@ -19,6 +19,8 @@ from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
+from lite6jax.calibration.problem import Geometry, recording_problem
+from lite6jax.calibration.residual import BLOCK, pad, predict_frames, step_order, twist_columns
 from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -26,8 +28,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.fitting.residual import BLOCK, pad, predict_frames, step_order, twist_columns
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.units import real_array

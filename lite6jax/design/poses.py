@@ -11,13 +11,13 @@ from typing import Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.criteria import CRITERIA, Criterion, discrimination, evaluate_each, workspace
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import Experiment
 from lite6jax.design.selection import Design, Pool, Refinement, choose, refine
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import sample_within_limits
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]

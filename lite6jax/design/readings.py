@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.calibration.problem import TOUCHED_TOLERANCE
+from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
 from lite6jax.design.criteria import workspace
 from lite6jax.design.information import Experiment, experiment
@@ -23,8 +25,6 @@ from lite6jax.design.sensor import BoardView, PlacedReading, Point
 from lite6jax.domains.pose.inverse import Target, reach
 from lite6jax.errors import InputError
 from lite6jax.estimation.projection import scaled_inverse
-from lite6jax.fitting.problem import TOUCHED_TOLERANCE
-from lite6jax.fitting.start import sample_within_limits
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings.readings import Kind, Readings, readings_from_arrays
 from lite6jax.recordings.settings import BoardSettings, KnownDistance, PoseSource, RecordingSettings

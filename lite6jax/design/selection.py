@@ -48,6 +48,8 @@ _TOGETHER = 5
 _COLUMNS = 6000
 """Columns of a block of the matrix products: what keeps a block within a core's cache."""
 _IMPROVES = 1e-9
+_ITERATIONS = 60
+"""Of a refinement: how often all rows are evaluated with their gradient."""
 _FIRST_STEP, _LONGEST_STEP, _LAST_STEP = 0.02, 0.3, 1e-6  # rad
 
 
@@ -333,7 +335,6 @@ def refine(
     limits: ArrayLike,
     prior: ArrayLike | None = None,
     feasible: Callable[[Floats], NDArray[np.bool_]] | None = None,
-    iterations: int = 60,
 ) -> Refinement:
     """Moves poses uphill in the criterion, inside the limits, and never to worse.
 
@@ -349,7 +350,6 @@ def refine(
         limits: `(joint, 2)` rad.
         prior: as for `Pool`.
         feasible: `(sample, joint)` to `(sample,)` bool.
-        iterations: how often all rows are evaluated with their gradient.
 
     Raises:
         InputError: a pose outside the limits or infeasible, or what `Pool` and the criterion refuse.
@@ -375,7 +375,7 @@ def refine(
     best, best_value = q, float(value)
     start_value, history = best_value, []
     step, last = np.full(q.shape, _FIRST_STEP), np.zeros(q.shape)
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         agreement = np.sign(gradient) * last
         step = step * np.where(agreement > 0, 1.2, np.where(agreement < 0, 0.5, 1.0))
         step = np.clip(step, 0.0, _LONGEST_STEP)

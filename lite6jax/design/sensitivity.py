@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.information import TOLERANCE, Chain, plan_experiment
 from lite6jax.design.sensor import BARE
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import sample_within_limits
 from lite6jax.model import predict
 from lite6jax.results import PublicResult
 

@@ -9,9 +9,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.source import arm_of, load_nominal, load_recording
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.diagnose import diagnose, diagnose_against
-from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, known_of, side_entry
+from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, estimate_effect, side_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques, diagnose_torques_against
@@ -25,8 +27,6 @@ from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.source import arm_of, load_nominal, load_recording
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
@@ -97,11 +97,11 @@ class CombinedDiagnosis(PublicResult):
 
         Everything that reads a diagnosis of poses reads it as one.
         """
-        document = self.poses.document(against=True)
+        document = self.poses.document()
         if self.torques is None:
             return with_checksum(document | {"torques_refused": self.refused})
         shared = [each.to_dict() for each in self.shared]
-        return with_checksum(document | {"torques": self.torques.document(against=True), "shared": shared})
+        return with_checksum(document | {"torques": self.torques.document(), "shared": shared})
 
 
 def diagnose_combined(
@@ -154,15 +154,15 @@ def diagnose_combined(
             torques = diagnose_torques_against(recording, other, arm, **of_torques)
     except InputError as error:
         return CombinedDiagnosis(poses, None, refused=str(error))
-    return CombinedDiagnosis(poses, torques, shared_by(poses, torques))
+    return CombinedDiagnosis(poses, torques, compare_domains(poses, torques))
 
 
-def shared_by(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared, ...]:
+def compare_domains(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared, ...]:
     """The quantities that a finding of either concerns, each as both see it."""
     found = []
     for quantity, kinematic, dynamic, sign in _PAIRS:
         if _has(poses, kinematic) or _has(torques, dynamic):
-            one, other = known_of(poses, kinematic), known_of(torques, dynamic)
+            one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
             p = None if one is None or other is None else difference_p_value(one, other, sign)
             found.append(Shared(quantity, one, other, p))
     # what the poses found of the loads themselves, the compliance rests on already

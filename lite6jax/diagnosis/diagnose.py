@@ -11,15 +11,12 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.quality import ROUNDING
+from lite6jax.calibration.source import load_nominal, load_recording, with_arm
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import Case, explain
-from lite6jax.diagnosis.heldout import (
-    fold_count,
-    held_out_errors,
-    held_out_folds,
-    refitted_errors,
-    verify,
-)
+from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.problem import PoseProblem
@@ -29,9 +26,6 @@ from lite6jax.domains.pose.screening.screen import screen, screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import InputError, require_type
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.quality import ROUNDING
-from lite6jax.fitting.source import load_nominal, load_recording, with_arm
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers

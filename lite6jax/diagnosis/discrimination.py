@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.design.candidates import candidates
 from lite6jax.design.information import experiment
 from lite6jax.design.poses import plan_discrimination, shortest_round
@@ -16,7 +17,6 @@ from lite6jax.effects.composition import missing
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
-from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
@@ -57,12 +57,24 @@ def separating_poses(
         and not (alternative.term.periodic and alternative.term.label == tested.term.label)
         and alternative.term not in state.fit.terms.terms
         and differ(selection, k, alternative.term, options)
-    ]
-    found = []
-    for k, rival in pairs[: options.most_separated]:
-        poses = _poses(problem, selection, k, rival, geometry, factory, options)
-        if poses is not None:
-            found.append(SeparatingPoses((state.tested[k].term.label, rival.label), poses))
+    ][: options.most_separated]
+    if not pairs:
+        return ()
+    rigid, (position, orientation) = recording_problem(problem.recording, problem.arm, geometry, factory), problem.noise
+    sensor = Sensor("position" if orientation is None else "pose", position, orientation)
+    here = experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
+    drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
+    recorded, count, found = problem.recording.joint_position, options.separating_poses, []
+    for k, rival in pairs:
+        effect, values = state.tested[k].term, state.fit.values[state.fit.terms.slices[k]]
+        assert isinstance(effect, Effect)
+        pair = ((effect, values), (rival, np.zeros(rival.size)))
+        try:
+            chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded, refined=False)
+        except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
+            continue
+        q = chosen.joint_position
+        found.append(SeparatingPoses((effect.label, rival.label), q[shortest_round(q)]))
     return tuple(found)
 
 
@@ -79,30 +91,3 @@ def differ(selection: Selection, k: int, rival: Effect, options: Options) -> boo
     span = np.concatenate([beside, problem.nuisance_columns(fit.terms, fit.values)]).reshape(-1, effect.size)
     left = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
     return bool(np.sum(left**2) > options.same_effect * np.sum(effect**2))
-
-
-def _poses(
-    problem: PoseProblem,
-    selection: Selection,
-    k: int,
-    rival: Effect,
-    geometry: Geometry,
-    factory: FactoryCalibration | None,
-    options: Options,
-) -> Array | None:
-    rigid = recording_problem(problem.recording, problem.arm, geometry, factory)
-    position, orientation = problem.noise
-    sensor = Sensor("position" if orientation is None else "pose", position, orientation)
-    here = experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
-    state = selection.state
-    values, effect = state.fit.values[state.fit.terms.slices[k]], state.tested[k].term
-    assert isinstance(effect, Effect)
-    drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
-    pair = ((effect, values), (rival, np.zeros(rival.size)))
-    recorded, count = problem.recording.joint_position, options.separating_poses
-    try:
-        chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded, refined=False)
-    except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
-        return None
-    q = chosen.joint_position
-    return q[shortest_round(q)]

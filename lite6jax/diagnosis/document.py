@@ -46,7 +46,7 @@ _WRONG = (KeyError, TypeError, ValueError, AttributeError, OverflowError, Recurs
 """What a damaged document leads to where it is read."""
 
 
-def located(effect: Effect) -> dict[str, Any]:
+def effect_entry(effect: Effect) -> dict[str, Any]:
     """Which effect, where, and of what."""
     driver = " and ".join(driver.phrase for driver in effect.drivers) or "none"
     return {"effect": effect.name, "site": effect.site, "driver": driver}
@@ -375,9 +375,9 @@ def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm
         InputWarning: the file was changed after it was written.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
-    document = parsed_document(path)
+    document = parse_document(path)
     model = model_from_document(document, effects, str(path))
-    check_sum(document, path)
+    verify_checksum(document, path)
     return model
 
 
@@ -387,13 +387,13 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
     Raises:
         InputError: as `read_model`; a diagnosis of poses alone.
     """
-    document = parsed_document(path)
+    document = parse_document(path)
     model = torque_model_from_document(document, effects, str(path))
-    check_sum(document, path)
+    verify_checksum(document, path)
     return model
 
 
-def parsed_document(path: str | Path) -> Any:
+def parse_document(path: str | Path) -> Any:
     """A document as JSON holds it.
 
     Raises:
@@ -412,7 +412,7 @@ def parsed_document(path: str | Path) -> Any:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
 
 
-def check_sum(document: Mapping[str, Any], path: str | Path) -> None:
+def verify_checksum(document: Mapping[str, Any], path: str | Path) -> None:
     """Warns of a document that was changed after it was written, or that does not say so."""
     if document.get("schema") == SCHEMA and KEY not in document:
         warnings.warn(
@@ -431,7 +431,7 @@ def check_document(document: Any, path: str | Path) -> None:
     Raises:
         InputError: not a diagnosis of this version, or something in it is missing or not possible.
     """
-    torques = torques_of(document)
+    torques = find_torques(document)
     if not _has_model(document, (SCHEMA,)):
         raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
     try:
@@ -448,7 +448,7 @@ def is_of_torques(document: Any) -> bool:
     return _has_model(document, (SCHEMA,)) and document.get("domain") == "torque"
 
 
-def torques_of(document: Any) -> dict[str, Any] | None:
+def find_torques(document: Any) -> dict[str, Any] | None:
     """The diagnosis of torques that a document is, or that stands in one of poses; None where there is none."""
     if is_of_torques(document):
         return document
@@ -461,7 +461,7 @@ def _has_model(document: Any, schemas: Sequence[str]) -> bool:
 
 
 def _torques_in(document: Any, source: str) -> dict[str, Any]:
-    torques = torques_of(document)
+    torques = find_torques(document)
     if torques is None:
         raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
     return torques

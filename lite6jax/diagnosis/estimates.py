@@ -43,7 +43,7 @@ def side_entry(known: Known | None) -> dict[str, Any] | None:
     return {"found": known.found, "parameters": {key: e._asdict() for key, e in known.parameters.items()}}
 
 
-def known_of(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
+def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
     """What a result says of an effect: as it was found, or fitted beside all that was; None where it is not shown.
 
     Of an effect with an order or a speed that a search chose, its size is what is compared.
@@ -54,7 +54,7 @@ def known_of(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
     candidates: tuple[Effect, ...] = result.problem.candidates
     if (effect not in candidates and effect.choice is None) or effect in result.confounded:
         return None
-    beside = fitted_beside(result, effect)
+    beside = fit_with_effect(result, effect)
     part = beside.terms.slices[-1]
     values, covariance = beside.values[part], beside.covariance[part, part]
     typical = np.array([number.typical for number in effect.coordinates])
@@ -64,7 +64,7 @@ def known_of(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
     return _of(False, effect, values, covariance)
 
 
-def fitted_beside(
+def fit_with_effect(
     result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
 ) -> Fit:
     """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
@@ -27,7 +28,6 @@ from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
-from lite6jax.fitting.problem import Geometry
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault

@@ -15,11 +15,11 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.diagnosis.document import (
     SCHEMAS,
+    find_torques,
     is_of_torques,
     model_from_document,
-    parsed_document,
+    parse_document,
     torque_model_from_document,
-    torques_of,
 )
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -50,7 +50,7 @@ def is_diagnosis(path: str | Path) -> bool:
     """
     if Path(path).suffix.lower() != ".json":
         return False
-    document = parsed_document(path)
+    document = parse_document(path)
     return isinstance(document, dict) and document.get("schema") in SCHEMAS
 
 
@@ -76,8 +76,8 @@ def read_diagnosed_arm(
     Raises:
         InputError: as `read_model` and `read_torque_model`.
     """
-    document = parsed_document(path)
-    torques = torques_of(document)
+    document = parse_document(path)
+    torques = find_torques(document)
     motors = None if torques is None else torque_model_from_document(torques, effects, str(path))
     if motors is not None and is_of_torques(document):
         return diagnosed_arm(motors)

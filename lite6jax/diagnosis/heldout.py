@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding, Rival, SearchedAgain, Withdrawn
+from lite6jax.diagnosis.result import Finding, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
@@ -140,10 +140,10 @@ def verify(
     state, findings = selection.state, []
     for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
         assert isinstance(tested.term, Effect)
-        rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
+        others = tuple(one for one in tested.alternatives if isinstance(one.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
         gain, std, share = tested.gain, tested.chosen_std, tested.input_share
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
+        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, others, std, share))
     found = tuple(findings)
     if not found or not errors.rejects(selection, kept, folds, options):
         return Verification(selection, errors, folds, found)

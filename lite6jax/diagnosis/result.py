@@ -3,15 +3,16 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from lite6jax.calibration.quality import Quality, quality_of_poses
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
-from lite6jax.diagnosis.document import SCHEMA, located, pose_model_entry
+from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.schema import Verdict
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
@@ -31,13 +32,13 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
-from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
+from lite6jax.search.state import Alternative
 from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
@@ -54,20 +55,6 @@ STATISTICS: Mapping[str, Callable[[Array], Any]] = {
 
 @final
 @dataclass(frozen=True, eq=False)
-class Rival:
-    """An effect that explains nearly as much as a finding.
-
-    Attributes:
-        effect: which.
-        gap: by which its log evidence in the finding's place, less the cost of its choice, is lower.
-    """
-
-    effect: Effect
-    gap: float
-
-
-@final
-@dataclass(frozen=True, eq=False)
 class Finding:
     """An effect that was found in the recording.
 
@@ -77,7 +64,7 @@ class Finding:
         covariance: `(coordinate, coordinate)` of these.
         p_value: family-wise, over all that was searched.
         gain: its log evidence, over its absence.
-        rivals: effects that it was preferred to, the nearest first.
+        alternatives: effects that explain nearly as much in its place, the nearest first.
         chosen_std: standard deviation of the number that the search chose for it, an order; zero where it is exact.
         input_share: the share of the variance of its numbers, the greatest of them, that comes from a payload which may
             be wrong without being found so.
@@ -88,18 +75,19 @@ class Finding:
     covariance: Array
     p_value: float
     gain: float
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[Alternative, ...]
     chosen_std: float = 0.0
     input_share: float = 0.0
 
     @property
-    def nearest(self) -> tuple[Rival, float] | None:
+    def nearest(self) -> tuple[Effect, float] | None:
         """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
-        named = [rival for rival in self.rivals if not rival.effect.nonparametric]
+        named = [one for one in self.alternatives if not one.term.nonparametric]
         if not self.effect.nonparametric or not named:
             return None
-        rival = min(named, key=lambda rival: rival.gap)
-        return rival, float(np.clip(1 - rival.gap / max(self.gain, 1e-300), 0.0, 1.0))
+        best = min(named, key=lambda one: one.gap)
+        assert isinstance(best.term, Effect)
+        return best.term, float(np.clip(1 - best.gap / max(self.gain, 1e-300), 0.0, 1.0))
 
     @property
     def effective_parameters(self) -> float:
@@ -116,20 +104,20 @@ class Finding:
         return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
     def to_dict(
-        self, size: dict[str, Any], contribution: dict[str, Any], rivals: list[dict[str, Any]]
+        self, size: dict[str, Any], contribution: dict[str, Any], alternatives: list[dict[str, Any]]
     ) -> dict[str, Any]:
         """Codes and numbers.
 
         Args:
             size: of a nonparametric effect.
             contribution: what it moves.
-            rivals: as they are written.
+            alternatives: as they are written.
         """
         nearest = (
-            {} if self.nearest is None else {"nearest": located(self.nearest[0].effect) | {"share": self.nearest[1]}}
+            {} if self.nearest is None else {"nearest": effect_entry(self.nearest[0]) | {"share": self.nearest[1]}}
         )
         return {
-            **located(self.effect),
+            **effect_entry(self.effect),
             "parameters": {name: estimate._asdict() for name, estimate in self.parameters.items()},
             **size,
             **nearest,
@@ -137,7 +125,7 @@ class Finding:
             "p_value": self.p_value,
             "log_likelihood_gain": self.gain,
             **contribution,
-            "confusable_with": rivals,
+            "confusable_with": alternatives,
         }
 
 
@@ -243,12 +231,9 @@ class DomainDiagnosis(Generic[P]):
         searched_again: errors where the search was repeated; None where `before` and `after` are these.
         against: how the recording was compared with a reference; None where it was not.
         outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
-        separating: poses that separate findings from their rivals.
+        separating: poses that separate findings from their alternatives.
         turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
-
-    _keys: ClassVar[tuple[str, ...]]
-    """Of the document, in the order in which they are written."""
 
     problem: P
     selection: Selection
@@ -316,13 +301,11 @@ class DomainDiagnosis(Generic[P]):
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/2`: codes, numbers in SI units, a checksum."""
-        return with_checksum(self.document(against=True))
+        return with_checksum(self.document())
 
-    def document(self, against: bool = False) -> dict[str, Any]:
-        """The document without a checksum; with the comparison with a reference where `against`."""
-        parts = self._own_parts()
-        document = {key: parts[key] for key in self._keys}
-        return document | {"against": self.against.to_dict()} if against and self.against is not None else document
+    def document(self) -> dict[str, Any]:
+        """The document without a checksum."""
+        return self._own_parts() | ({} if self.against is None else {"against": self.against.to_dict()})
 
     @property
     def _too_few(self) -> bool:
@@ -335,7 +318,7 @@ class DomainDiagnosis(Generic[P]):
         raise NotImplementedError
 
     def _own_parts(self) -> dict[str, Any]:
-        """The parts of the document that only this domain has, or has in another form."""
+        """The document, with the parts that only this domain has or has in another form."""
         raise NotImplementedError
 
     def _parts(self, settings: RecordingSettings) -> dict[str, Any]:
@@ -358,7 +341,7 @@ class DomainDiagnosis(Generic[P]):
                 {"effect": item.effect.name, "site": item.effect.site, "driver": item.driver.phrase}
                 for item in self.untestable
             ],
-            "confounded": [located(effect) for effect in self.confounded],
+            "confounded": [effect_entry(effect) for effect in self.confounded],
         }
 
 
@@ -371,22 +354,10 @@ def block_count(folds: tuple[Mask, ...] | list[Mask]) -> int:
 class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     """The diagnosis of poses."""
 
-    _keys = (
-        *("schema", "verdict", "before", "after", "left", "quality", "withdrawn", "rows_needed", "samples"),
-        *("left_out", "heldout_rows", "heldout_blocks", "searched_again", "quick", "pose_source", "date"),
-        *("instrument", "noise", "data_faults", "ruled_out", "findings", "nearest", "separating_poses"),
-        *("untestable", "confounded", "nuisance", "model"),
-    )
-
     @property
     def left_out(self) -> Mask:
         """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
         return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
-
-    @property
-    def inertial_loads(self) -> bool:
-        """Whether loads include the inertial forces of the moving arm."""
-        return self.problem.motion.joint_acceleration is not None
 
     @property
     def estimated_noise(self) -> float:
@@ -486,7 +457,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             orientation=problem.rows == 6,
             reference_temperature=problem.recording.settings.reference_temperature_degC,
             motion=problem.recording.motion,
-            accelerated=self.inertial_loads,
+            accelerated=problem.motion.joint_acceleration is not None,
             heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
             reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"], ""),
             sliding=problem.arm.sliding,
@@ -586,7 +557,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             "withdrawn": None
             if withdrawn is None
             else {
-                "effects": [located(finding.effect) for finding in withdrawn.findings],
+                "effects": [effect_entry(finding.effect) for finding in withdrawn.findings],
                 "heldout_position_rms_m": {"before": withdrawn.before, "after": withdrawn.after},
             },
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
@@ -619,12 +590,13 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             sizes = {f"peak_to_peak_{end}": self.peak_to_peak(k)._asdict()}
             size = {"peak_to_peak": sizes, "effective_parameters": finding.effective_parameters}
         moves = {"moves_rms_m": self.moves[k].position, "moves_rms_rad": self.moves[k].orientation}
-        return finding.to_dict(size, moves | heldout, [self._rival(k, rival) for rival in finding.rivals])
+        return finding.to_dict(size, moves | heldout, [self._alternative(k, one) for one in finding.alternatives])
 
-    def _rival(self, k: int, rival: Rival) -> dict[str, Any]:
-        """A rival with its status: rejected, found, separable by the poses designed, undecided, or equivalent."""
-        effect, labels = rival.effect, (self.findings[k].effect.label, rival.effect.label)
-        if rival.gap >= self.options.engine.close:
+    def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
+        """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
+        effect, labels = one.term, (self.findings[k].effect.label, one.term.label)
+        assert isinstance(effect, Effect)
+        if one.gap >= self.options.engine.close:
             status = "rejected"
         elif effect in self.fit.terms.terms:
             status = "found"
@@ -635,4 +607,4 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         else:
             status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
         numbers = {key: getattr(effect, key) for key in ("order", "source_joint", "component") if hasattr(effect, key)}
-        return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
+        return {**effect_entry(effect), **numbers, "log_likelihood_gap": one.gap, "status": status}

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, fitted_beside, known_of, side_entry
+from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
+from lite6jax.diagnosis.estimates import (
+    DISAGREE,
+    Known,
+    difference_p_value,
+    estimate_effect,
+    fit_with_effect,
+    side_entry,
+)
 from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -26,14 +34,13 @@ from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.fitting.source import declared_arm_of, load_nominal, load_recording, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import State, fitted_again
+from lite6jax.search.state import fitted_again
 
 Array = NDArray[np.floating]
 
@@ -99,8 +106,11 @@ def diagnose_torques(
         errors = errors_of_folds(errors_of_search, (whole, options, selection.considered), folds)
         state = selection.state
 
+        def fitted(there: TorqueProblem, training: Mask) -> Selection:
+            return Selection(there, there, fitted_again(there, there, state, training, options.engine))
+
         def refitted(spread: Sequence[Mask]) -> HeldOutTorques:
-            return errors_of_folds(_errors_of_refit, (whole, options, state), spread, anywhere=False)
+            return errors_of_folds(_errors_without, (whole, options, fitted), spread, anywhere=False)
 
         verified = verify(selection, errors, folds, problem.valid, options, refitted)
     return TorqueDiagnosis(
@@ -167,15 +177,6 @@ def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among
         return search(there, options.engine, training, thorough=False, among=among)
 
     return _errors_without(held, problem, options, searched)
-
-
-def _errors_of_refit(held: Mask, problem: TorqueProblem, options: Options, state: State) -> HeldOutTorques:
-    """As `errors_of_search`, with the terms of a state fitted to the other samples."""
-
-    def refitted(there: TorqueProblem, training: Mask) -> Selection:
-        return Selection(there, there, fitted_again(there, there, state, training, options.engine))
-
-    return _errors_without(held, problem, options, refitted)
 
 
 def _errors_without(
@@ -304,7 +305,7 @@ def _difference(
     if isinstance(effect, UnnamedTorque):
         here, there = _curves(effect, found, other)
     else:
-        here, there = known_of(found, effect), known_of(other, effect)
+        here, there = estimate_effect(found, effect), estimate_effect(other, effect)
     p = None
     if here is not None and there is not None:
         p = min(1.0, compared * difference_p_value(here, there))
@@ -350,7 +351,7 @@ def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) 
     """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
     at = result.fit
     if not _has(result, effect):
-        at = fitted_beside(result, effect, lambda term: _function(term) == _function(effect))
+        at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
     part = at.terms.slices[at.terms.terms.index(effect)]
     values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
     size = float(np.sqrt(values @ values))

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.joint_units import by_kind
-from lite6jax.diagnosis.document import located, torque_model_entry
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, Rival
+from lite6jax.diagnosis.document import effect_entry, torque_model_entry
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.description import described
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -17,6 +17,7 @@ from lite6jax.effects.dynamic.catalogue import torque_catalogue
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, slides
 from lite6jax.results import PublicResult
+from lite6jax.search.state import Alternative
 
 Array = NDArray[np.floating]
 
@@ -27,12 +28,6 @@ _NORMAL = 1.4826
 @final
 class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
     """The diagnosis of torques."""
-
-    _keys = (
-        *("schema", "domain", "verdict", "before", "after", "left", "withdrawn", "samples", "kept_samples"),
-        *("heldout_blocks", "searched_again", "quick", "filter", "noise", "torque_source", "date", "instrument"),
-        *("data_faults", "ruled_out", "findings", "nearest", "untestable", "confounded", "nuisance", "model"),
-    )
 
     @property
     def confounded(self) -> tuple[Effect, ...]:
@@ -94,7 +89,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
                 "torque_over_noise": None if self.over_noise is None else self.over_noise.tolist(),
                 "white": self.fit.noise.white,
             },
-            "withdrawn": [located(f.effect) for f in (self.withdrawn.findings if self.withdrawn else ())],
+            "withdrawn": [effect_entry(f.effect) for f in (self.withdrawn.findings if self.withdrawn else ())],
             "samples": data.recording.samples,
             "kept_samples": int(problem.valid.sum()),
             "filter": None
@@ -128,19 +123,20 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
             description = described(problem, effect.joint, moved)
             if description is not None:
                 named = [
-                    {**located(other), "parameters": {other.coordinates[0].name: float(value)}}
+                    {**effect_entry(other), "parameters": {other.coordinates[0].name: float(value)}}
                     for other, value in zip(description.effects, description.values, strict=True)
                 ]
                 size["described_by"] = {"share": description.share, "effects": named}
         contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], sliding[where], STATISTICS["rms"])
         contribution["joints"] = (1 + np.flatnonzero(acts)).tolist()
-        others = [rival for rival in finding.rivals if rival.effect not in fit.terms.terms]
-        rivals = [self._rival(rival) for rival in sorted(others, key=lambda rival: rival.gap)]
-        return finding.to_dict(size, contribution, rivals)
+        others = [one for one in finding.alternatives if one.term not in fit.terms.terms]
+        alternatives = [self._alternative(one) for one in sorted(others, key=lambda one: one.gap)]
+        return finding.to_dict(size, contribution, alternatives)
 
-    def _rival(self, rival: Rival) -> dict[str, Any]:
-        repeats = "period_m" if slides(rival.effect) else "order"
-        numbers = {key: getattr(rival.effect, key, None) for key in (repeats, "source_joint")}
+    def _alternative(self, one: Alternative) -> dict[str, Any]:
+        assert isinstance(one.term, Effect)
+        repeats = "period_m" if slides(one.term) else "order"
+        numbers = {key: getattr(one.term, key, None) for key in (repeats, "source_joint")}
         known = {key: value for key, value in numbers.items() if value is not None}
-        status = "rejected" if rival.gap >= self.options.engine.close else "undecided"
-        return {**located(rival.effect), **known, "log_likelihood_gap": rival.gap, "status": status}
+        status = "rejected" if one.gap >= self.options.engine.close else "undecided"
+        return {**effect_entry(one.term), **known, "log_likelihood_gap": one.gap, "status": status}

@@ -64,9 +64,11 @@ def uncertainty_of_poses(
         turned = np.einsum("sab,nbs->nas", tool[:, :3, :3], J[:, 3:])
         read = problem.measured.columns(tool, J[:, :3], turned)
         columns = np.concatenate([whitened(read, problem.measured.whitener), moved])
-        prior = Terms(tuple(freed(effect) for effect in model.physics.effects), fit.terms.bounded).precision
-        known = problem.precision
-        prior[_are_tolerances(model, fit)] = ONCE_PER_TURN**-2.0
+        effects = tuple(freed(effect) for effect in model.physics.effects)
+        prior, known = Terms(effects, fit.terms.bounded).precision, problem.precision
+        # what is no finding is within the tolerance of its joint
+        no_finding = [effect not in fit.terms.terms for effect in model.physics.effects]
+        prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
         precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, known[beside]])
         C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
     blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
@@ -88,13 +90,6 @@ def uncertainty_of_poses(
     )
     usual = typical if np.isfinite(typical).all() and typical.min() > 0 else None
     return Uncertainty(sites, C, left, unseen, noise, recorded, usual)
-
-
-def _are_tolerances(model: DiagnosedArm, fit: Fit) -> Mask:
-    """`(number,)`, which numbers of the model's effects are no findings, but have the tolerance of a joint."""
-    found = fit.terms.terms
-    sizes = [freed(effect).size for effect in model.physics.effects]
-    return np.repeat([effect not in found for effect in model.physics.effects], sizes).astype(bool)
 
 
 def _left_of_poses(

@@ -21,9 +21,9 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, final
 
 from lite6jax import interruption, threads
+from lite6jax.calibration import compiled
+from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.errors import InputError
-from lite6jax.fitting import compiled
-from lite6jax.fitting.compiled import keep_compiled_code
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -190,8 +190,8 @@ def _autocorrelation(
 
 
 def coefficients(samples: int) -> Sequence[float]:
-    """Of autoregressions, those that forget within so many samples."""
-    return [one for one in _COEFFICIENTS if (1 - one) * samples >= _FORGOTTEN] or _COEFFICIENTS[:2]
+    """Of autoregressions, those that forget within so many samples, and two at least."""
+    return _COEFFICIENTS[: max(sum((1 - one) * samples >= _FORGOTTEN for one in _COEFFICIENTS), 2)]
 
 
 def run_starts(run: Integers) -> tuple[int, ...]:

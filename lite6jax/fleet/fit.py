@@ -15,18 +15,18 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
+from lite6jax.calibration.fleet import fit_calibrations
+from lite6jax.calibration.quality import Quality, Result, quality_of_calibration
+from lite6jax.calibration.start import SAMPLES
 from lite6jax.deferred import import_lazily
-from lite6jax.fitting.fleet import fit_calibrations
-from lite6jax.fitting.quality import Quality, Result, quality_of_calibration
-from lite6jax.fitting.start import SAMPLES
 from lite6jax.fleet.folder import Row, Statistics
 from lite6jax.fleet.place import attempt, guess_kind
 from lite6jax.model import ModelForm
 
 with import_lazily():  # a folder of calibrations does not wait for what recordings take
     from lite6jax import recordings
+    from lite6jax.calibration import source
     from lite6jax.domains.pose import fit as pose_fit
-    from lite6jax.fitting import source
 
 Array = NDArray[np.floating]
 T = TypeVar("T")

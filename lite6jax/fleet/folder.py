@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lite6jax.calibration.quality import Result
 from lite6jax.distribution.batches import run_batches
-from lite6jax.fitting.quality import Result
 from lite6jax.fleet.place import DIED, Place, divide, guess_kind, list_fleet
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from lite6jax.arms.arm import Arm
-    from lite6jax.fitting.solution import Errors
+    from lite6jax.calibration.solution import Errors
 
 _ERRORS = ("fitted", "checked", "nominal")
 _STATISTICS = ("position_rms_m", "position_max_m", "orientation_rms_rad", "orientation_max_rad")

@@ -13,7 +13,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.report import pose_faults, torque_faults
 from lite6jax.report.pose_faults import MISMATCHES, mismatch_ruled_out
 from lite6jax.report.screen import indented
-from lite6jax.report.words import SCREEN, capital, joints_named, rows_named
+from lite6jax.report.words import SCREEN, capital, joints_named, milli, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
@@ -117,21 +117,21 @@ def _cause_statement(cause: "Cause") -> str:
     n = cause.numbers
     if cause.code in ("default_table", "nominal_table"):
         distances = "; ".join(
-            f"{_named(t['table'])} {_mm(t['rms_m'])} mm RMS, {_mm(t['largest_m'])} mm at most" for t in n["tables"]
+            f"{_named(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in n["tables"]
         )
         if cause.code == "default_table":
             return f"This is {_named(n['nearest'])}, not the calibration of one arm ({distances})."
         other = "" if n["nearest"] == n["tables"][0]["table"] else f", but {_named(n['nearest'])} is nearer"
         return f"This is a calibration of a {n['arm']}{other}: {distances}."
     if cause.code == "tool_offset":
-        shift = ", ".join(map(_mm, n["shift_m"]))
+        shift = ", ".join(map(milli, n["shift_m"]))
         share = f"a shift of ({shift}) mm in the flange frame explains {_percent(n['explained'])} of the squared error"
         if n["likely"]:
             return f"A tool offset is likely: {share}. Set the tool offset (TCP) to zero, or declare it."
         if cause.suspicious:
             return f"A tool offset is possible: {share}. Check that the tool offset (TCP) is zero."
         declared = float(np.linalg.norm(n.get("declared_m", 0.0)))
-        beyond = f"No tool offset beyond the declared {_mm(declared)} mm" if declared else "No tool offset"
+        beyond = f"No tool offset beyond the declared {milli(declared)} mm" if declared else "No tool offset"
         return f"{beyond}: {share}."
     if cause.code == "joint_limits":
         unit = "m" if "largest_excess_m" in n else "rad"
@@ -143,18 +143,18 @@ def _cause_statement(cause: "Cause") -> str:
             return "There are no outliers."
         one = len(cause.rows) == 1
         name, verb, them = rows_named(cause.rows), "is an outlier" if one else "are outliers", "it" if one else "them"
-        return f"{capital(name)} {verb}, by up to {_mm(n['largest_m'])} mm. Check {them}."
+        return f"{capital(name)} {verb}, by up to {milli(n['largest_m'])} mm. Check {them}."
     if cause.code == "one_point":
         return (
             "The measured positions are one point, the same in every row: a touched point or a fixed target. They show "
-            f"neither a scale nor axes. With the nominal arm the tool misses the point by {_mm(n['before_m'])} mm "
-            f"(median), with a fitted geometry by {_mm(n['fitted_m'])} mm, of which much is not determined. Touch "
+            f"neither a scale nor axes. With the nominal arm the tool misses the point by {milli(n['before_m'])} mm "
+            f"(median), with a fitted geometry by {milli(n['fitted_m'])} mm, of which much is not determined. Touch "
             "several points, or measure positions, to calibrate the arm."
         )
     start = "factory calibration" if n["start"] == "factory_calibration" else "nominal arm"
     share = (
-        f"a change of geometry explains {_percent(n['explained'])} of the squared error ({_mm(n['before_rms_m'])} mm "
-        f"RMS before, {_mm(n['heldout_rms_m'])} mm on held-out rows)"
+        f"a change of geometry explains {_percent(n['explained'])} of the squared error ({milli(n['before_rms_m'])} mm "
+        f"RMS before, {milli(n['heldout_rms_m'])} mm on held-out rows)"
     )
     if n["kind"] == "none":
         return f"The {start} is correct to within the sensor noise: {share}."
@@ -162,7 +162,7 @@ def _cause_statement(cause: "Cause") -> str:
         return f"The error is a calibration error: {share}."
     if n["kind"] == "too_far":
         return (
-            f"The poses are {_mm(n['before_rms_m'])} mm RMS from the {start}: further than any calibration is off. "
+            f"The poses are {milli(n['before_rms_m'])} mm RMS from the {start}: further than any calibration is off. "
             "A change of geometry explains them, but the arm, its zeros or the frames are not what is declared. Check "
             "these first."
         )
@@ -179,7 +179,3 @@ def _named(table: str) -> str:
 def _percent(share: float) -> str:
     """A share that is not quite whole is not shown as whole."""
     return f"{100 * share:.1f} %" if 0.99 < share < 0.9995 else f"{100 * share:.0f} %"
-
-
-def _mm(length: float) -> str:
-    return f"{1e3 * length:.3g}"

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from lite6jax.arms.files import Conversion
+from lite6jax.calibration.fleet import Comparison
+from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
@@ -23,8 +25,6 @@ from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.fitting.fleet import Comparison
-from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.fleet.folder import Row
 from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
@@ -231,7 +231,7 @@ def _calibration(read: CalibrationRead) -> dict[str, Any]:
     }
 
 
-def of_prediction(found: Prediction, registration: Registration | None) -> dict[str, Any]:
+def prediction_document(found: Prediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:

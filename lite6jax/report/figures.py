@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from lite6jax.calibration.fleet import Comparison
+from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.verification import GATE_M, Verification
-from lite6jax.fitting.fleet import Comparison
-from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report.canvas import (
     AFTER,

@@ -11,11 +11,11 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.fleet import Comparison
+from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
+from lite6jax.calibration.quality import ABOVE_NOISE
+from lite6jax.calibration.solution import Result, Solution
 from lite6jax.estimation.robust import DOWNWEIGHTED
-from lite6jax.fitting.fleet import Comparison
-from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE
-from lite6jax.fitting.quality import ABOVE_NOISE
-from lite6jax.fitting.solution import Errors, Result, Solution
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
@@ -84,7 +84,14 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
     if recording is not None:
         rows.insert(1, ("fitted rows", solution.errors))
     yield Text(f"Error at the {'flange' if recording is None else 'measured point'}")
-    yield _errors_table(rows)
+    cells = []
+    for name, errors in rows:
+        for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
+            if values is not None:
+                scale, shown = SCREEN[unit]
+                numbers = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
+                cells.append((name if unit == "m" else "", shown, *numbers))
+    yield listing("", "", *(name for name, _ in STATISTICS), rows=cells, left=[1])
     yield ""
     if isinstance(chain, HayatiForm):
         yield from _hayati_tables(solution, chain)
@@ -92,12 +99,12 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         deviation = solution.standard_deviation
         assert deviation is not None
         shown = zip(chain.names, chain.units, solution.parameters, deviation, strict=False)
-        cells = {
+        texts = {
             name: f"{fixed(SCREEN[unit][0] * value, 3)}\n±{plus_minus(SCREEN[unit][0] * std)}"
             for name, unit, value, std in shown
         }
         yield Text("Six-parameter chain (mm, deg); below each number its standard deviation")
-        yield from parameter_tables(chain, lambda name, _: cells[name])
+        yield from parameter_tables(chain, lambda name, _: texts[name])
         yield ""
     if recording is not None:
         yield from _frame_tables(solution)
@@ -124,18 +131,6 @@ def _result_line(solution: Solution, recorded: bool) -> str:
         f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
         f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
     )
-
-
-def _errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
-    """Mean, median, 95th percentile and maximum of position (mm) and orientation (deg) errors."""
-    cells = []
-    for name, errors in rows:
-        for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
-            if values is not None:
-                scale, shown = SCREEN[unit]
-                numbers = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
-                cells.append((name if unit == "m" else "", shown, *numbers))
-    return listing("", "", *(name for name, _ in STATISTICS), rows=cells, left=[1])
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.fitting.quality import Result
+from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
 from lite6jax.report.screen import headed, indented
@@ -130,7 +130,15 @@ def population_report(document: Document) -> Iterator[RenderableType]:
         yield ""
         yield Text(f"{k}. {title(effect)}: p = {effect['p_value']:.1e}, found {_FOUND_BY[effect['found_by']]}.")
         if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
-            yield Padding(_parameters(effect), (0, 0, 0, 3))
+            table = listing("", "mean", "95 % interval", "between arms", "unit")
+            for name, each in effect["parameters"].items():
+                mean, *others = (
+                    quantity(name, {"value": value, "std": each["std"]})
+                    for value in (each["mean"], *each["interval_95"], each["between_std"])
+                )
+                low, high, between = (other.value for other in others)
+                table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
+            yield Padding(table, (0, 0, 0, 3))
         yield from (indented(line, 3) for line in remarks(effect, over))
     own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
     alone = [
@@ -213,16 +221,6 @@ def remarks(effect: Document, over: bool) -> Iterator[str]:
 def _chance(p: float) -> str:
     """A p-value; one that is no sign of anything is not printed."""
     return f"p = {p:.1e}" if p < _CHANCE else "not significant"
-
-
-def _parameters(effect: Document) -> RenderableType:
-    table = listing("", "mean", "95 % interval", "between arms", "unit")
-    for name, each in effect["parameters"].items():
-        mean = quantity(name, {"value": each["mean"], "std": each["std"]})
-        low, high = (quantity(name, {"value": v, "std": each["std"]}).value for v in each["interval_95"])
-        between = quantity(name, {"value": each["between_std"], "std": each["std"]}).value
-        table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
-    return table
 
 
 def _of_a_year(name: str, estimate: Mapping[str, float], value: float) -> Quantity:

@@ -1,5 +1,6 @@
 """What was recognised in a table, in words: on the screen, and as the comments of the sidecar that `init` writes."""
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -169,7 +170,10 @@ _TOUCHED = ("pose_source", "tool", "factory_calibration", "factory_uncertainty",
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
     yield Text(path, no_wrap=True, overflow="ignore")
-    yield Text(f"{found.samples} rows, {_counted(found)}.")
+    used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
+    unused = len(found.unused) + len(found.texts)
+    columns = f"{used + unused} columns, of which {used} are used" if unused else f"{used} columns"
+    yield Text(f"{found.samples} rows, {columns}.")
     yield ""
     for meaning in found.meanings:
         yield Padding(Text(statement(meaning)), (0, 0, 0, 2))
@@ -285,7 +289,9 @@ def _reason(decision: Decision) -> str:
         least = n["error"]
         if other is None:
             return "the arm's kinematics agree"
-        return f"the arm's kinematics agree {_times(other / max(least, 1e-12))} better than with the next reading"
+        ratio = other / max(least, 1e-12)
+        times = f"{ratio:.3g} times" if ratio < 1e3 else "over 1000 times"
+        return f"the arm's kinematics agree {times} better than with the next reading"
     if decision.reason == "slope":
         times = "" if 0.5 < n["ratio"] < 2 else f"{n['ratio']:.3g} times "
         return f"they are {times}what the positions change per second in {n['unit']}"
@@ -314,10 +320,6 @@ def _reason(decision: Decision) -> str:
         "clock": "a clock that counts from 1970",
         "step": "rows would be {step_s:.3g} s apart",
     }[decision.reason].format(**n)
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.3g} times" if ratio < 1e3 else "over 1000 times"
 
 
 def arm_statement(found: Inspection) -> str:
@@ -361,7 +363,7 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
     for key, (meaning, example) in KEYS.items():
         if key not in shown:
             continue
-        lines += _wrapped(meaning, "  # ")
+        lines += _wrapped(meaning)
         value = _flow(settings[key]) if key in settings else example
         lines.append(f"  {key}: {value}" if key in settings else f"  # {key}: {example}")
     return "\n".join(lines) + "\n"
@@ -372,7 +374,7 @@ def _column_lines(found: Inspection) -> list[str]:
     lines.append("columns:")
     told = dict(found.columns)
     for meaning in found.meanings:
-        lines += _wrapped(statement(meaning), "  # ")
+        lines += _wrapped(statement(meaning))
         lines += [_entry(own, told.pop(own)) for own in meaning.block.columns if own in told]
     rest = {own: name for own, name in told.items() if name != IGNORED}
     unused = {own: name for own, name in told.items() if name == IGNORED}
@@ -392,14 +394,10 @@ def _flow(value: Any) -> str:
     return dumped.removesuffix("\n").removesuffix("...").strip()
 
 
-def _wrapped(text: str, start: str, width: int = 118) -> list[str]:
-    lines, line = [], start
-    for word in text.split():
-        if len(line) + len(word) > width and line != start:
-            lines.append(line.rstrip())
-            line = start
-        line += f"{word} "
-    return [*lines, line.rstrip()]
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(
+        text, 118, initial_indent="  # ", subsequent_indent="  # ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _columns(names: Sequence[str]) -> str:
@@ -410,12 +408,6 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(repr(name[:40]) for name in names[:most]) + (
         f" and {len(names) - most} more" if len(names) > most else ""
     )
-
-
-def _counted(found: Inspection) -> str:
-    used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
-    rest = len(found.unused) + len(found.texts)
-    return f"{used + rest} columns, of which {used} are used" if rest else f"{used} columns"
 
 
 def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:

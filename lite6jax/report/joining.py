@@ -9,7 +9,7 @@ _SHOWN = 8
 """Columns that are left out and named."""
 
 
-def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
+def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
     """How the joints of one file and the poses of another were joined."""
     said = []
     if (clocks := found.clocks) is not None:
@@ -56,7 +56,7 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
     return said
 
 
-def said_of_path(found: WithJoints, arm: str) -> list[str]:
+def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     count, missing = len(found.path.reached), int(np.sum(~found.path.reached))
     said = [
@@ -69,7 +69,7 @@ def said_of_path(found: WithJoints, arm: str) -> list[str]:
     return said + ([f"{missing} of {count} poses are not reached on it and are left out"] if missing else [])
 
 
-def said_of_reflectors(found: WithPose) -> list[str]:
+def describe_reflectors(found: WithPose) -> list[str]:
     """How points became a pose."""
     pose, mm = found.pose, 1e3 if found.unit == "m" else 1.0
     lost = int(np.sum(~pose.rows)) - pose.outlying

@@ -16,6 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from lite6jax.calibration.fleet import Comparison, FleetSolution
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.solution import Solution, write_solution
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import Sensitivity
@@ -28,9 +31,6 @@ from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import Comparison, FleetSolution
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.solution import Solution, write_solution
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.writing import write_table
 from lite6jax.report import diagnosis_figures, figures

@@ -12,10 +12,10 @@ from rich.text import Text
 
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.start import calibration_poses, check_positions
 from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.controller.recorder import LiveRecording, Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
-from lite6jax.fitting.start import calibration_poses, check_positions
 from lite6jax.report import screen
 from lite6jax.report.words import STATISTICS, fixed, listing, number
 
@@ -186,7 +186,14 @@ def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
             missing = missing if gaps.within + gaps.between else "No report missing within or between runs"
         yield Text(f"{missing}{repeated}.")
         if gaps.count:
-            yield _gaps(recorded)
+            longest = gaps.longest(_MOST_GAPS)
+            title = "Gaps" if len(longest) == gaps.count else f"The {len(longest)} longest of {gaps.count} gaps"
+            rows = (
+                (str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
+                for gap in longest
+            )
+            headers = (f"{title}: before row", "run", "missing", "s", "reason")
+            yield listing(*headers, rows=rows, left=[4], wrapped=[4])
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
     if computed and recorded.missing:
@@ -194,16 +201,6 @@ def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
     if recorded.rows:
         yield _sources(recorded)
     yield from screen.notes(recorded.notes)
-
-
-def _gaps(recorded: LiveRecording) -> Table:
-    """The longest gaps; the columns of the recording have all."""
-    gaps = recorded.gaps
-    shown = gaps.longest(_MOST_GAPS)
-    title = "Gaps" if len(shown) == gaps.count else f"The {len(shown)} longest of {gaps.count} gaps"
-    rows = ((str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason)) for gap in shown)
-    headers = (f"{title}: before row", "run", "missing", "s", "reason")
-    return listing(*headers, rows=rows, left=[4], wrapped=[4])
 
 
 def _sources(recorded: LiveRecording) -> Table:

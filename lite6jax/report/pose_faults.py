@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from lite6jax.report.words import Numbers, Wording, be, capital, counted, joined, joints_named
+from lite6jax.report.words import Numbers, Wording, be, capital, counted, joined, joints_named, milli
 
 _CONVENTIONS = {
     "inverted": "inverted orientations (those of the sensor's frame in the tool's)",
@@ -103,7 +103,7 @@ def _mismatch(rows: Sequence[int], n: Numbers, code: str) -> str:
         return f"{capital(_changed(code, n))}, together with the next fault."
     sentence = (
         f"{capital(_changed(code, n))}. This is corrected in memory whenever the file is read: the median error falls "
-        f"from {_mm(n['median_error_m'], 4)} mm to {_mm(n['corrected_error_m'])} mm. "
+        f"from {milli(n['median_error_m'], 4)} mm to {milli(n['corrected_error_m'])} mm. "
     )
     if n["alternatives"]:
         sentence += f"These corrections fit about as well: {'; or '.join(map(_together, n['alternatives']))}. "
@@ -112,8 +112,8 @@ def _mismatch(rows: Sequence[int], n: Numbers, code: str) -> str:
 
 def _undecided(rows: Sequence[int], n: Numbers) -> str:
     return (
-        f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and {len(n['alternatives'])} "
-        f"corrections explain that alike, to {_mm(n['corrected_error_m'])} mm: "
+        f"The poses miss the arm by {milli(n['median_error_m'], 4)} mm (median), and {len(n['alternatives'])} "
+        f"corrections explain that alike, to {milli(n['corrected_error_m'])} mm: "
         f"{'; or '.join(map(_together, n['alternatives']))}. Nothing was corrected. Find out which it is, and correct "
         "the file."
     )
@@ -122,19 +122,19 @@ def _undecided(rows: Sequence[int], n: Numbers) -> str:
 def _other_arm(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"The poses are not those of a {n['declared']}, whose nominal kinematics miss them by "
-        f"{_mm(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {_mm(n['corrected_error_m'])} mm. "
+        f"{milli(n['median_error_m'], 4)} mm (median), but of a {n['arm']}, to {milli(n['corrected_error_m'])} mm. "
         "Name that arm."
     )
 
 
 def _unexplained(rows: Sequence[int], n: Numbers) -> str:
     left = n["best_alternative_m"]
-    best = "" if left is None else f" (the best leaves {_mm(left)} mm)"
+    best = "" if left is None else f" (the best leaves {milli(left)} mm)"
     return (
-        f"The poses miss the arm by {_mm(n['median_error_m'], 4)} mm (median), and by {_mm(n['fitted_error_m'])} mm "
-        "with its geometry fitted. That is no calibration error. No change of frame, tool, axes, order, signs, zeros "
-        f"or units explains it{best}. Check that it is this arm, and "
-        "that joints and poses of a row belong together."
+        f"The poses miss the arm by {milli(n['median_error_m'], 4)} mm (median), and by {milli(n['fitted_error_m'])} "
+        "mm with its geometry fitted. That is no calibration error. No change of frame, tool, axes, order, signs, "
+        f"zeros or units explains it{best}. Check that it is this arm, and that joints and poses of a row belong "
+        "together."
     )
 
 
@@ -153,7 +153,7 @@ def _changed(code: str, n: Numbers) -> str:
             return "the poses are not in the frame that is declared" + (_frame(n) if "rotation_rad" in n else "")
         case "declared_tool":
             at = (
-                f"; it is at ({', '.join(map(_mm, n['translation_m']))}) mm on the flange"
+                f"; it is at ({', '.join(map(milli, n['translation_m']))}) mm on the flange"
                 if "translation_m" in n
                 else ""
             )
@@ -193,7 +193,7 @@ def _frame(n: Numbers) -> str:
     about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
     said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
     if np.linalg.norm(shift) > 2e-3:
-        said += f" and stands at ({', '.join(_mm(x, 4) for x in shift)}) mm"
+        said += f" and stands at ({', '.join(milli(x, 4) for x in shift)}) mm"
     if about == "about z" and abs(angle - np.pi) < 0.02:
         said += ", as base_link and base of Universal Robots are to each other"
     return said
@@ -206,7 +206,7 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
         codes: of `MISMATCHES`.
         n: of each.
     """
-    error, limit = _mm(n["median_error_m"]), _mm(n["suspected_above_m"])
+    error, limit = milli(n["median_error_m"]), milli(n["suspected_above_m"])
     if n.get("one_point"):
         return (
             "Signs, order, units and frames were not compared: the positions are one point, the same in every row, "
@@ -214,9 +214,9 @@ def mismatch_ruled_out(codes: Iterable[str], n: Numbers) -> str:
         )
     reason = f"the median error is {error} mm, and such faults are searched for above {limit} mm."
     if "fitted_error_m" in n:
-        reason = f"a change of geometry explains the median error of {error} mm, to {_mm(n['fitted_error_m'])} mm."
+        reason = f"a change of geometry explains the median error of {error} mm, to {milli(n['fitted_error_m'])} mm."
     elif "best_alternative_m" in n:
-        reason = f"the best correction leaves {_mm(n['best_alternative_m'])} mm of the median error of {error} mm."
+        reason = f"the best correction leaves {milli(n['best_alternative_m'])} mm of the median error of {error} mm."
     return f"Not found: {', '.join(MISMATCHES[code].lower() for code in codes)}; {reason}"
 
 
@@ -257,8 +257,8 @@ def _frame_jump(rows: Sequence[int], n: Numbers) -> str:
     what = "the sensor or the base" if n["part"] == "base" else "the target or the tool on the flange"
     run = f", where run {n['run']} begins" if "run" in n else ""
     return (
-        f"At row {n['row']}{run}, {what} moved by {_mm(n['translation_m'])} mm and {_mm(n['rotation_rad'])} mrad "
-        f"({_mm(n['displacement_rms_m'])} mm RMS in the poses from there on, {_chance(n['p_value'], 1)}). "
+        f"At row {n['row']}{run}, {what} moved by {milli(n['translation_m'])} mm and {milli(n['rotation_rad'])} mrad "
+        f"({milli(n['displacement_rms_m'])} mm RMS in the poses from there on, {_chance(n['p_value'], 1)}). "
         f"{_compared(n, 'Without a jump')}This constant displacement was removed from the poses from that row on. "
         "Check the mount, and record again where it matters."
     )
@@ -297,7 +297,7 @@ def _unsettled(rows: Sequence[int], n: Numbers) -> str:
     joints = "all joints" if n["all_joints"] else ", ".join(f"joint {joint}" for joint in n["joints"])
     return (
         f"The joints were read before the arm had settled: {shape} ({joints}; {n['rest']:.3g} ± {n['rest_std']:.1g} "
-        f"{unit}, up to {_mm(n['largest_rms_rad'], 2)} mrad RMS). "
+        f"{unit}, up to {milli(n['largest_rms_rad'], 2)} mrad RMS). "
         f"{_compared(n, 'Without a correction')}The remainder was added to the joint positions. "
         f"{remedy}"
     )
@@ -372,8 +372,8 @@ def _tables(n: Numbers) -> str:
 
 def _calibration_off(rows: Sequence[int], n: Numbers) -> str:
     return (
-        f"All numbers of the calibration file are off by {_mm(n['sigma_m'], 2)} mm and {_mm(n['sigma_rad'], 2)} mrad "
-        f"(one standard deviation), as those of a rounded or outdated file. "
+        f"All numbers of the calibration file are off by {milli(n['sigma_m'], 2)} mm and {milli(n['sigma_rad'], 2)} "
+        "mrad (one standard deviation), as those of a rounded or outdated file. "
         f"{_compared(n, 'With an exact file')}The chain was fitted within that. Declare factory_uncertainty in the "
         "sidecar."
     )
@@ -412,11 +412,6 @@ def _chance(p: float, digits: int = 2) -> str:
 
 def _number_of(rows: Sequence[int]) -> str:
     return counted(len(rows), "row")
-
-
-def _mm(metres: float, digits: int = 3) -> str:
-    """Metres in mm, or radians in mrad."""
-    return f"{1e3 * metres:.{digits}g}"
 
 
 # ------------------------------------------------------------------ by code

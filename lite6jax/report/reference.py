@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lite6jax.errors import command_line
 from lite6jax.report.remedies import effect_title
-from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, number, quantity
+from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, milli, number, quantity
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.predict import ReferenceOrigin  # which takes JAX, and sentences do not
@@ -103,7 +103,7 @@ def _differences(entries: Sequence[Entry], file: str) -> Iterator[dict[str, Any]
             said = _difference(entry, file)
             if before is not None and entry is together[-1]:
                 subject = "Together they reduce" if len(together) > 1 else "This reduces"
-                said += f" {subject} the position error from {_milli(before)} mm to {_milli(after)} mm RMS."
+                said += f" {subject} the position error from {milli(before)} mm to {milli(after)} mm RMS."
             yield {**entry, "statement": said}
 
 
@@ -114,25 +114,25 @@ def _difference(entry: Entry, file: str) -> str:
             return f"{file} uses {used}; this model uses {own}."
         case "other_frame" | "other_tool":
             what = "tool" if entry["difference"] == "other_tool" else "base frame"
-            length, angle = ", ".join(map(_milli, entry["translation_m"])), entry["rotation_rad"]
-            turned = "" if angle is None else f" and rotated by {_milli(angle)} mrad"
+            length, angle = ", ".join(map(milli, entry["translation_m"])), entry["rotation_rad"]
+            turned = "" if angle is None else f" and rotated by {milli(angle)} mrad"
             return f"Its {what} is displaced from the declared one by ({length}) mm{turned}."
         case "other_geometry":
             links = [
-                f"{'link ' + str(link['link']) if link['link'] else 'the base'} by {_milli(link['distance_m'])} mm and "
-                f"{_milli(link['rotation_rad'])} mrad"
+                f"{'link ' + str(link['link']) if link['link'] else 'the base'} by {milli(link['distance_m'])} mm and "
+                f"{milli(link['rotation_rad'])} mrad"
                 for link in entry["links"]
             ]
             return f"Its geometry differs; the smallest displacements that explain it are {', '.join(links)}."
         case "unknown_geometry":
             return (
                 "No nominal table explains it. The geometry of this arm is not known: the one fitted to "
-                f"{file}, with {_milli(entry['position_rms_after_m'])} mm RMS, is used for both recordings."
+                f"{file}, with {milli(entry['position_rms_after_m'])} mm RMS, is used for both recordings."
             )
         case "not_rigid":
             noise = "; if this is noise, declare position_noise_m in its sidecar"
             return (
-                f"No rigid arm explains it completely: {_milli(entry['position_rms_after_m'])} mm RMS remain, whose "
+                f"No rigid arm explains it completely: {milli(entry['position_rms_after_m'])} mm RMS remain, whose "
                 f"causes `{command_line('diagnose', file)}` would find{'' if entry['noise_declared'] else noise}."
             )
     raise ValueError(entry["difference"])
@@ -190,11 +190,6 @@ def _numbers(known: Entry | None, chosen: bool = True) -> str:
     return ", ".join(
         str(quantity(name, estimate, OF_TORQUES)) for name, estimate in parameters.items() if chosen or estimate["std"]
     )
-
-
-def _milli(value: float) -> str:
-    """In thousandths, three digits; rounding errors show as zero."""
-    return f"{1e3 * value:.3g}" if abs(value) > 1e-9 else "0"
 
 
 # ------------------------------------------------------------------ what poses and torques share

@@ -6,6 +6,9 @@ To add a kind, let its class inherit `lite6jax.results.PublicResult` and registe
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.calibration.fleet import Comparison, FleetSolution
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import Sensitivity
@@ -16,9 +19,6 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.fitting.fleet import Comparison, FleetSolution
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, reference, statements
 from lite6jax.report.compensation import outside_sentence
@@ -257,11 +257,16 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     sentences += [finding["statement"] for finding in shown]
     if hidden > 0:
         sentences.append(f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`.")
-    if not torques:
-        before, after = (_mm(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
-        error = f"{before} mm RMS with the model of the arm alone"
-        error = f"{after} mm RMS with these effects and {error}" if findings else error
-        sentences.append(f"The held-out position error is {error}.")
+    if torques:
+        by_joint = (document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after"))
+        before, after = (each_with_unit(errors, ranking.units(document)) for errors in by_joint)
+        start = "The held-out torque errors of the joints are"
+    else:
+        before, after = (f"{_mm(document[stage]['heldout_position_rms_m'])} mm" for stage in ("before", "after"))
+        start = "The held-out position error is"
+    error = f"{before} RMS with the model of the arm alone"
+    error = f"{after} RMS with these effects and {error}" if findings else error
+    sentences.append(f"{start} {error}.")
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     if faults:
         sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")

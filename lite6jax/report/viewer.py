@@ -456,12 +456,12 @@ class Shown:
                 captions = [each.caption for each in errors]
                 # first what was found, which then shrinks to what is left
                 self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
-                self.prediction.on_update(lambda _: self._choose())
+                self.prediction.on_update(lambda _: self._to(self.row.value - 1))
                 if scene.poses:
                     usual, most = scene.poses[-1].scale, 2 * max(each.scale for each in scene.poses)
                     self.scale = gui.add_slider("enlarged", 0.0, most, usual / 20, usual)
                     self._caption = gui.add_html("")
-                    self.scale.on_update(lambda _: self._choose())
+                    self.scale.on_update(lambda _: self._to(self.row.value - 1))
                 else:
                     self._limit = max(each.limit for each in scene.torques)
                     gui.add_html(_torque_legend(self._limit))
@@ -472,11 +472,6 @@ class Shown:
                 self.highlight.on_update(lambda _: self._mark())
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
-
-    def _choose(self) -> None:
-        """Another prediction, or another scale."""
-        with self._lock:
-            self._to(self.row.value - 1)
 
     @property
     def _errors(self) -> Any:

@@ -77,6 +77,11 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if np.isfinite(value) else UNKNOWN
 
 
+def milli(value: float, digits: int = 3) -> str:
+    """Metres in mm, or radians in mrad; rounding errors show as zero."""
+    return f"{1e3 * value:.{digits}g}" if abs(value) > 1e-9 else "0"
+
+
 def multiple(ratio: float) -> str:
     """A ratio in two digits, and in whole numbers from 100 on."""
     if not np.isfinite(ratio):

@@ -258,8 +258,8 @@ class Selector:
     def _above_rest(self, state: State) -> State:
         """Without a term that explains less than noise would at its component: what that leaves there is more.
 
-        Nor a process in whose place noise that persists is likelier: of a joint whose read-out wanders, whatever varies
-        as slowly explains a part.
+        Nor a process in whose place noise that persists is likelier: where a read-out wanders, what varies as slowly
+        explains a part.
         """
         while state.tested:
             marginal = Marginal(score_test(self.problem, state.fit, self.options))

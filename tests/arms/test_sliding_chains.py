@@ -31,9 +31,9 @@ from lite6jax.arms.files import (
     write_mjcf,
     write_urdf,
 )
+from lite6jax.calibration.residual import Observations, linearise, residuals
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.errors import InputError
-from lite6jax.fitting.residual import Observations, linearise, residuals
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.pinocchio_arm import urdf_link_pose
 from tests.oracles.pinocchio_dynamics import pinocchio_torques

@@ -128,7 +128,7 @@ def test_fit_saves_the_calibration_that_it_read(capsys, tmp_path, monkeypatch):
         def fail(*_, **__):
             raise InputError("no fit")
 
-        monkeypatch.setattr("lite6jax.fitting.fit.fit_calibration", fail)
+        monkeypatch.setattr("lite6jax.calibration.fit.fit_calibration", fail)
         again = tmp_path / "again.yaml"
         assert "no fit" in refused(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", again)
         assert again.read_bytes() == saved.read_bytes()

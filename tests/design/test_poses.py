@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
 from lite6jax.design.sensor import BARE
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import sample_within_limits
 from tests.oracles.arms import random_positions
 
 LITE6 = load_bundled("lite6")

@@ -2,18 +2,8 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import (
-    Made,
-    check_values,
-    found,
-    moving_motion,
-    static_motion,
-    truth,
-    with_effects,
-)
-from diagnosis.recorded import (
-    searched as search_for,
-)
+from diagnosis.recorded import Made, check_values, found, moving_motion, static_motion, truth, with_effects
+from diagnosis.recorded import searched as search_for
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.serialization import parse_effect

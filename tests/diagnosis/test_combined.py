@@ -14,7 +14,7 @@ from typed import flat, run
 
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
-from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined, shared_by
+from lite6jax.diagnosis.combined import CombinedDiagnosis, compare_domains, diagnose_combined
 from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
 from lite6jax.diagnosis.torque_diagnosis import TorqueComparison
 from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
@@ -78,7 +78,7 @@ def recording(made):
 def found(recording):
     """Both, the payload found by the torques alone: the poses have it beside their finding."""
     poses, torques = diagnosed.diagnosed(recording, (JointCompliance(2),)), torques_of(recording)
-    return CombinedDiagnosis(poses, torques, shared_by(poses, torques))
+    return CombinedDiagnosis(poses, torques, compare_domains(poses, torques))
 
 
 def test_the_payload_is_compared(recording, found):
@@ -92,7 +92,7 @@ def test_the_payload_is_compared(recording, found):
         estimate = known.parameters["mass_kg"]
         assert abs(estimate.value - (HELD - DECLARED)) < 4 * estimate.std < 1.0
     poses = diagnosed.diagnosed(recording, (JointCompliance(2), PayloadError()))
-    (both_found,) = shared_by(poses, found.torques)  # the compliance rests on the payload that was found
+    (both_found,) = compare_domains(poses, found.torques)  # the compliance rests on the payload that was found
     assert both_found.poses.found
     assert both_found.agree
 
@@ -104,7 +104,7 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
     turned = replace(recording, settings=replace(declared, gravity_m_per_s2=tuple(tilted)))
     poses = diagnosed.diagnosed(turned, (JointCompliance(2), PayloadError(), GravityDirection()))
     torques = torque_diagnosed.diagnosed(turned, (ViscousFriction(2), PayloadTorque(), BaseTilt()))
-    tilt = next(each for each in shared_by(poses, torques) if each.quantity == "gravity_direction")
+    tilt = next(each for each in compare_domains(poses, torques) if each.quantity == "gravity_direction")
     assert abs(tilt.torques.values[1]) == pytest.approx(0.05, abs=0.02)
     assert tilt.agree
     assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
@@ -120,9 +120,9 @@ def test_the_load_by_the_torques_stands_beside_the_compliance(found):
 
 def test_what_disagrees_is_said(made, found):
     heavier = torques_of(both(made, held=2.4))
-    payload = next(each for each in shared_by(found.poses, heavier) if each.quantity == "payload_mass")
+    payload = next(each for each in compare_domains(found.poses, heavier) if each.quantity == "payload_mass")
     assert payload.agree is False
-    document = with_statements(CombinedDiagnosis(found.poses, heavier, shared_by(found.poses, heavier)).to_dict())
+    document = with_statements(CombinedDiagnosis(found.poses, heavier, compare_domains(found.poses, heavier)).to_dict())
     said = next(entry["statement"] for entry in document["shared"] if entry["quantity"] == "payload_mass")
     assert "they disagree" in said
     assert "payload_com_m" in said

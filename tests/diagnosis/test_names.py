@@ -484,7 +484,7 @@ def test_a_gear_between_its_flanks_in_a_few_rows_has_play(tmp_path, trial, joint
     diagnosis = diagnose(drawn(tmp_path, *trial))
     (finding,) = diagnosis.findings
     assert finding.effect.label == f"joint_backlash:joint{joint}"
-    assert f"unnamed:joint{joint}" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
+    assert f"unnamed:joint{joint}" in [one.term.label for one in finding.alternatives if one.gap < 3]
     document = diagnosis.document()
     assert document["left_out"] == left_out
     assert any("between its flanks in rows" in line for line in statements.assumptions(document))
@@ -496,7 +496,7 @@ def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_f
     recording = drawn(tmp_path, 2228, 1235)
     (finding,) = diagnose(recording).findings
     assert finding.effect.label == "unnamed:joint2"
-    assert "joint_backlash:joint2" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
+    assert "joint_backlash:joint2" in [one.term.label for one in finding.alternatives if one.gap < 3]
 
 
 @pytest.mark.long
@@ -504,9 +504,9 @@ def test_an_alternative_that_explains_more_is_listed_first(tmp_path):
     """Play in MuJoCo, whose friction is a further number and costs what it gains over compliance."""
     (finding,) = diagnose(drawn(tmp_path, 2240, 73)).findings
     assert finding.effect.label == "joint_compliance:joint2"
-    gaps = [rival.gap for rival in finding.rivals]
+    gaps = [one.gap for one in finding.alternatives]
     assert gaps == sorted(gaps)
-    assert finding.rivals[0].effect.label == "joint_backlash:joint2"
+    assert finding.alternatives[0].term.label == "joint_backlash:joint2"
     assert gaps[0] < 0
 
 
@@ -515,7 +515,7 @@ def test_a_name_that_came_in_the_place_of_another_lists_what_explains_as_much(tm
     """An offset of the frame of link 5, of six numbers; order 1 of joint 6 took the place of an order of 1.5."""
     (finding,) = diagnose(drawn(tmp_path, 2240, 171)).findings
     assert finding.effect.label == "joint_harmonic:joint6"
-    assert "frame_offset:link5" in [rival.effect.label for rival in finding.rivals[:3]]
+    assert "frame_offset:link5" in [one.term.label for one in finding.alternatives[:3]]
 
 
 @pytest.mark.long

@@ -114,7 +114,7 @@ def test_what_a_function_raises_arrives(workers, tmp_path):
 
 
 def test_workers_with_another_version_are_refused(workers, tmp_path, monkeypatch):
-    monkeypatch.setattr("lite6jax.fitting.compiled.versions", lambda: ("another",))
+    monkeypatch.setattr("lite6jax.calibration.compiled.versions", lambda: ("another",))
     with pytest.raises(InputError, match="a worker of the cluster has another version of lite6jax, of Python or of a"):
         ran(tmp_path, [["a"]], scheduler=workers.scheduler_address)
 

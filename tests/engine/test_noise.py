@@ -108,6 +108,14 @@ def test_white_noise_is_white():
     assert UNCORRELATED.whitened(rows, (0,)) is rows
 
 
+@pytest.mark.parametrize("samples", [8, 15, 19, 30])
+def test_noise_of_few_samples_has_a_model(samples):
+    ramp = np.tile(np.linspace(-3, 3, samples), (3, 1))
+    nothing = np.zeros((0, 3, samples)), np.zeros(0)
+    model = noise_model(ramp, *nothing, np.zeros(3, int), np.zeros(samples, int), OPTIONS)
+    assert model.models[0].share > 0 or samples < 15
+
+
 def test_autocorrelation_and_length_are_those_of_the_noise():
     rng = np.random.default_rng(2)
     rows = noise(rng, 0.9, 1.0, 3, 20000)

@@ -8,12 +8,12 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
+from lite6jax.calibration.fit import fit_calibration
+from lite6jax.calibration.fleet import fit_calibrations
+from lite6jax.calibration.quality import Result
 from lite6jax.cli import main
 from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
-from lite6jax.fitting.fit import fit_calibration
-from lite6jax.fitting.fleet import fit_calibrations
-from lite6jax.fitting.quality import Result
 from lite6jax.fleet import fit, place
 from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
 from lite6jax.fleet.place import restore_url

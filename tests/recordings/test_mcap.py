@@ -12,10 +12,10 @@ from domains.torque import slid
 
 from lite6jax.arms.description import write_arm
 from lite6jax.arms.files import read_arm
+from lite6jax.calibration.source import read_source
 from lite6jax.cli import main
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
-from lite6jax.fitting.source import read_source
 from lite6jax.recordings import read_recording
 from lite6jax.recordings.ros import UR_JOINTS
 from lite6jax.recordings.sources import split_topics

@@ -9,7 +9,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
+from lite6jax.diagnosis.result import Diagnosis, Finding
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kernels import orders_of, spectrum_deviations
@@ -64,7 +64,9 @@ def diagnosed(recording, effects, outliers=()):
     )
     state = State(baseline, fitted, tuple(tested))
     findings = tuple(
-        Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Rival(e, gap) for gap in GAPS))
+        Finding(
+            e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Alternative(e, gap) for gap in GAPS)
+        )
         for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)
     )
     wild = np.zeros(problem.samples, bool)
@@ -113,7 +115,7 @@ def with_rivals(found, *rivals):
     (finding,), (tested,) = found.findings, found.selection.state.tested
     tested = replace(tested, alternatives=tuple(Alternative(*rival) for rival in rivals))
     selection = replace(found.selection, state=replace(found.selection.state, tested=(tested,)))
-    finding = replace(finding, rivals=tuple(Rival(*rival) for rival in rivals))
+    finding = replace(finding, alternatives=tuple(Alternative(*rival) for rival in rivals))
     return replace(found, selection=selection, findings=(finding,))
 
 

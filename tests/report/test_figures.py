@@ -7,8 +7,8 @@ from matplotlib.image import imread
 from lite6jax import fit
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.fleet import compare
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import compare
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.report import canvas, figures
 from tests.oracles.arms import perturbed

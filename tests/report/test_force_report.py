@@ -49,6 +49,7 @@ def test_an_arm_of_slides_alone_is_said_in_newtons():
     assert re.match(
         r"Joint 2 rubs the more the faster it moves: \d+ of \d+ N; with it in the model,", headline(document)
     )
+    assert re.search(r"held-out torque errors of the joints are [\d., e-]+ N RMS with these effects", found.summary())
     figures = dict(drawings(found, "gantry"))
     assert "(N RMS)" in figures["error_by_joint"].axes[0].get_ylabel()
     assert figures["friction"].axes[1].get_xlabel() == "velocity of joint 2 (mm/s)"

@@ -5,7 +5,7 @@ import numpy as np
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding, Rival
+from lite6jax.diagnosis.result import Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import screen_torques
@@ -16,7 +16,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.search.search import Selection
-from lite6jax.search.state import SelectedTerm, State
+from lite6jax.search.state import Alternative, SelectedTerm, State
 
 LITE6 = load_bundled("lite6")
 NOISE = (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
@@ -62,7 +62,7 @@ def diagnosed(recording, effects=(), faults=(), arm=LITE6):
     fitted = fit(problem, Terms(effects), options.engine) if effects else baseline
     scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
     pairs = list(zip(effects, scores, strict=True))
-    rivals = (Rival(TorqueOffset(1), 1.5), Rival(TorqueOffset(6), 44.0))
+    rivals = (Alternative(TorqueOffset(1), 1.5), Alternative(TorqueOffset(6), 44.0))
     findings = tuple(
         Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, rivals)
         for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)

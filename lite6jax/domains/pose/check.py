@@ -16,21 +16,21 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening.hypotheses import touches_one_point
-from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.domains.pose.touch_fit import fit_touches
-from lite6jax.fitting.fit import fit_recording
-from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.source import with_arm
-from lite6jax.fitting.start import (
+from lite6jax.calibration.fit import fit_recording
+from lite6jax.calibration.problem import UNDECLARED_NOISE
+from lite6jax.calibration.source import with_arm
+from lite6jax.calibration.start import (
     calibration_poses,
     check_positions,
     declared_tool,
     frames_from_recording,
     nominal_calibration,
 )
+from lite6jax.domains.pose.rigid_arm import rigid_arm
+from lite6jax.domains.pose.screening.hypotheses import touches_one_point
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.recordings import Recording, outside_limits
 from lite6jax.recordings.fault import DataFault, row_numbers
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.readings import CLOSE, FEWEST
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings.streams import JointStream
 
 Array = NDArray[np.floating]
@@ -327,7 +327,7 @@ def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
     """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
 
     p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
-    `fitting.start` for one offset.
+    `calibration.start` for one offset.
 
     Args:
         R: `(offset, sample, 3, 3)` of the flange; `p` its position.

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
@@ -25,7 +26,6 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import measured_rotations
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
 from lite6jax.recordings.sidecar import read_sidecar

@@ -9,19 +9,19 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration import fit as plain
+from lite6jax.calibration.fit import Loss, calibration_from_array, fit_calibration
+from lite6jax.calibration.gauss_newton import MAX_STEPS
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.solution import Solution
+from lite6jax.calibration.solve import Solver
+from lite6jax.calibration.source import load_nominal, read_source, with_arm
+from lite6jax.calibration.start import SAMPLES
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.errors import wrong_type
-from lite6jax.fitting import fit as plain
-from lite6jax.fitting.fit import Loss, calibration_from_array, fit_calibration
-from lite6jax.fitting.gauss_newton import MAX_STEPS
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.solution import Solution
-from lite6jax.fitting.solve import Solver
-from lite6jax.fitting.source import load_nominal, read_source, with_arm
-from lite6jax.fitting.start import SAMPLES
 from lite6jax.recordings import Recording
 from lite6jax.recordings.units import real_array
 

@@ -39,7 +39,7 @@ from lite6jax.recordings.orientations import is_no_rotation, quaternions
 Array = NDArray[np.floating]
 
 ALIKE = 2.0
-"""Times the error of the best arm, within which another one is as likely, as in `fitting.source`."""
+"""Times the error of the best arm, within which another one is as likely, as in `calibration.source`."""
 WIDEST_ANGLE = 1e3
 """Beyond, numbers are no angles of an orientation, in whatever unit."""
 BEYOND = 1e100

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose import families, functions
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
@@ -39,7 +40,6 @@ from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import Geometry
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.source import arm_of
 from lite6jax.domains.pose.reference_arm import (
     SUBSTANTIAL,
     RigidArm,
@@ -27,8 +29,6 @@ from lite6jax.domains.pose.reference_arm import (
     with_fitted_geometry,
 )
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.source import arm_of
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
 from lite6jax.recordings.units import other_joints
 

@@ -13,11 +13,11 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory
+from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.registration import Registration, register
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings
 

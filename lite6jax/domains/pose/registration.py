@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.calibration.problem import UNDECLARED_NOISE
+from lite6jax.calibration.start import frames_from_poses, measured_rotations, nearest_rotation
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
@@ -24,8 +26,6 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
-from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.fitting.start import frames_from_poses, measured_rotations, nearest_rotation
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.results import PublicResult

@@ -15,6 +15,8 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
+from lite6jax.calibration.start import calibration_poses
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -32,8 +34,6 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
-from lite6jax.fitting.start import calibration_poses
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.sensors.pose import Measured

@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.calibration.fit import FOLDS
+from lite6jax.calibration.problem import TOUCHED_TOLERANCE
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.solution import Errors, Noise, Place, Solution
 from lite6jax.domains.pose.kinematics import Site, displaced
 from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.estimation.least_squares import Fit, relinearise
@@ -14,10 +18,6 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
 from lite6jax.estimation.terms import Terms
-from lite6jax.fitting.fit import FOLDS
-from lite6jax.fitting.problem import TOUCHED_TOLERANCE
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.solution import Errors, Noise, Place, Solution
 from lite6jax.model import ArmModel
 from lite6jax.recordings import require_samples
 from lite6jax.sensors.sensor import Sensor

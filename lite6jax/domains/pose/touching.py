@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.calibration.start import declared_tool, frames_from_poses
 from lite6jax.errors import InputError
-from lite6jax.fitting.start import declared_tool, frames_from_poses
 from lite6jax.recordings import Recording
 from lite6jax.recordings.readings import Readings
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod

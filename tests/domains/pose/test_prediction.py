@@ -15,6 +15,7 @@ from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import SCHEMAS, model_from_document, read_model
+from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.files import pose_columns, read_motion
 from lite6jax.domains.pose.predict import predict
 from lite6jax.domains.pose.registration import register_model
@@ -25,6 +26,7 @@ from lite6jax.recordings import Recording, RecordingSettings, write_recording
 from lite6jax.report.reference import origin_statement
 
 SAMPLES = 30
+FEW = Options(folds=2)
 STATIC = [
     "joint_offset:joint=3,offset_rad=2e-4",
     "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
@@ -132,7 +134,7 @@ def test_the_kind_of_motion_is_inherited(arm, tmp_path):
 def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
     """To the accuracy of an efficient estimate: 160 samples of 20 µm leave some micrometres."""
     made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
-    found = diagnose(made.recording(static_motion(1)))
+    found = diagnose(made.recording(static_motion(1)), options=FEW)
     motion = static_motion(10, SAMPLES)
     poses = predicted(tmp_path, found.document(), motion)
     off = (poses - made.poses(motion))[:, :3, 3]
@@ -141,10 +143,9 @@ def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
     assert np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)).max() < 6e-5
 
 
-@pytest.mark.parametrize("noise", [1e-9])
-def test_without_noise_the_prediction_is_the_truth(arm, tmp_path, noise):
+def test_without_noise_the_prediction_is_the_truth(arm, tmp_path):
     made = Made(arm.folder, ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",), seed=1)
-    found = diagnose(made.recording(static_motion(1), noise=(noise, noise)))
+    found = diagnose(made.recording(static_motion(1), noise=(1e-9, 1e-9)), options=FEW)
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     motion = static_motion(10, SAMPLES)
     poses = predicted(tmp_path, found.document(), motion)

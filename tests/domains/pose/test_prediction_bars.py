@@ -163,7 +163,7 @@ def test_the_covariance_is_that_of_the_fit(arm, found, model):
     prediction by least squares in closed form.
     """
     known, k = model.uncertainty, len(model.uncertainty.sites)
-    sure = diagnose(arm.recording(narrow(1)), options=Options(engine=EngineOptions(wrong_input=0.0)))
+    sure = diagnose(arm.recording(narrow(1)), options=Options(folds=2, engine=EngineOptions(wrong_input=0.0)))
     np.testing.assert_allclose(known.covariance[k:, k:], sure.fit.covariance, rtol=1e-3)
     assert np.all(found.fit.covariance > sure.fit.covariance)
     change = Derivatives(model, found.problem.motion, known.sites)
@@ -203,7 +203,7 @@ def test_poses_without_noise_are_within_their_bars(arm, model):
 
 def test_a_known_arm_without_effects_has_no_uncertain_numbers(tmp_path):
     plain = Made(tmp_path)
-    found = diagnose(plain.recording(static_motion(1, 60)))
+    found = diagnose(plain.recording(static_motion(1, 60)), options=Options(folds=2))
     assert not found.findings
     model = found.model
     bars = shown(model, static_motion(2, SAMPLES))

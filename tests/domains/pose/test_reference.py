@@ -505,7 +505,7 @@ def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
     same = Made(folder, (HARMONIC, COMPLIANCE), seed=1, geometry="free", frame=True, tool=True)
     paths = [write_recording(same.recording(STILL, seed=k), tmp_path / f"run{k}.csv") for k in (1, 2)]
     out = tmp_path / "d.json"
-    code, said, _ = run(capsys, "diagnose", paths[0], "--reference", paths[1], "--out", out)
+    code, said, _ = run(capsys, "diagnose", paths[0], "--reference", paths[1], "--quick", "--out", out)
     assert code == 0
     assert "Consistent: beyond the differences above, the two recordings differ by noise." in flat(said)
     assert "`lite6jax diagnose run2.csv` would find." in flat(said)

@@ -114,27 +114,17 @@ def test_of_currents_the_constant_to_declare_is_said():
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("effects", "factor"),
     [
-        lambda tau: tau * [1, 1, 1.5, 1, 1, 1],  # an error of calibration: an effect
-        lambda tau: tau * 2.2,  # of all joints: rather other masses
+        (FRICTION, [1, 1, 1.5, 1, 1, 1]),  # an error of calibration: an effect
+        (FRICTION, 2.2),  # of all joints: rather other masses
+        # other masses, though the torque of a joint may be a multiple of what it should be
+        ([hidden("payload_error", "payload", mass_kg=0.9)], 1),
+        ([hidden("link_mass", "link3", mass_kg=1.5)], 1),
     ],
 )
-def test_what_is_no_wrong_constant(change):
-    assert faults_of(*recorded(FRICTION, seed=7, change=change)) == []
-
-
-@pytest.mark.parametrize(
-    "effect",
-    [
-        hidden("payload_error", "payload", mass_kg=0.9),
-        hidden("link_com", "link5", x_m=0.03, y_m=0.04, z_m=0.0),
-        hidden("link_mass", "link3", mass_kg=1.5),
-    ],
-)
-def test_other_masses_are_no_wrong_constant(effect):
-    """Though the torque of a joint may be a multiple of what it should be."""
-    assert faults_of(*recorded([effect], seed=7)) == []
+def test_what_is_no_wrong_constant(effects, factor):
+    assert faults_of(*recorded(effects, seed=7, change=lambda tau: tau * factor)) == []
 
 
 # ------------------------------------------------------------------ the table of hypotheses

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.kinematics import small_displacement
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
@@ -17,7 +18,6 @@ from lite6jax.domains.pose.screening.projection import Projected, thinned
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments

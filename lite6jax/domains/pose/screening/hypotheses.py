@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import bundled_of
+from lite6jax.calibration.problem import TOLERANCE
+from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
-from lite6jax.fitting.problem import TOLERANCE
-from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault

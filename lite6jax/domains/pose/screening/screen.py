@@ -6,12 +6,12 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_radians, require_samples
 
 

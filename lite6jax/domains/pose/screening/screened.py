@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, final
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 

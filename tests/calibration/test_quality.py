@@ -13,11 +13,11 @@ from diagnosis.recorded import Made, static_motion
 from typed import flat, refused, run
 
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.calibration.fit import fit_calibration, fit_recording
+from lite6jax.calibration.quality import FARTHEST_SHARE, quality_of_calibration, quality_of_poses
+from lite6jax.calibration.source import arm_of, matches, read_source, with_arm
 from lite6jax.cli.command import BAD_FIT
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.fitting.fit import fit_calibration, fit_recording
-from lite6jax.fitting.quality import FARTHEST_SHARE, quality_of_calibration, quality_of_poses
-from lite6jax.fitting.source import arm_of, matches, read_source, with_arm
 from lite6jax.recordings import RecordingSettings, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,7 +85,7 @@ def test_the_fit_of_an_arm_is_good_and_that_of_unrelated_poses_is_not(recording,
 
 
 def test_the_exit_code_tells_a_bad_fit(capsys, tmp_path, monkeypatch, recording):
-    from lite6jax.fitting import solution
+    from lite6jax.calibration import solution
 
     path = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "model.json"
@@ -158,7 +158,7 @@ def test_a_fit_is_the_same_on_one_and_on_two_cores(tmp_path, recording):
     path = write_recording(replace(recording, settings=replace(recording.settings, arm="lite6")), tmp_path / "run.csv")
     program = (
         "import json, os, sys; os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[2])]);"
-        "from lite6jax.fitting.fit import fit_recording; from lite6jax.fitting.source import read_source;"
+        "from lite6jax.calibration.fit import fit_recording; from lite6jax.calibration.source import read_source;"
         "print(json.dumps(fit_recording(read_source(sys.argv[1], None)).parameters.tolist()))"
     )
     environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import lite6jax
-from lite6jax.fitting.residual import padded_size
+from lite6jax.calibration.residual import padded_size
 from tests.oracles.arms import lite6_positions, perturbed_parameters
 from tests.oracles.chains import seed_poses
 from tests.oracles.transforms import perturb_poses

@@ -6,8 +6,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import lite6jax
+from lite6jax.calibration.fit import fit_recording
 from lite6jax.estimation.robust import gaussian_t_scale, t_scale
-from lite6jax.fitting.fit import fit_recording
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
 from lite6jax.report.documents import document, text
 from tests.oracles.arms import NOMINAL, lite6_positions, perturbed_parameters

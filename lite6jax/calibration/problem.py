@@ -12,16 +12,16 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
-from lite6jax.errors import InputError
-from lite6jax.fitting.residual import POSE, POSITION
-from lite6jax.fitting.source import arm_of
-from lite6jax.fitting.start import (
+from lite6jax.calibration.residual import POSE, POSITION
+from lite6jax.calibration.source import arm_of
+from lite6jax.calibration.start import (
     calibration_poses,
     declared_tool,
     frames_from_recording,
     measured_rotations,
     nominal_calibration,
 )
+from lite6jax.errors import InputError
 from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints

@@ -17,9 +17,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration, read_factory
 from lite6jax.arms.files import calibrated_arm, read_arm
+from lite6jax.calibration.quality import upper_quartile
+from lite6jax.calibration.start import declared_tool, frames_from_recording
 from lite6jax.errors import InputError, InputWarning, wrong_type
-from lite6jax.fitting.quality import upper_quartile
-from lite6jax.fitting.start import declared_tool, frames_from_recording
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.calibration import fit, solution, solve
+from lite6jax.calibration.problem import recording_problem
+from lite6jax.calibration.residual import observe, residuals
 from lite6jax.domains.pose.screening import rows
 from lite6jax.estimation.robust import t_scale
-from lite6jax.fitting import fit, solution, solve
-from lite6jax.fitting.problem import recording_problem
-from lite6jax.fitting.residual import observe, residuals
 from lite6jax.sensors import pose
 from lite6jax.simulation import simulate
 

@@ -16,9 +16,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import write_table
 from lite6jax.arms.factory import FactoryCalibration, hayati_of
+from lite6jax.calibration.quality import ROUNDING, Quality, Result, quality_of_calibration, quality_of_poses
+from lite6jax.calibration.residual import pad, padded_size
 from lite6jax.estimation.robust import DOWNWEIGHTED
-from lite6jax.fitting.quality import ROUNDING, Quality, Result, quality_of_calibration, quality_of_poses
-from lite6jax.fitting.residual import pad, padded_size
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lite6jax.fitting import compiled
+from lite6jax.calibration import compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,7 +30,7 @@ def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting import compiled; compiled.keep_compiled_code();"
+        "import jax; from lite6jax.calibration import compiled; compiled.keep_compiled_code();"
         "print(jax.config.jax_compilation_cache_dir)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)

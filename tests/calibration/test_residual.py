@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.se3 import turn
-from lite6jax.fitting.residual import (
+from lite6jax.calibration.residual import (
     LARGEST,
     Observations,
     Robust,

@@ -20,9 +20,9 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lite6jax import threads
-from lite6jax.fitting.compiled import SINGLE_THREADED
-from lite6jax.fitting.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
-from lite6jax.fitting.residual import (
+from lite6jax.calibration.compiled import SINGLE_THREADED
+from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
+from lite6jax.calibration.residual import (
     POSE,
     POSITION,
     Observations,

@@ -14,10 +14,8 @@ from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
-from lite6jax.errors import InputError
-from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
-from lite6jax.fitting.gauss_newton import MAX_STEPS
-from lite6jax.fitting.problem import (
+from lite6jax.calibration.gauss_newton import MAX_STEPS
+from lite6jax.calibration.problem import (
     TOLERANCE,
     UNDECLARED_NOISE,
     Geometry,
@@ -25,11 +23,13 @@ from lite6jax.fitting.problem import (
     calibration_problem,
     recording_problem,
 )
-from lite6jax.fitting.quality import NOISES, Result, spread_of
-from lite6jax.fitting.residual import POSE, POSITION
-from lite6jax.fitting.solution import Errors, Held, Noise, Solution, prediction_errors
-from lite6jax.fitting.solve import Estimate, Solver, inverse, solve
-from lite6jax.fitting.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
+from lite6jax.calibration.quality import NOISES, Result, spread_of
+from lite6jax.calibration.residual import POSE, POSITION
+from lite6jax.calibration.solution import Errors, Held, Noise, Solution, prediction_errors
+from lite6jax.calibration.solve import Estimate, Solver, inverse, solve
+from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
+from lite6jax.errors import InputError
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]

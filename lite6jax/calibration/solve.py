@@ -16,12 +16,11 @@ from jax import lax
 from numpy.typing import NDArray
 
 from lite6jax import threads
-from lite6jax.estimation.robust import curvature_share, t_scale
-from lite6jax.fitting.compiled import SINGLE_THREADED
-from lite6jax.fitting.gauss_newton import DECREMENT, FLAT, MAX_STEPS, ROUNDING, SINGULAR_ABOVE
-from lite6jax.fitting.problem import Problem
-from lite6jax.fitting.quality import Result
-from lite6jax.fitting.residual import (
+from lite6jax.calibration.compiled import SINGLE_THREADED
+from lite6jax.calibration.gauss_newton import DECREMENT, FLAT, MAX_STEPS, ROUNDING, SINGULAR_ABOVE
+from lite6jax.calibration.problem import Problem
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.residual import (
     BLOCK,
     Observations,
     Robust,
@@ -35,6 +34,7 @@ from lite6jax.fitting.residual import (
     residuals,
     whiten,
 )
+from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.model import ArmModel, ModelForm
 
 Array = NDArray[np.floating]
