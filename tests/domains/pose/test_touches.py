@@ -105,6 +105,16 @@ def test_images_of_a_board_tell_where_camera_and_board_are(tmp_path, sensor):
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
 
 
+def test_a_lens_is_refined_beside_a_chain_that_is_fitted(tmp_path):
+    recording = recording_of(tmp_path, "fixed_camera", samples=50, exact=False)
+    camera = recording.settings.camera
+    assert camera is not None
+    off = dataclasses.replace(camera, fx=1.0005 * camera.fx, cx=camera.cx + 1, intrinsics="refine")
+    settings = dataclasses.replace(recording.settings, camera=off)
+    solution = fit_recording(recording.made_anew(settings=settings, position=None, quaternion=None))
+    assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
+
+
 # ------------------------------------------------------------------ what says nothing
 
 

@@ -328,9 +328,12 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     zeros = _with_zeros(arm.recording)
     unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in range(arm.rows)] * free_tool
     unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
-    precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros))]
-    fit = replace(arm, unknown=tuple(unknown), precision=precision, offset=np.zeros(len(unknown))).fitted(few.samples)
-    off = fit.offset[len(unknown) - len(zeros) :]
+    own = [k for k, (name, _, _) in enumerate(arm.unknown) if name == "reading"]
+    precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[own]]
+    offset, last = np.r_[np.zeros(len(unknown)), arm.offset[own]], len(unknown)
+    unknown += [arm.unknown[k] for k in own]
+    fit = replace(arm, unknown=tuple(unknown), precision=precision, offset=offset).fitted(few.samples)
+    off = fit.offset[last - len(zeros) : last]
     held = [c for c in hypothesis if c.code == "joint_turns"]
     total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
     for change in held:
