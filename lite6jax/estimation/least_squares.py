@@ -121,11 +121,6 @@ class Fit:
         scale = np.minimum(self.scale, other.scale)
         return self.log_likelihood(scale) - other.log_likelihood(scale)
 
-    def quadratic_gain(self, k: int) -> float:
-        """The log-likelihood that the k-th term explains, to second order: half its squared numbers in their metric."""
-        part = self.terms.slices[k]
-        return 0.5 * float(self.values[part] @ scaled_solve(self.covariance[part, part], self.values[part]))
-
 
 def fit(
     problem: LinearisedProblem,

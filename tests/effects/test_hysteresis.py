@@ -7,11 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from lite6jax.effects.kernels import plays
-from lite6jax.effects.kinematic.gears import JointBacklash
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
-from lite6jax.effects.statics import Loads
 
 RNG = np.random.default_rng(5)
 
@@ -98,30 +96,3 @@ def test_a_process_with_memory_is_written_and_deflects_by_runs():
     assert units is not None
     np.testing.assert_allclose(bent[0], expected, rtol=0, atol=1e-14)
     np.testing.assert_allclose(np.tensordot(values, np.asarray(units), 1)[0], expected, rtol=0, atol=1e-14)
-
-
-def pressed_by(torque):
-    """Loads of one joint whose gravity torque is this, Nm."""
-    moment = np.zeros((1, 3, len(torque)))
-    moment[0, 2] = torque
-    return Loads(moment, np.zeros((3, len(torque))))
-
-
-def test_a_gear_is_between_its_flanks_before_and_after_each_change_along_a_motion():
-    torque, run = np.array([-3.0, -1.0, 2.0, 4.0, 4.0, -1.0, -2.0, 1.5, 0.5, -3.0]), np.repeat([0, 1], 5)
-    rate = np.ones((10, 1))
-    moving = motion_of(rate, joint_velocity=rate, direction=rate, run=run)
-    between = JointBacklash(1, 0.0).between_flanks(moving, pressed_by(torque))
-    assert np.flatnonzero(between).tolist() == [1, 2, 6, 7, 8, 9]  # from row 4 to 5 another run begins
-    between = JointBacklash(1, 1.0).between_flanks(moving, pressed_by(torque))
-    assert np.flatnonzero(between).tolist() == [1, 2, 6, 7, 8]  # friction holds it back by 1 Nm: 0.5 Nm do not suffice
-    assert not JointBacklash(1).between_flanks(moving, pressed_by(torque)).any()
-
-
-def test_a_gear_may_be_between_its_flanks_at_the_pose_on_either_side_of_the_change():
-    torque = np.array([-3.0, 4.0, 0.3, -0.4, -1.0, 2.0])
-    still = motion_of(np.zeros((6, 1)), direction=np.ones((6, 1)))
-    assert np.flatnonzero(JointBacklash(1, 0.0).between_flanks(still, pressed_by(torque))).tolist() == [2, 3]
-    assert np.flatnonzero(JointBacklash(1, 1.0).between_flanks(still, pressed_by(torque))).tolist() == [2, 5]
-    one_side = JointBacklash(1, 0.0).between_flanks(still, pressed_by(np.abs(torque)))
-    assert np.flatnonzero(one_side).tolist() == [2]

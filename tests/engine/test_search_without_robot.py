@@ -61,18 +61,6 @@ def test_planted_terms_are_found_with_their_numbers(seed):
         assert std == pytest.approx(bound, rel=0.15)
 
 
-def test_the_quadratic_gain_of_a_term_does_not_depend_on_the_units_of_its_numbers():
-    problem = linear_problem(np.random.default_rng(0), planted=lambda d: 0.8 * np.sin(2 * d["angle"]))
-    model = Terms((Column("u2"), Wave(2.0)))
-    fitted = fit(problem, model, OPTIONS)
-    v, C = fitted.values[1:], fitted.covariance[1:, 1:]
-    gain = 0.5 * v @ np.linalg.inv(C) @ v
-    assert gain > 20
-    units = np.array([1.0, 1.0, 1e-9])
-    other = replace(fitted, values=units * fitted.values, covariance=np.outer(units, units) * fitted.covariance)
-    assert [one.quadratic_gain(1) for one in (fitted, other)] == pytest.approx([gain, gain], rel=1e-9)
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_is_found_in_noise_of_unequal_scale(seed):
     assert terms(found(linear_problem(np.random.default_rng(100 + seed)))) == []

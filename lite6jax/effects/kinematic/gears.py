@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp, lax
 from lite6jax.effects.deflection import library_of
@@ -73,26 +72,6 @@ class JointBacklash(JointEffect):
         free = self.friction_torque_Nm is None
         flank = -self.drivers[0].values(motion, loads) if free else self._pressing(motion, loads)
         return 0.5 * values[0] * library_of(flank).sign(flank)
-
-    def between_flanks(self, motion: Motion, loads: Loads | None) -> NDArray[np.bool_]:
-        """`(sample,)`, where the gear may have left one flank and not reached the other.
-
-        Along a motion these are the samples before and after each change: inertia takes its time. Of poses at rest it
-        is the one next to the change on either side: below the friction torque the gear stays where it was.
-        """
-        if self.friction_torque_Nm is None:
-            return np.zeros(motion.samples, bool)
-        pressing = np.asarray(self._pressing(motion, loads))
-        between = np.zeros(motion.samples, bool)
-        if motion.joint_velocity is None:
-            for side in (pressing > 0, pressing < 0):
-                if side.any():
-                    between[np.argmin(np.where(side, np.abs(pressing), np.inf))] = True
-            return between
-        changes = (pressing[1:] * pressing[:-1] <= 0) & (np.diff(np.asarray(motion.run)[0]) == 0)
-        between[1:] |= changes
-        between[:-1] |= changes
-        return between
 
     def _pressing(self, motion: Motion, loads: Loads | None) -> Array:
         """`(sample,)` Nm towards the flank at a larger angle, friction overcome."""
