@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.domains.pose import families, functions
+from lite6jax.domains.pose import functions
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
 from lite6jax.domains.pose.kinematics import (
@@ -32,6 +32,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
@@ -64,7 +65,7 @@ class PoseProblem:
     """A recording of poses, linearised about a rigid arm; `estimation.problem.Problem` describes the members it shares.
 
     The class has more than twelve members because the engine's protocol has; each is a line or two over `kinematics`,
-    `deflections` and `families`.
+    and `deflections`.
 
     Attributes:
         recording: as screened; every row has a pose.
@@ -242,8 +243,12 @@ class PoseProblem:
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
-        """Harmonics of each joint."""
-        return families.periodic(self.deflections.host_motion, self.sites)
+        """Harmonics of each revolute joint."""
+        motion, found = self.deflections.host_motion, []
+        for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
+            column, q = self.sites["joint", j, 0], np.asarray(motion.joint_position)[j]
+            found.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(_harmonic, j + 1), _order))
+        return tuple(found)
 
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
@@ -516,3 +521,12 @@ def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> t
     if settings.payload_uncertainty_kg:
         found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
     return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])
+
+
+def _harmonic(joint: int, order: float) -> JointHarmonic:
+    return JointHarmonic(joint, order)
+
+
+def _order(term: Term) -> float | None:
+    assert isinstance(term, JointHarmonic)
+    return None if term.order is None else float(term.order)

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, regressor
 from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
-from lite6jax.domains.torque.links import uncertain
+from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.torque_effect import direction, point_mass

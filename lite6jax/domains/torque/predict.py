@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import as_revolute, joint_sizes, joint_unit
 from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.torque.composition import composed, offsets_of, pairs, scales_of, without_sensors
 from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import evenly_timed, interpolant
+from lite6jax.domains.torque.problem import composed, offsets_of, pairs, scales_of, without_sensors
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
     Uncertainty,

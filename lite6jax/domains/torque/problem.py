@@ -10,16 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
-from lite6jax.domains.torque.composition import composed, offsets_of, pairs, scales_of
 from lite6jax.domains.torque.families import joints_of
-from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_shaped
 from lite6jax.effects.dynamic.drives import declared
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect, point_mass
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import require_kind
 from lite6jax.errors import InputError
@@ -39,6 +37,8 @@ _MOVING = ("velocity", "speed", "direction of motion", "acceleration", "travel s
 """Drivers that postures at rest do not have."""
 _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
+_UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
+"""kg and m, of links about which nothing is declared."""
 
 
 @final
@@ -425,3 +425,69 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
 def _loaded(effect: TorqueEffect) -> bool:
     """Whether an effect depends on what the links weigh."""
     return any(driver.loaded for driver in effect.drivers)
+
+
+def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
+    total = without_sensors(terms, values, dynamics)
+    return scales_of(terms, values, len(total)) * total
+
+
+def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
+    total = dynamics.declared
+    for effect, part in pairs(terms):
+        if not isinstance(effect, Scaling | Delaying):
+            total = total + effect.torque(np.asarray(values[part], float), dynamics)
+    return total
+
+
+def scales_of(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint, 1)`, the measured torque over the true one."""
+    scale = np.ones((joints, 1))
+    for effect, part in pairs(terms):
+        if isinstance(effect, Scaling):
+            scale[effect.joint - 1] += values[part][0]
+    return scale
+
+
+def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint,)` s by which each joint's torques belong to a later motion than their stamps say."""
+    total = np.zeros(joints)
+    for effect, part in pairs(terms):
+        if isinstance(effect, Delaying):
+            total += effect.offset(float(values[part][0]), joints)
+    return total
+
+
+def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
+    """The effects that are the terms of a torque problem, each with the place of its numbers."""
+    found = []
+    for term, part in zip(terms.terms, terms.slices, strict=True):
+        assert isinstance(term, TorqueEffect)
+        found.append((term, part))
+    return found
+
+
+def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
+    """Changes `(number, joint, 10)` of inertial numbers, and the standard deviation `(number,)` of each's prior.
+
+    They are those of each link's mass with its centre in place, of its centre of mass with its mass and tensor as they
+    are, and of its tensor: what is uncertain by itself. A heavier link has larger first moments as well. The prior of a
+    mass is relative to it, that of a centre to its distance from the joint, or to the mean such distance of the arm
+    where that is larger, that of a tensor to it and to the mass at that distance. Links of unknown mass are taken as
+    ones of `_UNKNOWN_MASS` at `_UNKNOWN_LEVER`.
+    """
+    mass = np.maximum(links[:, 0], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
+    lever = np.linalg.norm(links[:, 1:4], axis=1) / mass
+    lever = np.maximum(lever, lever.mean() if lever.any() else _UNKNOWN_LEVER)
+    directions, deviations = np.zeros((len(links), 10, *links.shape)), np.zeros((len(links), 10))
+    for j, (m, length) in enumerate(zip(mass, lever, strict=True)):
+        center = links[j, 1:4] / m
+        own = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2
+        directions[j, 0, j] = point_mass(1.0, center)
+        for axis, step in enumerate(np.eye(3)):  # exact: a point's tensor is quadratic in its place
+            directions[j, 1 + axis, j] = m * 0.5 * (point_mass(1.0, center + step) - point_mass(1.0, center - step))
+        directions[j, 4:, j, 4:] = np.eye(6)
+        deviations[j] = [m, *(3 * [length]), *(6 * [m * length**2 + max(own, 0.0)])]
+    return directions.reshape(-1, *links.shape), relative * deviations.ravel()

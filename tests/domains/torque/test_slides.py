@@ -20,9 +20,8 @@ from lite6jax.cli import main
 from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.predict import predict_torques
-from lite6jax.domains.torque.problem import torque_problem
+from lite6jax.domains.torque.problem import composed, torque_problem
 from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.torque.screening import contacts, screen_torques

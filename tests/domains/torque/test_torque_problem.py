@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
-from lite6jax.domains.torque.links import uncertain
-from lite6jax.domains.torque.problem import torque_problem
+from lite6jax.domains.torque.problem import torque_problem, uncertain
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody
 from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
