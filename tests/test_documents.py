@@ -60,7 +60,7 @@ def test_the_reference_describes_all_that_the_code_has(name):
 
 
 def test_the_faults_of_poses_are_documented_in_their_order():
-    from lite6jax.domains.pose.screening.registry import SCREENS
+    from lite6jax.domains.pose.screening.screen import SCREENS
     from lite6jax.report.pose_faults import FAULTS
 
     documented = [row[0] for row in table_rows((ROOT / "docs/reference/faults.md").read_text())[2:]]
@@ -110,7 +110,7 @@ def test_the_check_of_the_built_site_finds_what_is_wrong(tmp_path):
 
 
 def test_the_screens_are_documented_in_their_order():
-    from lite6jax.domains.pose.screening.registry import SCREENS
+    from lite6jax.domains.pose.screening.screen import SCREENS
 
     section = CONTRIBUTING.partition("### What happens to a recording with swapped joints")[2].partition("\n1. ")[2]
     documented = re.findall(r"`([a-z_]+)`", section.partition("\n\n")[0])

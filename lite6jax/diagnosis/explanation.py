@@ -21,8 +21,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
-from lite6jax.domains.pose.screening.registry import price
-from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.screening.screen import price, screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise

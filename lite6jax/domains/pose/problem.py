@@ -64,7 +64,7 @@ lazy = property if TYPE_CHECKING else cached_property
 class PoseProblem:
     """A recording of poses, linearised about a rigid arm; `estimation.problem.Problem` describes the members it shares.
 
-    The class has more than twelve members because the engine's protocol has; each is a line or two over `kinematics`,
+    The class has more than twelve members because the engine's protocol has; each is a line or two over `kinematics`
     and `deflections`.
 
     Attributes:

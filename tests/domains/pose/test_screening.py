@@ -13,12 +13,10 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import registry
 from lite6jax.domains.pose.screening.hypotheses import Change, undo
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.physics_columns import physics_columns
-from lite6jax.domains.pose.screening.projection import Projected, estimated
-from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.screening.projection import Projected, estimated, physics_columns
+from lite6jax.domains.pose.screening.screen import SCREENS, price, screen
 from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
@@ -709,9 +707,9 @@ def test_a_chain_far_from_its_table_is_no_other_reading(tmp_path):
 
 class TestRegistry:
     def test_each_code_is_screened_for_in_one_order(self):
-        order = [code for entry in registry.SCREENS for code in entry.codes]
+        order = [code for entry in SCREENS for code in entry.codes]
         assert order.index("time_order") < order.index("swapped_joints") < order.index("frame_jump")
-        needs = [entry.needs for entry in registry.SCREENS]
+        needs = [entry.needs for entry in SCREENS]
         assert needs == sorted(needs, key=["recording", "arm", "fit"].index)  # the coarsest first
 
     def test_each_option_says_what_it_is_and_why(self):
@@ -721,8 +719,8 @@ class TestRegistry:
 
     def test_a_jump_must_pay_for_six_numbers_and_its_row(self, good):
         screened = screen(bumped(good, 61))
-        assert registry.price(screened, 960.0, 160) == pytest.approx(3 * np.log(960) + np.log(160))
-        assert registry.price(screen(good), 960.0, 160) == 0.0
+        assert price(screened, 960.0, 160) == pytest.approx(3 * np.log(960) + np.log(160))
+        assert price(screen(good), 960.0, 160) == 0.0
 
     def test_a_threshold_is_an_argument(self, good):
         """A jump of a millimetre is none where one must be a thousand standard deviations."""

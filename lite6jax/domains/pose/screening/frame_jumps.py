@@ -13,8 +13,7 @@ from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.kinematics import small_displacement
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.physics_columns import physics_columns
-from lite6jax.domains.pose.screening.projection import Projected, thinned
+from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS

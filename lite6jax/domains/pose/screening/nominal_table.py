@@ -11,8 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.physics_columns import physics_columns
-from lite6jax.domains.pose.screening.projection import estimated
+from lite6jax.domains.pose.screening.projection import estimated, physics_columns
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording

@@ -10,6 +10,7 @@ from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
+from lite6jax.recordings.sequence import differentiate, run_segments
 
 Array = NDArray[np.floating]
 
@@ -92,3 +93,65 @@ def estimated(arm: RigidArm, known: Array, columns: Array, options: ScreeningOpt
 def thinned(samples: int, options: ScreeningOptions) -> NDArray[np.integer]:
     """Some thousand samples, evenly."""
     return np.unique(np.linspace(0, samples - 1, min(samples, options.most_samples)).astype(int))
+
+
+def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
+    """`(number, row, sample)`: what the catalogue's effects would do, roughly and in closed form.
+
+    Joints: offset, scale, two harmonics, gravity's torque, direction, velocity, acceleration. Links and base: gravity's
+    moments. Base: a drift that is a cubic of time. The sensor's scale and the links', and these with the temperature.
+
+    Args:
+        arm: fitted.
+        skip: "direction", "drift" or "links" (of their own length each), to be left out.
+    """
+    recording, joints, twists = arm.recording, arm.joints, arm.twists
+    q = recording.joint_position.T
+    out = [
+        joints * shape[:, None] for shape in (np.ones_like(q), q, np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q))
+    ]
+    if "direction" not in skip:
+        out.append(joints * recording.direction_of_motion.T[:, None])
+    if recording.motion == "trajectory" and recording.joint_velocity is not None:
+        out.append(joints * recording.joint_velocity.T[:, None])
+        if recording.time is not None:
+            acceleration = differentiate(recording.joint_velocity, recording.time, run_segments(recording.run))
+            out.append(joints * acceleration.T[:, None])
+    moment = _moments(arm)
+    if moment is not None:
+        out.append(joints * moment[1:, 2, None])
+        out += [twists[3::6] * moment[:, 0, None], twists[4::6] * moment[:, 1, None]]
+    time = np.arange(arm.samples, dtype=float) if recording.time is None else recording.time
+    time = 2 * (time - time.min()) / max(float(np.ptp(time)), 1e-9) - 1
+    if "drift" not in skip:
+        out += [twists[:6] * time**power for power in (1, 2, 3)]
+    out += [twists[6 * len(joints) :][: arm.rows], twists[:6]]
+    warmth = time
+    for column in (recording.joint_temperature, recording.ambient_temperature):
+        if column is not None:
+            warmth = column.reshape(arm.samples, -1).mean(1) - recording.settings.reference_temperature_degC
+            break
+    along = np.concatenate([arm.links[:, :3, 3], arm.T_flange_tool[None, :3, 3]])
+    stretch = np.einsum("jk,jkrs->jrs", along, twists.reshape(len(along), 6, arm.rows, -1)[:, :3])
+    seen = np.zeros((1, arm.rows, arm.samples))
+    seen[0, :3] = arm.tool[:, :3, 3].T
+    stretch = stretch.sum(0, keepdims=True) if "links" in skip else stretch
+    scale = np.concatenate([stretch, arm.whitened(seen)])
+    out += [scale, scale * warmth]
+    return np.concatenate(out)
+
+
+def _moments(arm: RigidArm) -> Array | None:
+    """`(dof + 1, 3, sample)` gravity's moment about the base's and each frame's origin, in its axes."""
+    if arm.arm.mass is None or arm.arm.center_of_mass is None:
+        return None
+    recording, F = arm.recording, arm.frames
+    g = arm.T_sensor_base[:3, :3] @ np.array(recording.settings.gravity_m_per_s2)
+    center = arm.arm.T_joint_flange[:3, :3] @ np.array(recording.settings.payload_com_m) + arm.arm.T_joint_flange[:3, 3]
+    R, o = F[..., :3, :3], F[..., :3, 3]
+    first = arm.arm.mass[:, None, None] * (np.einsum("jsab,jb->jsa", R[1:], arm.arm.center_of_mass) + o[1:])
+    first[-1] += recording.payload[:, None] * (R[-1] @ center + o[-1])
+    weight = np.cumsum(arm.arm.mass[::-1])[::-1, None] + recording.payload
+    pulled = np.cumsum(first[::-1], 0)[::-1]
+    pulled, weight = np.concatenate([pulled[:1], pulled]), np.concatenate([weight[:1], weight])
+    return np.einsum("jsab,jsa->jbs", R, np.cross(pulled - weight[..., None] * o, g))

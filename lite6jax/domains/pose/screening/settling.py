@@ -10,8 +10,7 @@ from scipy.special import bdtrc, chdtri, ndtr
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.physics_columns import physics_columns
-from lite6jax.domains.pose.screening.projection import Projected, thinned
+from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
