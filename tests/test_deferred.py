@@ -59,7 +59,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.chains import fk
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.motion import motion_of, shifted
-from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.motion import Sliding
 import numpy as np
 assert ("jax" in sys.modules) == (sys.argv[1] == "after")
 assert not isinstance(np.zeros(2), Array)

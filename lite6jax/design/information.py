@@ -24,8 +24,7 @@ from lite6jax.calibration.residual import BLOCK, pad, predict_frames, step_order
 from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.motion import Motion
-from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with

@@ -1,14 +1,14 @@
 """The motion of an arm, sample by sample: every quantity on which an effect may depend, and its shift in time."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.joint_units import joint_sizes
-from lite6jax.deferred import Array, jax, jit, jnp, lax
-from lite6jax.effects.sliding import Sliding
+from lite6jax.deferred import Array, jax, jit, jnp, lax, register_static
 from lite6jax.errors import InputError
 
 _HALF_WINDOW = 0.05
@@ -16,6 +16,23 @@ _HALF_WINDOW = 0.05
 
 _LEAST_REVERSAL = 1e-4
 """rad: a joint that moves back by less did not reverse."""
+
+
+@final
+@register_static
+@dataclass(frozen=True)
+class Sliding:
+    """The prismatic joints of a chain, counted from 0: known when a function is compiled. A pytree without leaves.
+
+    Attributes:
+        joints: in order.
+    """
+
+    joints: tuple[int, ...] = ()
+
+    def mask(self, dof: int) -> NDArray[np.bool_]:
+        """`(joint,)`, true for prismatic joints."""
+        return np.isin(np.arange(dof), self.joints)
 
 
 class Motion(NamedTuple):

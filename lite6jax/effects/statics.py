@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.chains import Form, HayatiForm, link_frames
 from lite6jax.arms.se3 import Turn, base_frame, cross
 from lite6jax.deferred import Array, jnp, lax
-from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.motion import Sliding
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -113,8 +113,7 @@ from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic.catalogue import BUILT_IN as TORQUES
 from lite6jax.effects.dynamic.torque_effect import Dynamics, TorqueEffect
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
-from lite6jax.effects.motion import Motion, motion_of
-from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.motion import Motion, Sliding, motion_of
 from lite6jax.effects.statics import Loads, inertia_of
 from lite6jax.errors import InputError, require_type
 from lite6jax.storage import read_text

@@ -14,9 +14,8 @@ from lite6jax.recordings.checks import (
     time_disorder,
 )
 from lite6jax.recordings.formats import Targets, read_recording, read_targets, write_recording
-from lite6jax.recordings.joined import join_recordings
 from lite6jax.recordings.readings import Readings, readings_from_arrays
-from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.recording import Recording, drop_missing, join_recordings
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import FactoryUncertainty, RecordingSettings
 from lite6jax.recordings.sidecar import read_settings, sidecar_path, write_settings

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.motion import Motion
-from lite6jax.effects.sliding import Sliding
+from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia
 from lite6jax.model import LEVER, ArmModel, predict_frames_with
 

@@ -35,9 +35,8 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
 from lite6jax.effects.kinematic.surroundings import TimeOffset
-from lite6jax.effects.motion import Motion, accelerated
+from lite6jax.effects.motion import Motion, Sliding, accelerated
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.projection import scaled_inverse
