@@ -15,7 +15,7 @@ from lite6jax.report import documents, screen
 from lite6jax.report.compensation import outside_warning
 
 LITE6 = load_bundled("lite6")
-SILENT = {"simulate", "emulate", "record", "demo", "view"}
+SILENT = {"simulate", "detect", "emulate", "record", "demo", "view"}
 """Commands that report nothing but what they wrote or serve."""
 
 
