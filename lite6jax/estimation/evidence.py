@@ -290,11 +290,10 @@ def _of_all(pull: Array, information: Array, left: Array, freedom: Array, confou
     rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
     likelihood, numbers = -0.5 * np.sum(freedom * np.log(rest / left), -1), kept.sum(-1)
     there = np.maximum(numbers, 1)
-    if groups == 1:  # of equal directions the likeliest share of the likelihood's gain is known
-        share, degrees = (rest / left)[..., 0], freedom[..., 0]
-        shrunk = np.minimum(there * share / np.maximum((1 - share) * (degrees - there), 1e-300), 1.0)
-        gain = -0.5 * degrees * np.log(share + (1 - share) * shrunk) + 0.5 * numbers * np.log(shrunk)
-        return Evidence(gain, 1 / shrunk - 1, np.maximum(likelihood - gain, 0.0))
+    if groups == 1:
+        squares = np.where(kept, q / there[..., None], 0.0)
+        one = best_amplitude(kept.astype(float), squares, left[..., None], freedom[..., None])
+        return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
     variance = np.where(numbers, np.maximum(np.sum(freedom / rest * size, -1) / there, 1.0), 0.0)
     volume = numbers / 2 * (1 + np.log(np.maximum(variance, 1.0)))
     return Evidence(likelihood - volume, variance, volume)
