@@ -6,7 +6,7 @@ white (G. Box and G. Jenkins, Time Series Analysis, A4.4).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise, product
 from typing import final
 
@@ -129,7 +129,13 @@ def white_noise(groups: Integers) -> NoiseModel:
 
 
 def noise_model(
-    rows: Array, columns: Array, prior: Array, groups: Integers, run: Integers, options: EngineOptions
+    rows: Array,
+    columns: Array,
+    prior: Array,
+    groups: Integers,
+    run: Integers,
+    options: EngineOptions,
+    start: NoiseModel | None = None,
 ) -> NoiseModel:
     """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
 
@@ -143,6 +149,7 @@ def noise_model(
         groups: `(row,)`.
         run: `(sample,)`, changes where a sample is independent of those before it.
         options: thresholds.
+        start: of a similar fit: where a group is autocorrelated there, its model is improved, and no other is tried.
     """
     models = []
     for group in range(int(groups.max(initial=0)) + 1):
@@ -150,18 +157,21 @@ def noise_model(
         few = slice(None, options.most_for_noise)
         own = columns[:, there, few]
         acting = own.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
-        models.append(_autocorrelation(rows[there, few], own[acting], prior[acting], run[few], options))
+        before = UNCORRELATED if start is None else start.models[group]
+        models.append(_autocorrelation(rows[there, few], own[acting], prior[acting], run[few], options, before))
     return NoiseModel(tuple(models), groups, run_starts(run))
 
 
 def _autocorrelation(
-    rows: Array, columns: Array, prior: Array, run: Integers, options: EngineOptions
+    rows: Array, columns: Array, prior: Array, run: Integers, options: EngineOptions, before: Autocorrelation
 ) -> Autocorrelation:
     starts = run_starts(run)
     if not _suspicious(rows, options) or len(starts) * options.least_in_run > rows.shape[1]:
         return UNCORRELATED
 
-    def likelihood(model: Autocorrelation) -> float:
+    @cache
+    def likelihood(pair: tuple[float, float]) -> float:
+        model = Autocorrelation(*pair)
         X = model.whitened(columns, starts).reshape(len(columns), rows.size)
         y = model.whitened(rows, starts).ravel()
         measured, target, scale = X @ X.T, X @ y, float(y @ y) / rows.size
@@ -182,11 +192,13 @@ def _autocorrelation(
         return found
 
     tried = coefficients(rows.shape[1])
-    coarse = [Autocorrelation(*pair) for pair in product(tried[1::3], _SHARES[1::3])]
-    best = max(coarse, key=likelihood)
-    near = product(_near(tried, best.coefficient), _near(_SHARES, best.share))
-    best = max((Autocorrelation(*pair) for pair in near), key=likelihood)
-    return best if likelihood(best) > likelihood(UNCORRELATED) + options.close else UNCORRELATED
+    best, climbed = (before.coefficient, before.share), None
+    if not before.share or before.coefficient not in tried:
+        best = max(product(tried[1::3], _SHARES[1::3]), key=likelihood)
+    while best != climbed:
+        climbed = best
+        best = max(product(_near(tried, best[0]), _near(_SHARES, best[1])), key=likelihood)
+    return Autocorrelation(*best) if likelihood(best) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
 
 
 def coefficients(samples: int) -> Sequence[float]:
@@ -223,4 +235,4 @@ def _suspicious(rows: Array, options: EngineOptions) -> bool:
 
 def _near(grid: Sequence[float], value: float) -> Sequence[float]:
     at = grid.index(value)
-    return grid[max(at - 2, 0) : at + 3]
+    return grid[max(at - 1, 0) : at + 2]
