@@ -158,6 +158,7 @@ EXAMPLES = {
     "convert": ("convert", "lite6", "lite6.xml"),
     "emulate": ("emulate", "--faults"),
     "arms": ("arms",),
+    "detect": ("detect", "images", "--board", "charuco:7x5,20mm", "--joints", "joints.csv", "--arm", "lite6"),
 }
 """Commands that are run for the reference, where no page shows them or shows less."""
 PYTHON = {
@@ -204,10 +205,33 @@ def command_help() -> str:
         sections.append(f"## {name}\n\n{_screen(name, '--help')}")
         if name in EXAMPLES:
             with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+                if name == "detect":
+                    _draw_boards(12)
                 sections.append(f"For example:\n\n{_screen(*EXAMPLES[name])}")
         if name in shown:
             sections.append(f"What it prints: {', '.join(shown[name])}.")
     return "\n\n".join(sections)
+
+
+def _draw_boards(count: int) -> None:
+    """Images of a tilted board in the folder `images`, and the joints of each in `joints.csv`, drawn by OpenCV."""
+    import cv2
+    import numpy as np
+
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((7, 5), 0.02, 0.015, dictionary).generateImage((700, 500))
+    flat = np.array([[-350, -250, 0], [350, -250, 0], [350, 250, 0], [-350, 250, 0]], float)
+    rng, K = np.random.default_rng(0), np.array([[900, 0, 640], [0, 900, 480], [0, 0, 1.0]])
+    Path("images").mkdir()
+    joints = np.array([0, 0.5, 1.2, 0, 0.8, 0]) + rng.uniform(-0.5, 0.5, (count, 6))
+    for k in range(count):
+        corners, _ = cv2.projectPoints(flat, rng.uniform(-0.5, 0.5, 3), np.array([0, 0, 900.0]), K, None)
+        view = cv2.getPerspectiveTransform(
+            np.array([[0, 0], [700, 0], [700, 500], [0, 500]], np.float32), corners[:, 0].astype(np.float32)
+        )
+        cv2.imwrite(f"images/{k:02d}.png", cv2.warpPerspective(board, view, (1280, 960), borderValue=255))
+    head = ",".join(f"q{j}_rad" for j in range(1, 7))
+    np.savetxt("joints.csv", joints, delimiter=",", header=head, comments="", fmt="%.6f")
 
 
 def _shown_in() -> dict[str, list[str]]:
