@@ -432,8 +432,9 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     prior[len(problem.precision) :] = np.sqrt(fit.terms.precision)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
     columns = linear_columns(problem, fit.terms, fit.values) / fit.scale[fit.residuals.groups, None]
-    training_rows, known = (rows[:, training], columns[..., training]), (prior, problem.groups, run[training])
-    found = noise_model(*training_rows, *known, options, fit.noise)
+    found = noise_model(
+        rows[:, training], columns[..., training], prior, problem.groups, run[training], options, fit.noise
+    )
     return found if found.white else replace(found, starts=run_starts(run))
 
 

@@ -266,8 +266,11 @@ class Selector:
             excess = []
             for k, one in enumerate(state.tested):
                 component = self._component_of(one.term)
-                noise = -np.inf if component is None else float(marginal.of_noise(component.column).gain)
-                if component is not None and one.term.nonparametric and not self._follows_order(one.term):
+                if component is None:
+                    excess.append(-np.inf)
+                    continue
+                noise = float(marginal.of_noise(component.column).gain)
+                if one.term.nonparametric and not self._follows_order(one.term):
                     instead = Marginal(self.beside(state, k)).of_persistent_noise(component.column)
                     noise = max(noise, float(instead.gain))
                 excess.append(noise - one.gain)
