@@ -91,6 +91,12 @@ class Fit:
         """The nuisance from the point of linearisation of another problem of the same data, to first order."""
         return self.offset + self.nuisance - problem.offset
 
+    def part(self, kept: Sequence[bool]) -> "Fit":
+        """With some of its terms alone, `(term,)`, and nothing refitted: at which what is left out is weighed."""
+        terms, values = self.terms.part(self.values, kept)
+        numbers = np.flatnonzero(np.repeat(kept, [one.size for one in self.terms.terms]))
+        return replace(self, terms=terms, values=values, covariance=self.covariance[np.ix_(numbers, numbers)])
+
     def thinned(self, every: int) -> "Fit":
         """The fit with one in `every` samples; of white noise."""
         r = self.residuals
@@ -338,12 +344,6 @@ def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) 
         scale[group] = max(shown, least)
         weight[group] = (FREEDOM + len(part)) / (FREEDOM + squares / scale[group] ** 2)
     return Residuals(rows, innovations, scale, weight, groups)
-
-
-def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOptions) -> Fit:
-    """The fit without the k-th term, started from the values of the others."""
-    rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
-    return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
 
 
 def _parts(problem: LinearisedProblem, terms: Terms, values: Array) -> list[Array | Factored]:

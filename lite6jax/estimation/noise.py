@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.projection import half_inverse
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
@@ -50,14 +51,13 @@ class Autocorrelation:
         if not self.share or not rows.size:
             return rows
         theta, sigma = self._innovation
-        change = rows.copy()
-        change[..., 1:] -= self.coefficient * rows[..., :-1]
-        first = np.asarray(starts)
+        first, out = np.asarray(starts), np.empty_like(rows)
         # so that the second sample of a run is predicted from the first by their correlation
-        change[..., first] = rows[..., first] * ((self.share - 1) * self.coefficient / theta if theta else 1.0)
-        out = np.empty_like(change)
+        ahead = ((self.share - 1) * self.coefficient / theta if theta else 1.0) - 1
         for begin, end in pairwise([*starts, rows.shape[-1]]):
-            out[..., begin:end] = lfilter([1 / sigma], [1.0, theta], change[..., begin:end])
+            before = rows[..., begin : begin + 1] * (ahead / sigma)
+            run = lfilter([1 / sigma, -self.coefficient / sigma], [1.0, theta], rows[..., begin:end], zi=before)
+            out[..., begin:end] = run[0]
         out[..., first] = rows[..., first]
         return out
 
@@ -180,15 +180,13 @@ def _autocorrelation(
         for _ in range(_SCALINGS):
             # a prior is in absolute units: beside noise of another variance it weighs otherwise
             G = measured + scale * np.diag(prior**2)
-            root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
-            eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
-            determined = eigenvalues > options.rounding * eigenvalues.max(initial=0.0)
-            T = V[:, determined] / (np.sqrt(eigenvalues[determined]) * root[:, None])
+            T, volume = half_inverse(G, options.rounding)
             left = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
-            volume = float(np.sum(np.log(eigenvalues[determined])) + 2 * np.sum(np.log(root)))
-            freedom = rows.size - int(determined.sum())
+            freedom = rows.size - T.shape[1]
             found = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * left / scale + filtered
-            scale = left / max(rows.size - float(np.sum((measured @ T) * T)), 1.0)
+            # tr measured G⁻¹: the numbers that are determined, less what of them the prior is
+            determined = T.shape[1] - scale * float(prior**2 @ np.sum(T**2, 1))
+            scale = left / max(rows.size - determined, 1.0)
         return found
 
     tried = coefficients(rows.shape[1])
@@ -197,7 +195,11 @@ def _autocorrelation(
         best = max(product(tried[1::3], _SHARES[1::3]), key=likelihood)
     while best != climbed:
         climbed = best
-        best = max(product(_near(tried, best[0]), _near(_SHARES, best[1])), key=likelihood)
+        coefficient, share = best
+        near = [(one, share) for one in _near(tried, coefficient)] + [
+            (coefficient, one) for one in _near(_SHARES, share)
+        ]
+        best = max(near, key=likelihood)
     return Autocorrelation(*best) if likelihood(best) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import get_lapack_funcs
 
 Array = NDArray[np.floating]
@@ -14,7 +14,9 @@ _MANY, _CLEARLY = 20, 100.0
 
 Either way rounding leaves an error of 1e-16 over the least eigenvalue, relative to the solution.
 """
-(_potrf,) = get_lapack_funcs(("potrf",), dtype=float)
+_BLOCK = 64
+"""Reflections that are applied at once."""
+_potrf, _geqrf, _ormqr = get_lapack_funcs(("potrf", "geqrf", "ormqr"), dtype=float)
 
 
 def unit_rows(columns: Array) -> Array:
@@ -28,7 +30,7 @@ def unit_rows(columns: Array) -> Array:
 def orthonormal(rows: Array, rounding: float) -> Array:
     """An orthonormal basis `(rank, reading)` of the span of unit rows.
 
-    A basis from eigenvectors of the Gram matrix departs from orthonormality by rounding times the ratio of the
+    A basis from a factor of the Gram matrix departs from orthonormality by rounding times the ratio of the
     eigenvalues. Multiplied by the inverse Cholesky factor of its own Gram matrix, which is near the identity, it is
     orthonormal, in a fraction of the time of Householder reflections (Y. Yamamoto et al., Electronic Transactions on
     Numerical Analysis 44, 2015).
@@ -39,10 +41,49 @@ def orthonormal(rows: Array, rounding: float) -> Array:
     """
     if not len(rows):
         return rows
-    eigenvalues, V = np.linalg.eigh(rows @ rows.T)
-    kept = eigenvalues > rounding * eigenvalues[-1]
-    basis = (V[:, kept] / np.sqrt(eigenvalues[kept])).T @ rows
+    basis = half_inverse(rows @ rows.T, rounding)[0].T @ rows
     return np.linalg.inv(np.linalg.cholesky(basis @ basis.T)) @ basis
+
+
+def half_inverse(H: Array, rounding: float) -> tuple[Array, float]:
+    """T `(number, rank)` with T Tᵀ the inverse of a positive semidefinite H, and the logarithm of its determinant.
+
+    Directions without information, after H is scaled to unit diagonal, count in neither.
+    """
+    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+    C = H / np.outer(root, root)
+    factor = _cholesky(C, _CLEARLY * rounding)
+    if factor is not None:
+        T = solve_triangular(factor, np.eye(len(C)), lower=True).T
+        return T / root[:, None], 2 * float(np.sum(np.log(np.diagonal(factor))) + np.sum(np.log(root)))
+    eigenvalues, V = np.linalg.eigh(C)
+    kept = eigenvalues > rounding * eigenvalues.max(initial=0.0)
+    volume = float(np.sum(np.log(eigenvalues[kept])) + 2 * np.sum(np.log(root)))
+    return V[:, kept] / (np.sqrt(eigenvalues[kept]) * root[:, None]), volume
+
+
+def part_of_span(basis: Array, coordinates: Array, kept: NDArray[np.bool_], rounding: float) -> tuple[Array, Array]:
+    """An orthonormal basis `(rank, reading)` of the span of some of the rows of another, and their coordinates in it.
+
+    Of independent rows, directions that those left out alone have are reflected onto the first ones, which then go:
+    that costs as much as there are rows to leave out.
+
+    Args:
+        basis: `(k, reading)`, orthonormal.
+        coordinates: `(number, k)`, of the rows in it, of unit length.
+        kept: `(number,)`.
+        rounding: as of `orthonormal`.
+    """
+    if kept.all():
+        return basis, coordinates
+    stay = coordinates[kept]
+    if len(coordinates) != len(basis) or not len(stay):
+        turn = orthonormal(stay, rounding)
+        return turn @ basis, stay @ turn.T
+    own = np.linalg.solve(coordinates, np.eye(len(coordinates))[:, ~kept])
+    reflectors, tau, *_ = _geqrf(own)
+    turned, of_rows = (_ormqr("R", "N", reflectors, tau, each, _BLOCK * len(each))[0] for each in (basis.T, stay))
+    return turned[:, own.shape[1] :].T, of_rows[:, own.shape[1] :]
 
 
 def rank(columns: Array, rounding: float) -> int:

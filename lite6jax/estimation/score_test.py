@@ -21,7 +21,7 @@ from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.projection import orthonormal, outside, unit_rows
+from lite6jax.estimation.projection import orthonormal, outside, part_of_span, unit_rows
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
@@ -76,19 +76,73 @@ class ScoreTest:
         freedom: residual degrees of freedom.
         time: autocorrelation time of the residual, in samples; 1 where it is white.
         scale: `(group,)`, of the noise over the declared one.
-        coupled: `(group, group)`, whether two groups of noise share a number of the model, directly or by others.
+        span: orthonormal `(k, reading)`, as `basis`, with further readings: one for each number that has a prior.
+        coordinates: `(number, k)`, the columns of nuisance and model in `span`, of unit length.
+        owners: `(number,)` int, the place of the term that each is of; -1 of the nuisance.
+        acting: `(number, group)`, whether it acts on a group of noise.
     """
 
     problem: Problem
     fit: Fit
     options: EngineOptions
-    basis: Array
     residual: Array
     blocks: NDArray[np.integer]
     freedom: float
     time: float
     scale: Array
-    coupled: NDArray[np.bool_]
+    span: Array
+    coordinates: Array
+    owners: NDArray[np.integer]
+    acting: NDArray[np.bool_]
+
+    @property
+    def basis(self) -> Array:
+        """`(k, reading)`, what of `span` is in the readings."""
+        return self.span[:, : len(self.residual)]
+
+    @cached_property
+    def coupled(self) -> NDArray[np.bool_]:
+        """`(group, group)`, whether two groups of noise share a number of the model, directly or by others."""
+        of_group = self.acting.astype(float)
+        coupled = (of_group.T @ of_group + np.eye(of_group.shape[1])) > 0
+        while True:
+            further = (coupled.astype(float) @ coupled) > 0
+            if (further == coupled).all():
+                return coupled
+            coupled = further
+
+    def beside(self, kept: Sequence[bool]) -> "ScoreTest":
+        """The test of the model with some of its terms alone, in the noise that all of them leave.
+
+        What the others explain is a part of the residual. A missing large effect would inflate the noise estimate and
+        mask differences between candidates.
+
+        Args:
+            kept: of each term of the model, whether it stays.
+        """
+        if all(kept):
+            return self
+        f, residual = self.fit, self.residual
+        # what a term explains under a prior is there already
+        out = [not stays and not _has_prior(term) for term, stays in zip(f.terms.terms, kept, strict=True)]
+        if any(out):
+            more, values = f.terms.part(f.values, out)
+            added = np.tensordot(values, self.problem.columns(more.terms, values, (f.terms, f.values)), 1)[None]
+            residual = residual.copy()
+            residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
+        # numbers in the order of the terms that are left
+        place = np.append(np.cumsum(kept) - 1, -1)
+        stay = np.append(kept, True)[self.owners]
+        span, coordinates = part_of_span(self.span, self.coordinates, stay, self.options.rounding)
+        return replace(
+            self,
+            fit=f.part(kept),
+            residual=residual,
+            span=span,
+            coordinates=coordinates,
+            owners=place[self.owners[stay]],
+            acting=self.acting[stay],
+        )
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
@@ -250,14 +304,6 @@ class ScoreTest:
         rows, samples = self.problem.rows, self.problem.samples
         return self.left[: rows * samples].reshape(rows, samples)
 
-    def given(self, columns: Array) -> "ScoreTest":
-        """The test with columns `(number, row, sample)` added to the model, to first order."""
-        flat = self._flat(columns)
-        flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
-        new = orthonormal(outside(flat, self.basis), self.options.rounding)
-        residual = self.residual - (new @ self.residual) @ new
-        return replace(self, basis=np.concatenate([self.basis, new]), residual=residual)
-
     def with_time(self, time: float) -> "ScoreTest":
         """The same test in noise of another autocorrelation time, in samples, by which its blocks are chosen."""
         return replace(self, time=time, blocks=_blocks(self.problem.samples, time, self.options))
@@ -351,9 +397,7 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
     return centred @ centred.T * per_block.shape[1] / (per_block.shape[1] - 1)
 
 
-def score_test(
-    problem: Problem, fit: Fit, options: EngineOptions, time: float | None = None, within: Fit | None = None
-) -> ScoreTest:
+def score_test(problem: Problem, fit: Fit, options: EngineOptions, time: float | None = None) -> ScoreTest:
     """The score test against a fitted model.
 
     Args:
@@ -361,33 +405,31 @@ def score_test(
         fit: the model.
         options: thresholds.
         time: autocorrelation time in samples; from the residual where not given.
-        within: a model with more terms, whose residual and noise scale the test uses; the part of these terms is
-            added to the residual. A missing large effect inflates the noise estimate and masks differences between
-            candidates.
     """
     training = np.tile(fit.training, problem.rows).astype(float)
-    best, n = within or fit, float(training.sum())
-    winsorised = _winsorised(best.residuals.innovations, best, options.winsor) * fit.training
-    freedom = max(n - best.parameters, 1.0)
+    n = float(training.sum())
+    winsorised = _winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training
+    freedom = max(n - fit.parameters, 1.0)
     # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
     rms = np.array(
         [
             np.sqrt(max(np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) * n / freedom, 1e-300))
-            for g in range(len(best.scale))
+            for g in range(len(fit.scale))
         ]
     )
-    scale = rms * best.scale
+    scale = rms * fit.scale
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
     time = float(_times(winsorised, problem.groups).max()) if time is None else time
     # the model is integrated over: what it explains under a prior is a part of what is to be explained
-    apart = [term not in fit.terms.terms or _has_prior(term) for term in best.terms.terms]
+    apart = [_has_prior(term) for term in fit.terms.terms]
     if any(apart):
-        more, values = best.terms.part(best.values, apart)
-        added = np.tensordot(values, problem.columns(more.terms, values, (best.terms, best.values)), 1)[None]
+        more, values = fit.terms.part(fit.values, apart)
+        added = np.tensordot(values, problem.columns(more.terms, values, (fit.terms, fit.values)), 1)[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale).reshape(-1, training.size)
-    coupled = _coupled(np.any(columns.reshape(len(columns), problem.rows, problem.samples), 2), problem.groups)
+    acting = np.any(columns.reshape(len(columns), problem.rows, problem.samples), 2)
+    acting = acting @ (np.arange(len(fit.scale)) == problem.groups[:, None])
     precision = np.concatenate([problem.precision, fit.terms.precision])
     given = precision > 0
     informative = np.concatenate([problem.informative, np.zeros(fit.terms.size, bool)])
@@ -395,27 +437,31 @@ def score_test(
     known = np.concatenate([stated, np.flatnonzero(given & ~informative)])
     prior = np.zeros((len(columns), len(known)))
     prior[known, np.arange(len(known))] = np.sqrt(precision[known]) * fit.scale[0]
-    measured = np.linalg.norm(columns, axis=1)
+    seen = np.any(columns, 1)
     rows = np.concatenate([columns, prior], 1)
     del columns  # with hundreds of terms these are half a gigabyte each
-    basis = orthonormal(unit_rows(rows if measured.all() else rows[measured > 0]), options.rounding)
-    off = np.sqrt(problem.precision[stated]) * (problem.offset + best.nuisance)[stated]
+    rows = unit_rows(rows if seen.all() else rows[seen])
+    span = orthonormal(rows, options.rounding)
+    off = np.sqrt(problem.precision[stated]) * (problem.offset + fit.nuisance)[stated]
     residual = np.concatenate([residual, off])
-    basis = basis[:, : len(residual)]
+    owners = np.repeat(
+        np.arange(-1, len(fit.terms.terms)), [len(problem.precision), *(term.size for term in fit.terms.terms)]
+    )
     blocks = _blocks(problem.samples, time, options)
-    return ScoreTest(problem, fit, options, basis, residual, blocks, n - fit.parameters, time, scale, coupled)
-
-
-def _coupled(acting: NDArray[np.bool_], groups: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """`(group, group)`, by which rows each number of a model acts on, `(number, row)`."""
-    members = np.arange(int(groups.max()) + 1)[:, None] == groups
-    of_group = (acting.astype(float) @ members.T) > 0
-    coupled = (of_group.T.astype(float) @ of_group + np.eye(len(members))) > 0
-    while True:
-        further = (coupled.astype(float) @ coupled) > 0
-        if (further == coupled).all():
-            return coupled
-        coupled = further
+    return ScoreTest(
+        problem,
+        fit,
+        options,
+        residual,
+        blocks,
+        n - fit.parameters,
+        time,
+        scale,
+        span,
+        rows @ span.T,
+        owners[seen],
+        acting[seen],
+    )
 
 
 def _has_prior(term: Term) -> bool:

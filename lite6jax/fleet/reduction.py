@@ -37,9 +37,9 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
         fit = replace(fit, training=fit.training & ~found.outliers)
         named = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
     named = [effect for effect in named if not effect.periodic]
-    pooled = [_is_pooled(one, named, problem) for one in fit.terms.terms]
-    terms, values = fit.terms.part(fit.values, [not one for one in pooled])
-    test = score_test(problem, replace(fit, terms=terms, values=values), engine, within=fit if any(pooled) else None)
+    test = score_test(problem, fit, engine)
+    test = test.beside([not _is_pooled(one, named, problem) for one in fit.terms.terms])
+    terms, values = test.fit.terms, test.fit.values
     unit = 1 / test.scale[problem.groups][:, None]
     columns = unit * problem.columns(named, beside=(terms, values))
     quantities = problem.quantities

@@ -23,7 +23,10 @@ from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, sco
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import NEARLY, Considered, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
-from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted, without
+from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
+
+_BEYOND_FIRST = 2.0
+"""Of several names in the place of a process, how much each may add at most, to what the likeliest alone does."""
 
 
 class Selector:
@@ -32,6 +35,7 @@ class Selector:
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
+        self._latest: ScoreTest | None = None
         self._known: dict[tuple[int, int], tuple[Fit, list[Ranked]]] = {}
 
     # -------------------------------------------------------------- the search
@@ -59,17 +63,17 @@ class Selector:
 
     def _noise_instead(self, state: State) -> State | None:
         """The state with other noise in the place of a process, where that is not clearly less likely; else None."""
-        for k in np.argsort([one.net for one in state.tested]).tolist():
-            if not state.tested[k].term.nonparametric:
-                continue
-            trial = self._left_out(state, k)
-            trial = replace(trial, fit=self.in_own_noise(trial.fit))
-            if trial.fit.noise.models == state.fit.noise.models:
-                continue
-            trial = self._dropped(self._estimated(trial))
-            if self._odds(trial) > self._odds(state) - self.options.close:
-                return trial
-        return None
+        trials = []
+        for k, one in enumerate(state.tested):
+            if one.term.nonparametric:
+                trial = self._left_out(state, k)
+                trial = replace(trial, fit=self.in_own_noise(trial.fit))
+                if trial.fit.noise.models != state.fit.noise.models:
+                    trials.append(trial)
+        if not trials:
+            return None
+        likeliest = self._dropped(self._estimated(max(trials, key=self._odds)))
+        return likeliest if self._odds(likeliest) > self._odds(state) - self.options.close else None
 
     def _instead_of_noise(self, state: State) -> State | None:
         """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
@@ -103,7 +107,7 @@ class Selector:
 
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added: a name that nearly every problem has, before a process is asked for."""
-        test = score_test(self.problem, state.fit, self.options)
+        test = self._test(state)
         worth = self._worth(self.scan.ranked(test), test, state, tried)
         if any(one.process for one in worth):
             return self._worth(self.scan.usual(test), test, state, tried) or worth
@@ -193,7 +197,13 @@ class Selector:
 
     def beside(self, state: State, k: int) -> ScoreTest:
         """The test of the model without its k-th term, in the noise that is left with it."""
-        return score_test(self.problem, without(state.fit, k), self.options, within=state.fit)
+        return self._test(state).beside([i != k for i in range(len(state.tested))])
+
+    def _test(self, state: State) -> ScoreTest:
+        """The test of a model, kept for the latest."""
+        if self._latest is None or self._latest.fit is not state.fit:
+            self._latest = score_test(self.problem, state.fit, self.options)
+        return self._latest
 
     def _estimated(self, state: State) -> State:
         """Amplitude and kernel of each process, and the tried number of each name, anew beside the others.
@@ -262,7 +272,7 @@ class Selector:
         explains a part. A process of the time persists itself.
         """
         while state.tested:
-            marginal = Marginal(score_test(self.problem, state.fit, self.options))
+            marginal = Marginal(self._test(state))
             excess = []
             for k, one in enumerate(state.tested):
                 component = self._component_of(one.term)
@@ -286,7 +296,12 @@ class Selector:
         return any(bool(np.all(np.diff(self.scan.quantities[k].values) >= 0)) for k in which)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
-        found = self._weighed(test, one)
+        term = one.term
+        if term.nonparametric:
+            kernel, rolloff = getattr(term, "kernel", ""), getattr(term, "rolloff", ())
+            found = self.scan.same(test, *self._process_of(term), kernel, rolloff)
+        else:
+            found = self._weighed(test, one)
         return replace(one, gain=found.gain, volume=found.volume)
 
     def _within_bounds(self, state: State) -> State:
@@ -371,13 +386,14 @@ class Selector:
         trial = self._left_out(state, k)
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
-            test = score_test(self.problem, trial.fit, self.options)
+            test = self._test(trial)
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
             names = [one for one in names if one.net >= self.options.margin]
             names = [one for one in names if (self._rows(one.make(), trial) & rows).any()]
             best = next((one for one in names if one.make().usual), names[0] if names else None)
-            if best is None:
+            more_names = fewest + self.options.names_for_process - len(trial.tested)
+            if best is None or trial.evidence + _BEYOND_FIRST * more_names * best.net < state.evidence:
                 break
             more = self._within_bounds(self._with(trial, best))
             if len(more.tested) <= len(trial.tested):
@@ -395,7 +411,7 @@ class Selector:
         component, which = self._process_of(term)
         if len(which) < 2:
             return []
-        test = score_test(self.problem, trial.fit, self.options)
+        test = self._test(trial)
         less = (self.scan.alike(test, component, (k,)) for k in which)
         return [self._with(trial, one) for one in less if one is not None and one.net >= self.options.margin]
 
@@ -405,7 +421,8 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            found = self._possible(self.scan.ranked(test, rows=rows), test, state)
+            least = state.tested[k].net - self.options.close
+            found = self._possible(self.scan.ranked(test, rows, least), test, state)
             continued = [self._continued(one, test.fit.terms.terms) for one in found]
             ordered = continued if continued == found else sorted(continued, key=lambda one: -one.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity

@@ -102,19 +102,6 @@ def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], opt
     )
 
 
-def without(fitted: Fit, k: int) -> Fit:
-    """The fit with its k-th term left out, and nothing refitted: the rest of the model at which it is weighed."""
-    kept = [i != k for i in range(len(fitted.terms.terms))]
-    terms, values = fitted.terms.part(fitted.values, kept)
-    numbers = np.concatenate(
-        [
-            np.zeros(0, int),
-            *(np.arange(s.start, s.stop) for s, one in zip(fitted.terms.slices, kept, strict=True) if one),
-        ]
-    )
-    return replace(fitted, terms=terms, values=values, covariance=fitted.covariance[np.ix_(numbers, numbers)])
-
-
 def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:
     """The terms of a state fitted to other samples, in the same noise model.
 

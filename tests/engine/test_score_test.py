@@ -12,6 +12,7 @@ from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kinematic.joints import JointCompliance, JointOffset
 from lite6jax.effects.kinematic.links import FrameOffset
 from lite6jax.effects.serialization import parse_effect
+from lite6jax.estimation.projection import orthonormal, part_of_span, unit_rows
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
@@ -150,6 +151,43 @@ def test_what_the_model_has_already_is_hidden(arm, still):
     evidence = score_test(case, fitted_to(case, Terms((effect,))), OPTIONS)
     assert evidence.score([effect])[0].confounded
     assert evidence.score([JointCompliance(3)])[0].p_value > 1e-4
+
+
+def test_a_term_left_out_is_weighed_beside_the_others(arm, still):
+    texts = (
+        "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+        "joint_harmonic:joint=5,order=2,amplitude_rad=6e-4,phase_rad=-2",
+    )
+    effects = tuple(truth(text)[0] for text in texts)
+    case = pose_problem(with_effects(arm, *texts).recording(still))
+    fitted = fitted_to(case, Terms(effects))
+    whole = score_test(case, fitted, OPTIONS)
+    assert whole.beside([True, True]) is whole
+    for k, stays in enumerate(([False, True], [True, False])):
+        score = whole.beside(stays).score([effects[k]])[0]
+        assert score.gain > 100
+        np.testing.assert_allclose(score.values, fitted.values[fitted.terms.slices[k]], rtol=2e-2, atol=1e-9)
+    alone = whole.beside([False, False])
+    assert alone.fit.terms.terms == ()
+    assert len(alone.basis) == len(whole.basis) - fitted.terms.size
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+@pytest.mark.parametrize("left_out", [[], [3], [0, 7, 8], range(12)])
+def test_a_part_of_a_span_is_that_of_the_rows_which_stay(dependent, left_out):
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(12, 40))
+    if dependent:
+        rows[5] = rows[1] + rows[2]
+    rows = unit_rows(rows)
+    whole, kept = orthonormal(rows, 1e-12), np.ones(12, bool)
+    kept[list(left_out)] = False
+    basis, coordinates = part_of_span(whole, rows @ whole.T, kept, 1e-12)
+    stay = np.linalg.svd(rows[kept], full_matrices=False)
+    wanted = stay[2][stay[1] > 1e-6]
+    np.testing.assert_allclose(basis.T @ basis, wanted.T @ wanted, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(len(wanted)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(coordinates @ basis, rows[kept], rtol=0, atol=1e-12)
 
 
 def test_rows_left_out_are_not_evidence(arm, still):
