@@ -72,7 +72,6 @@ class Report:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
         check(document, self.diagnosis)
-        diagnosis_file.verify_checksum(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
@@ -187,7 +186,6 @@ class Predict:
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
             motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, motors)
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
@@ -195,7 +193,6 @@ class Predict:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, model)
             if self.register:
                 model, registered = registration.register_model(model, recording)

@@ -21,7 +21,6 @@ from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.controller.table import TableWriter
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
-from lite6jax.recordings.checksums import TABLES, table_checksum
 from lite6jax.recordings.stream import stream_path
 from lite6jax.storage import check_writable
 
@@ -194,8 +193,7 @@ def record(
     )
     if declared:
         with suppress(InputError):  # a full disk; the gaps are in the table as well
-            tables = {TABLES[out.suffix.lower()]: table_checksum(out)} if out.exists() else None
-            write_settings(recording.settings, sidecar_path(out), True, tables, recording.account())
+            write_settings(recording.settings, sidecar_path(out), True, recording.account())
     return recording
 
 

@@ -64,7 +64,6 @@ def read_recording(
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
     columns, values = table.columns, table.values
-    settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
 
@@ -81,8 +80,7 @@ def read_recording(
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    recording = _assembled(table, path, settings, notes)
-
+    recording = _assembled(table, path, sidecar.settings, notes)
     spelling = table.spelling
     recording = drop_missing(recording, spelling)
     if joint_limits is not None:
@@ -133,7 +131,7 @@ def read_targets(
     given = "q1_rad" in found
     if not given:
         values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
-    recording = _assembled(table, path, _checked(sidecar, path, notes), notes)
+    recording = _assembled(table, path, sidecar.settings, notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
@@ -169,13 +167,6 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
 def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:
     arrays = without_implausible(arrays_of(table, str(path), notes), str(path), table.spelling, notes)
     return Recording.assembled(**arrays, settings=settings, source=str(path), notes=tuple(notes))
-
-
-def _checked(sidecar: Sidecar, path: Path, notes: list[str]) -> RecordingSettings:
-    """What the sidecar declares, after a check that it was written with this table."""
-    sidecar.checksums.check_table(path)
-    notes += sidecar.checksums.notes
-    return sidecar.settings
 
 
 def _declared_joints(path: Path, sidecar: Sidecar) -> ArmJoints:

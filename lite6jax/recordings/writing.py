@@ -1,4 +1,4 @@
-"""Tables to files: CSV or Parquet by the suffix, and a table with its sidecar as one."""
+"""Tables to files: CSV or Parquet by the suffix, and a table with its sidecar."""
 
 from pathlib import Path
 
@@ -6,10 +6,9 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
-from lite6jax.recordings.checksums import TABLES, table_checksum
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.recordings.sidecar import sidecar_path, write_settings
-from lite6jax.storage import check_writable, exists, write_atomically
+from lite6jax.storage import check_writable, write_atomically
 
 
 def write_table(table: pa.Table, path: Path) -> None:
@@ -27,37 +26,13 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def write_with_settings(table: pa.Table, settings: RecordingSettings, path: Path, overwrite: bool) -> Path:
-    """Writes a table, and beside it the sidecar, which names the checksum of the table.
-
-    Both are on the disk before either takes its place. A failure leaves both as they were; a process that is killed
-    between the two leaves a pair that `read_recording` refuses.
+    """Writes a table, and the sidecar beside it.
 
     Raises:
         InputError: as `storage.write_atomically` of either.
     """
-    sidecar = sidecar_path(path)
-    check_writable(path, overwrite)
-    check_writable(sidecar, overwrite)
-    before = sidecar.read_bytes() if exists(sidecar) else None
-    replaced = False
-
-    def write(target: Path) -> None:
-        nonlocal replaced
-        write_table(table, target)
-        key = TABLES[path.suffix.lower()]
-        write_settings(settings, sidecar, overwrite, {key: table_checksum(target)})
-        replaced = True
-
-    try:
-        return write_atomically(path, write, overwrite)
-    except BaseException:
-        if replaced:
-            _restore(sidecar, before)
-        raise
-
-
-def _restore(sidecar: Path, before: bytes | None) -> None:
-    if before is None:
-        sidecar.unlink()
-    else:
-        write_atomically(sidecar, before, overwrite=True)
+    for file in (path, sidecar_path(path)):
+        check_writable(file, overwrite)
+    write_atomically(path, lambda target: write_table(table, target), overwrite)
+    write_settings(settings, sidecar_path(path), overwrite)
+    return path
