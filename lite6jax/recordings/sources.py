@@ -9,10 +9,8 @@ from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import raw, stream
 from lite6jax.recordings.csv_tables import of_csv
 from lite6jax.recordings.lerobot import INFO, of_lerobot
-from lite6jax.recordings.mcap import read_mcap
 from lite6jax.recordings.raw import RawTable, one_line
-from lite6jax.recordings.ros import ArmJoints
-from lite6jax.recordings.rosbag import METADATA, read_bag
+from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.storage import check_readable, exists
 
 LOGS = (".mcap", ".db3", ".bag")
@@ -86,7 +84,7 @@ def open_table(
 
 def _of_log(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
     """The table of a log, in whose joint states nothing says the unit of efforts."""
-    columns = (read_mcap if path.suffix.lower() == ".mcap" else read_bag)(path, topics, of_arm, notes)
+    columns = read_bag(path, topics, of_arm, notes)
     return raw.of_arrays(columns, [name for name in columns if name.startswith("tau")])
 
 
@@ -118,7 +116,7 @@ def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
     if exists(path / METADATA):
         return _of_log(path, topics, of_arm, notes)
     logs = _logs(path)
-    if len(logs) == 1 and logs[0].suffix == ".mcap":  # a recorder that was ended writes no metadata
+    if len(logs) == 1:  # a recorder that was ended writes no metadata
         return _of_log(logs[0], topics, of_arm, notes)
     if logs:
         raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
