@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
 from lite6jax.errors import InputError, InputWarning
@@ -22,8 +22,8 @@ from lite6jax.recordings import (
     sidecar_path,
     write_recording,
 )
+from lite6jax.recordings.files import open_table
 from lite6jax.recordings.ros import ArmJoints
-from lite6jax.recordings.sources import open_table
 
 SAMPLES = 60
 LITE6 = load_bundled("lite6")

@@ -16,7 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.calibration import compiled
 from lite6jax.calibration.quality import Result

@@ -8,7 +8,7 @@ import pytest
 from diagnosis.recorded import Made
 from domains.pose.documents import document, refused
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, write_table
 from lite6jax.arms.files import read_arm, write_arm
 from lite6jax.diagnosis.document import SCHEMA, read_model, write_document

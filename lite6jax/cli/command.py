@@ -18,7 +18,7 @@ from lite6jax.storage import check_writable, exists, file_sha256
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.arms import bundled
+    from lite6jax.arms import description
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
     from lite6jax.recordings import sidecar
@@ -111,7 +111,7 @@ def name_arm(arm: str, file: Path) -> str:
         arm: as it was given.
         file: the sidecar, or what stands in the same folder.
     """
-    return arm if arm in bundled.bundled_arms() else relative_path(arm, file)
+    return arm if arm in description.bundled_arms() else relative_path(arm, file)
 
 
 def relative_path(path: str | Path, file: Path) -> str:

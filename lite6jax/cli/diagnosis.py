@@ -23,7 +23,7 @@ with import_lazily():
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.fleet import schema as population_schema
-    from lite6jax.recordings import writing
+    from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         compensation,
         documents,
@@ -205,7 +205,7 @@ class Predict:
             if registered is not None:
                 opening += compensation.registration_report(registered)
         table = pa.table(columns)
-        path = write_atomically(self.out, lambda target: writing.write_table(table, target), self.force)
+        path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)
         if self.json:
             rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
             document = rows if poses is None else documents.prediction_document(poses, registered)
@@ -304,9 +304,11 @@ class Compensate:
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
-            written = [writing.write_with_settings(columns, settings, self.out, self.force), sidecar]
+            written = [recording_files.write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
-            written = [write_atomically(self.out, lambda target: writing.write_table(columns, target), self.force)]
+            written = [
+                write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
+            ]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = [] if model.reference is None else [reference.origin_statement(model.reference)]

@@ -26,7 +26,7 @@ from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
-from lite6jax.recordings.sources import recording_file
+from lite6jax.recordings.files import recording_file
 from lite6jax.schema import RepeatedKeyError, check, unique_keys
 from lite6jax.storage import exists, read_text, write_atomically
 

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings import streams
 

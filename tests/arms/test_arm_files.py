@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from typed import refusal
 
 from lite6jax.arms.arm import JOINT_TERMS, Arm
-from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
-from lite6jax.arms.description import read_description, write_arm
+from lite6jax.arms.description import bundled_arms, load_bundled, read_description, write_arm
 from lite6jax.arms.dh import read_table, write_table
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.arms.files import read_arm

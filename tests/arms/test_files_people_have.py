@@ -11,8 +11,8 @@ from typed import flat, refusal, refused, run
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, six_parameter_to_hayati, write_table
 from lite6jax.arms.files import read_arm, read_factory, read_urdf, write_arm, write_urdf
 from lite6jax.errors import InputError, InputWarning

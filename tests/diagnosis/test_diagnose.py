@@ -17,7 +17,7 @@ from diagnosis.recorded import (
 )
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose as diagnose_with
 from lite6jax.diagnosis.explanation import Case

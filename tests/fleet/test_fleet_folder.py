@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
 from lite6jax.calibration.fit import fit_calibration

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
-from lite6jax.recordings.sources import split_topics
+from lite6jax.recordings.files import split_topics
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="the package of the extra `rosbag` is not installed")
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the package of the extra `rosbag` is not installed")

@@ -17,8 +17,8 @@ from lite6jax.cli import main
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
+from lite6jax.recordings.files import split_topics
 from lite6jax.recordings.ros import UR_JOINTS
-from lite6jax.recordings.sources import split_topics
 from tests.oracles import kane, sliding_arms
 
 ros2 = pytest.importorskip("mcap_ros2.writer", reason="the package mcap-ros2-support is not installed")
