@@ -10,7 +10,7 @@ PARTS = [
     *("interruption", "errors", "schema", "storage", "results", "progress", "threads"),
     *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
     *("controller", "calibration"),
-    *("distribution", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
+    *("workers", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
     *("report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

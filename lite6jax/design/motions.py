@@ -25,11 +25,11 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm, joint_sizes
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
 from lite6jax.design.criteria import Determinant, evaluate_each
-from lite6jax.distribution.batches import Workers
 from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.workers import Workers
 
 Matrix = NDArray[np.floating]
 Numbers = Array | Matrix

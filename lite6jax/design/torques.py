@@ -27,9 +27,9 @@ from lite6jax.design.motions import (
     compute_each,
     random_motions,
 )
-from lite6jax.distribution.batches import Workers
 from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
+from lite6jax.workers import Workers
 
 Array = NDArray[np.floating]
 

@@ -12,11 +12,11 @@ from lite6jax.calibration.fit import fit_calibration
 from lite6jax.calibration.fleet import fit_calibrations
 from lite6jax.calibration.quality import Result
 from lite6jax.cli import main
-from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
 from lite6jax.fleet import fit, place
 from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
 from lite6jax.fleet.place import restore_url
+from lite6jax.workers import write_tables
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")

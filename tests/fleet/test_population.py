@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from fleet.linear_arms import OPTIONS, arm, population, stored, tried, wave
 
-from lite6jax.distribution.batches import Workers
 from lite6jax.fleet.pooling import Reduced
 from lite6jax.fleet.schema import check_fleet_document
 from lite6jax.fleet.terms import PooledTerm
+from lite6jax.workers import Workers
 
 ROOT = Path(__file__).resolve().parents[2]
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")
