@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.command import processes
 from benchmarks.measure import Record, timed
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
 from lite6jax.diagnosis.document import read_model

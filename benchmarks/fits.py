@@ -13,8 +13,8 @@ from benchmarks import seed_way
 from benchmarks.measure import AGREES, Record, disagreement, median_time, timed, unlikely
 from benchmarks.problem import NOISE, SCALE, Measured, chain_error, measured
 from benchmarks.seed_way import NOMINAL, sample_joints
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.calibration.fleet import FleetSolution, fit_fleet
 from lite6jax.calibration.quality import Result

@@ -18,8 +18,8 @@ from scipy.optimize import least_squares
 from benchmarks.measure import AGREES, Record, disagreement
 from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.gauss_newton import MAX_STEPS, Solved, fit_chunks
 from lite6jax.calibration.quality import CONVERGED
 from lite6jax.calibration.residual import Observations, observe, residuals

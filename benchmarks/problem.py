@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.seed_way import sample_joints
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from tests.oracles.arms import ASSEMBLY
 from tests.oracles.chains import seed_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses

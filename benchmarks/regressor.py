@@ -10,7 +10,7 @@ import pinocchio
 
 from benchmarks.measure import Record, disagreement, median_time
 from lite6jax.arms import dynamics
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
 pin: Any = pinocchio  # a compiled module, which a type checker cannot look into

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Record, timed
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.controller.connection import Address
 from lite6jax.controller.recorder import LiveRecording, record
 from lite6jax.controller.station import read_station

@@ -1,5 +1,6 @@
 """Reading and writing files: regular files only, atomic writes, no silent overwriting, and a safe subset of YAML."""
 
+import hashlib
 import os
 import re
 import shutil
@@ -15,7 +16,6 @@ from typing import Any
 import yaml
 
 from lite6jax import interruption
-from lite6jax.checksum import verify_comment
 from lite6jax.errors import InputError
 
 _TEMPORARY = ".lite6jax-"
@@ -164,6 +164,16 @@ def check_readable(path: str | Path) -> Path:
     return path
 
 
+def file_sha256(path: str | Path) -> str:
+    """The SHA-256 of a file, as 64 hexadecimal digits.
+
+    Raises:
+        InputError: as `open_file`.
+    """
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def exists(path: str | Path) -> bool:
     """Whether there is anything of this name; false as well where no file can have it."""
     return os.path.exists(path)
@@ -217,10 +227,7 @@ def read_yaml(path: str | Path) -> Any:
     """
     text = read_text(path, YAML_SIZE_LIMIT)
     values = _mapping_of_numbers(text)
-    if values is None:
-        values = _parse_yaml(path, text)
-    verify_comment(text, values, path)
-    return values
+    return _parse_yaml(path, text) if values is None else values
 
 
 _NUMBERS_LIMIT = 20_000

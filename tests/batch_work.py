@@ -71,8 +71,8 @@ def dead(value):
 
 def diagnosed(names, place, folder):
     """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
-    from lite6jax.distribution.batches import concatenate
     from lite6jax.fleet.diagnoses import make_refusal, make_row
+    from lite6jax.workers import concatenate
 
     rows = []
     for name in names:
@@ -93,9 +93,9 @@ def reduced(names, place, command):
     """Rows of recordings of a fleet without a diagnosis, of files whose content is the seed of a linear arm."""
     import numpy as np
 
-    from lite6jax.distribution.batches import concatenate
     from lite6jax.fleet.diagnoses import make_row
     from lite6jax.fleet.terms import PooledTerm
+    from lite6jax.workers import concatenate
     from tests.fleet.linear_arms import arm
 
     rows = []

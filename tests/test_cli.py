@@ -16,7 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.calibration import compiled
 from lite6jax.calibration.quality import Result
@@ -175,7 +175,7 @@ def test_fit_prints_and_writes_the_calibrated_arm(capsys, tmp_path, calibration)
 
     # the JSON has the seed's keys, and a plain NumPy chain made of it is the calibrated arm
     table = json.loads(out.read_text())
-    assert set(table) == {"units", "base", "dh", "beta_joint2", "fit", "checksum"}
+    assert set(table) == {"units", "base", "dh", "beta_joint2", "fit"}
     assert (table["fit"]["result"], table["fit"]["quality"]) == ("converged", "good")
     assert 0 < table["fit"]["checked_position_rms_m"] < 1e-13
     assert table["units"] == "mm and deg"
@@ -562,7 +562,6 @@ def test_convert_refuses_what_a_form_cannot_hold(capsys, tmp_path, calibration):
     run(capsys, "convert", calibration, table)
     content = json.loads(table.read_text())
     content["dh"][5].update(a=1.5, alpha=2.0)
-    del content["checksum"]
     table.write_text(json.dumps(content))
     target = tmp_path / "out.yaml"
     assert refused(capsys, "convert", table, target) == (

@@ -28,9 +28,8 @@ from benchmarks.concealed.plain_physics import (
 )
 from benchmarks.concealed.view import Open, View
 from lite6jax.arms.arm import Arm as LibraryArm
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.description import read_description
+from lite6jax.arms.description import load_bundled, read_description
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.serialization import effect_from_dict

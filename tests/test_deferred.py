@@ -88,9 +88,9 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.calibration import source
     from lite6jax.recordings import sidecar
-    from lite6jax.arms import joint_units
+    from lite6jax.arms import entries
 print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-10:])
-print("unit" in joint_units.__doc__)
+print("YAML" in entries.__doc__)
 print(sidecar.sidecar_path("run.csv"), recordings.recording_file("run.csv"), source.load_nominal("lite6").name)
 print(sidecar is sys.modules["lite6jax.recordings.sidecar"] is recordings.sidecar)
 from lite6jax.recordings.sidecar import sidecar_path

@@ -127,7 +127,7 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
     assert {row[0] for row in sections["Data faults"]} == {*FAULTS, "joint_turns"}  # which poses name as well
     documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
-    assert documented | {"schema", "domain", "checksum"} == set(TORQUE_DOCUMENT.__struct_fields__)
+    assert documented | {"schema", "domain"} == set(TORQUE_DOCUMENT.__struct_fields__)
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue

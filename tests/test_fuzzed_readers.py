@@ -1,4 +1,4 @@
-"""Every reader on damaged files: a value or one line that says what is wrong, and no change in silence."""
+"""Every reader on damaged files: a value, or one line that says what is wrong."""
 
 from random import Random
 
@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lite6jax.errors import InputError
-from tests.damaged import READERS, Reader, Seen, Trial, damage, flip_bit
+from tests.damaged import READERS, Reader, Trial, damage, flip_bit
 
 ACCEPTED = ("read", "refused")
 
@@ -18,7 +18,7 @@ def trials(tmp_path_factory):
 
     def trial(reader):
         if reader.name == "mcap":
-            pytest.importorskip("mcap_ros2.writer", reason="the packages of the extra `mcap` are not installed")
+            pytest.importorskip("mcap_ros2.writer", reason="the package mcap-ros2-support is not installed")
         if reader.name not in made:
             made[reader.name] = Trial(reader, tmp_path_factory.mktemp("fuzzed"))
         return made[reader.name]
@@ -76,12 +76,10 @@ def read_badly(path):
         raise InputError("two\nlines")
     if len(text) == 4:
         raise KeyError("four")
-    return Seen(repr(text), ("five",) if len(text) == 5 else ())
+    return text
 
 
 def test_each_outcome_is_what_happened(tmp_path):
-    trial = Trial(Reader("bad", write_number, read_badly, sealed=True), tmp_path)
-    outcomes = [trial.judged(content)[0] for content in (b"7", b"8", b"xx", b"xxx", b"xxxx", b"xxxxx")]
-    assert outcomes == ["read", "silent change", "refused", "traceback", "traceback", "read"]
-    lenient = Trial(Reader("bad", write_number, read_badly), tmp_path / "lenient")
-    assert lenient.judged(b"8") == ("read", "")
+    trial = Trial(Reader("bad", write_number, read_badly), tmp_path)
+    outcomes = [trial.judged(content)[0] for content in (b"7", b"xx", b"xxx", b"xxxx", b"xxxxx")]
+    assert outcomes == ["read", "refused", "traceback", "traceback", "read"]

@@ -12,11 +12,11 @@ from typed import flat, refused, run
 
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.command import check_outputs
-from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
 from lite6jax.fleet.folder import fit_folder, tabulate_rows
 from lite6jax.fleet.place import Place, list_fleet
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
+from lite6jax.workers import write_tables
 from tests.damaged import CSV, FACTORY, LITE6, recording
 
 

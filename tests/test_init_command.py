@@ -11,7 +11,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.cli import init
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings
 from lite6jax.recordings.settings import OF_READINGS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typed import run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli.program import COMMANDS
 from lite6jax.report import documents, screen

@@ -7,10 +7,10 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
-    *("interruption", "errors", "checksum", "schema", "storage", "results", "progress", "threads"),
+    *("interruption", "errors", "schema", "storage", "results", "progress", "threads"),
     *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
     *("controller", "calibration"),
-    *("distribution", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
+    *("workers", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
     *("report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

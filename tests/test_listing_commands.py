@@ -7,7 +7,7 @@ import pytest
 from rich.cells import cell_len
 from typed import flat, run
 
-from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.effects import catalogue
 from lite6jax.effects.drivers import QUANTITIES
 from lite6jax.effects.dynamic import catalogue as dynamic

@@ -6,7 +6,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.transforms import perturb_poses

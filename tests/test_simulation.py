@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from lite6jax import cli
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.calibration.fit import fit_recording
 from lite6jax.design.sensor import Sensor

@@ -8,7 +8,7 @@ import pyarrow.csv
 import pytest
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.design.identify import identify, identify_recording
 from lite6jax.design.information import plan_experiment
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from benchmarks.campaigns.columns import read_columns
 from benchmarks.campaigns.judgement import Row
 from benchmarks.campaigns.shares import Goal
-from lite6jax.distribution.batches import Workers, write_tables
+from lite6jax.workers import Workers, write_tables
 
 LONGEST = 600
 """s: a trial that takes longer has failed."""

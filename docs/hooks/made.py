@@ -20,7 +20,7 @@ import yaml
 
 import lite6jax
 from docs.hooks import screens
-from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.cli import main
 from lite6jax.cli.program import COMMANDS
 from lite6jax.controller import rows

@@ -1,6 +1,7 @@
 """Arm descriptions: YAML with a name, the six-parameter chain, and optionally limits, inertia, drives, DH, flange."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage
-from lite6jax.arms import entries, frames, inertia
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms import entries, frames
+from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -148,7 +148,7 @@ def _inertial(value: Any, where: str, joints: int) -> dict[str, Array]:
         lacking = next(name for name in names if "inertia_kg_m2" not in links[name])
         raise InputError(f"{where}: inertial: {lacking} lacks inertia_kg_m2, which other links have; give all or none")
     fields = {"mass": np.array(masses), "center_of_mass": np.array(centers)}
-    return fields | ({"inertia": inertia.tensor(tensors)} if tensors else {})
+    return fields | ({"inertia": frames.tensor(tensors)} if tensors else {})
 
 
 def _drive_keys(slides: bool) -> dict[str, str | dict[str, str]]:
@@ -233,7 +233,7 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     }
     content["joint_limits" if arm.sliding else "joint_limits_rad"] = arm.joint_limits.tolist()
     if arm.mass is not None and arm.center_of_mass is not None:
-        tensors = {} if arm.inertia is None else {"inertia_kg_m2": inertia.six_entries(arm.inertia)}
+        tensors = {} if arm.inertia is None else {"inertia_kg_m2": frames.six_entries(arm.inertia)}
         columns = {"mass_kg": arm.mass, "com_m": arm.center_of_mass} | tensors
         content["inertial"] = {
             f"link{i + 1}": {key: column[i].tolist() for key, column in columns.items()} for i in range(arm.dof)
@@ -264,3 +264,44 @@ def _drive(arm: Arm, i: int) -> dict[str, Any]:
 
 def _row_mapping(keys: tuple[str, ...], values: Array) -> dict[str, float]:
     return dict(zip(keys, values.tolist(), strict=True))
+
+
+# ------------------------------------------------------------------ the arms that come with the library
+
+
+_DATA = Path(__file__).parent / "data"
+
+# The same model from another file of the vendor: excluded when the model of a calibration is recognised.
+VARIANTS = ("lite6_ros",)
+
+_MAKERS = {"lite6": "UFACTORY", "uf": "UFACTORY", "xarm": "UFACTORY", "ur": "Universal Robots"}
+"""By how the name of an arm begins."""
+
+
+@cache
+def bundled_arms() -> tuple[str, ...]:
+    """The names of the bundled arms, in alphabetical order."""
+    return tuple(sorted(path.stem for path in _DATA.glob("*.yaml")))
+
+
+def maker_of(name: str) -> str:
+    """Who makes the bundled arm of this name; empty of any other arm."""
+    return next((maker for start, maker in _MAKERS.items() if name in bundled_arms() and name.startswith(start)), "")
+
+
+def bundled_of(joints: int) -> list[Arm]:
+    """The bundled models of so many joints, in alphabetical order; of each one table."""
+    arms = [load_bundled(name) for name in bundled_arms() if name not in VARIANTS]
+    return [arm for arm in arms if arm.dof == joints]
+
+
+@cache
+def load_bundled(name: str) -> Arm:
+    """A bundled arm by its name.
+
+    Raises:
+        InputError: no such arm; the message lists the names.
+    """
+    if name not in bundled_arms():
+        raise InputError(f"no bundled arm {name!r}; {entries.suggestion(name, bundled_arms())}")
+    return read_description(_DATA / f"{name}.yaml")

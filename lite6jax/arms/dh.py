@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax import checksum, storage
+from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
@@ -245,7 +245,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
         InputError: not such a table; the line names the file, the place and the remedy.
 
     Warns:
-        InputWarning: the table was changed after it was written, or is from a fit that does not describe its data.
+        InputWarning: the table is from a fit that does not describe its data.
     """
     by_yaml = Path(path).suffix.lower() in (".yaml", ".yml")
     text = json.dumps(storage.read_yaml(path), default=str) if by_yaml else storage.read_text(path, SIZE_LIMIT)
@@ -254,7 +254,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
         shown = command_line("report", path)
         raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `{shown}` shows them")
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
-    further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit", checksum.KEY)
+    further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit")
     entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
     read, rows = _reader(content["units"], f"{path}: units"), content["dh"]
     if not isinstance(rows, list) or not rows:
@@ -286,8 +286,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
-    checksum.verify(content, path)
-    sure = betas or sliding or checksum.KEY in content  # what only the standard form has, and what was written here
+    sure = betas or sliding  # what only the standard form has
     return HayatiTable(form, np.asarray(parameters, np.float64), said or (entries.STANDARD if sure else None))
 
 
@@ -357,14 +356,13 @@ def write_table(
     betas = {f"beta_joint{i + 1}": links[i, 5] for i in form.parallel if i >= 0}
     parts = [
         f'  "units": "{UNITS}"',
+        *([] if betas or form.sliding else [f'  "convention": "{entries.STANDARD}"']),
         *([] if form.first_axis == 2 else [f'  "first_axis": "{"xyz"[form.first_axis]}"']),
         f'  "base": {{{_json_entries(by_name)}}}',
         '  "dh": [\n' + ",\n".join(rows) + "\n  ]",
         *(f"  {_json_entries({name: beta})}" for name, beta in betas.items()),
         *([] if fit is None else [f'  "fit": {json.dumps(dict(fit), allow_nan=False)}']),
     ]
-    content = _parse("{" + ",".join(parts) + "}", path)
-    parts.append(f'  "{checksum.KEY}": "{checksum.checksum_of(content)}"')
     return storage.write_atomically(path, "{\n" + ",\n".join(parts) + "\n}\n", overwrite)
 
 

@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 from numpy import typing as npt
 from numpy.typing import NDArray
 
-from lite6jax.arms import inertia, se3
+from lite6jax.arms import frames, se3
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.se3 import joint_turn
 from lite6jax.errors import InputError
@@ -63,9 +63,9 @@ def link_parameters(arm: Arm) -> Numbers:
         raise InputError(
             f"arm {arm.name!r}: has no {lacks}, which torques need; give mass_kg, com_m and inertia_kg_m2 of every link"
         )
-    about_origin = arm.inertia + inertia.point_tensor(arm.mass, arm.center_of_mass)
+    about_origin = arm.inertia + frames.point_tensor(arm.mass, arm.center_of_mass)
     first = arm.mass[:, None] * arm.center_of_mass
-    return np.hstack([arm.mass[:, None], first, inertia.six_entries(about_origin)])
+    return np.hstack([arm.mass[:, None], first, frames.six_entries(about_origin)])
 
 
 class _Motion(NamedTuple):
@@ -457,14 +457,14 @@ def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
     if parameters.shape != (arm.dof, 10) or not is_consistent(parameters):
         raise InputError(f"arm {arm.name!r}: these links are no bodies; take such as consistent_links gives")
     mass, center = parameters[:, 0], parameters[:, 1:4] / parameters[:, :1]
-    about_center = inertia.tensor(parameters[:, 4:]) - inertia.point_tensor(mass, center)
+    about_center = frames.tensor(parameters[:, 4:]) - frames.point_tensor(mass, center)
     return replace(arm, mass=mass, center_of_mass=center, inertia=about_center)
 
 
 def pseudo_inertia(parameters: npt.ArrayLike) -> Numbers:
     """(joint, 4, 4) second moments of the mass of links (joint, 10): ∫ρ (x, y, z, 1)(x, y, z, 1)ᵀ dV."""
     parameters = np.asarray(parameters, float)
-    tensor = inertia.tensor(parameters[:, 4:])
+    tensor = frames.tensor(parameters[:, 4:])
     P = np.empty((len(parameters), 4, 4))
     P[:, :3, :3] = 0.5 * np.trace(tensor, axis1=1, axis2=2)[:, None, None] * np.eye(3) - tensor
     P[:, :3, 3] = P[:, 3, :3] = parameters[:, 1:4]
@@ -489,7 +489,7 @@ def _parameters_of(P: Numbers) -> Numbers:
     """(..., 10) inertial parameters of pseudo-inertias (..., 4, 4)."""
     second = P[..., :3, :3]
     tensor = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
-    return np.concatenate([P[..., 3:, 3], P[..., :3, 3], inertia.six_entries(tensor)], -1)
+    return np.concatenate([P[..., 3:, 3], P[..., :3, 3], frames.six_entries(tensor)], -1)
 
 
 def _symmetric_basis() -> Numbers:

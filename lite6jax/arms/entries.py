@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import frames
-from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -195,7 +194,7 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
 
 
 def write_yaml(content: Any, path: str | Path, overwrite: bool, flow: bool | None = False) -> Path:
-    """Writes content with a checksum; every reader of YAML reads exactly these floats.
+    """Writes content of which every reader of YAML reads exactly these floats.
 
     Args:
         content: mappings, lists, text and numbers.
@@ -210,4 +209,4 @@ def write_yaml(content: Any, path: str | Path, overwrite: bool, flow: bool | Non
     text = yaml.dump(
         content, Dumper=dumper, sort_keys=False, default_flow_style=flow, allow_unicode=True, width=1 << 20
     )
-    return storage.write_atomically(path, with_comment(text), overwrite)
+    return storage.write_atomically(path, text, overwrite)

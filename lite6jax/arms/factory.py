@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_of, maker_of
 from lite6jax.arms.chains import DH_COLUMNS
+from lite6jax.arms.description import bundled_of, maker_of
 from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read_table, six_parameter_to_hayati
 from lite6jax.errors import InputError, InputWarning
 

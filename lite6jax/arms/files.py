@@ -11,8 +11,7 @@ import numpy as np
 from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
-from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.description import arm_from_description, write_arm
+from lite6jax.arms.description import arm_from_description, bundled_arms, load_bundled, write_arm
 from lite6jax.arms.dh import is_table, write_table
 from lite6jax.arms.factory import (
     DEVIATIONS,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage
-from lite6jax.arms import frames, inertia
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.trees import SIZE_LIMIT, Joint, arm_of_chain, axis_frame, find_chain, format_numbers
 from lite6jax.errors import InputError, InputWarning
@@ -56,7 +56,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     """
     model = _compiled(path)
     bodies = [model.body(b).name or f"(body {b})" for b in range(model.nbody)]
-    links: dict[str, inertia.Body | None] = {name: _body(model, b) for b, name in enumerate(bodies)}
+    links: dict[str, frames.Body | None] = {name: _body(model, b) for b, name in enumerate(bodies)}
     joints: list[Joint] = []
     numbers: dict[str, int] = {}  # in MuJoCo's model, of the joint that moves a link
     for b, body in enumerate(bodies[1:], 1):
@@ -90,13 +90,13 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     return arm_of_chain(path, tree, name, "MJCF", links.get, fields)
 
 
-def _body(model: Any, b: int) -> inertia.Body | None:
+def _body(model: Any, b: int) -> frames.Body | None:
     """What a body is, in its frame; None where it is nothing."""
     moments = np.diag(model.body_inertia[b])
     if model.body_mass[b] <= 0 and not moments.any():
         return None
-    body = inertia.Body(float(model.body_mass[b]), np.zeros(3), moments)
-    return inertia.transform_body(body, _pose(model.body_ipos[b], model.body_iquat[b]))
+    body = frames.Body(float(model.body_mass[b]), np.zeros(3), moments)
+    return frames.transform_body(body, _pose(model.body_ipos[b], model.body_iquat[b]))
 
 
 def _joint(model: Any, j: int, parent: str, child: str, T: Array) -> Joint:
@@ -199,7 +199,7 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     for i, row in enumerate(arm.kinematics):
         parent = _add_body(parent, f"link{i + 1}", row)
         link = {"mass": format_numbers(arm.mass[i : i + 1]), "pos": format_numbers(arm.center_of_mass[i])}
-        ET.SubElement(parent, "inertial", link, fullinertia=format_numbers(inertia.six_entries(arm.inertia[i])))
+        ET.SubElement(parent, "inertial", link, fullinertia=format_numbers(frames.six_entries(arm.inertia[i])))
         drive = {key: values for field, key in _DRIVES.items() if (values := getattr(arm, field)) is not None}
         given = {key: format_numbers(values[i : i + 1]) for key, values in drive.items()}
         joint = {

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import frames, inertia
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError, InputWarning
 
@@ -257,7 +257,7 @@ def arm_of_chain(
     tree: Tree,
     name: str,
     form: str,
-    body_of: Callable[[str], inertia.Body | None],
+    body_of: Callable[[str], frames.Body | None],
     drives: Mapping[str, Array],
 ) -> Arm:
     """The arm that a chain is.
@@ -326,11 +326,11 @@ def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     return f"name a chain without it with {option}, or as {Path(path).name}#{chain} where a file is named"
 
 
-def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], inertia.Body | None]) -> dict[str, Array]:
+def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], frames.Body | None]) -> dict[str, Array]:
     """The fields of `Arm` that say what each moved link is with every link fixed to it."""
     fixed = [
         [
-            inertia.transform_body(body, axis_frame(joint.axis).T @ T)
+            frames.transform_body(body, axis_frame(joint.axis).T @ T)
             for name, T in rigid_links(joint.child, tree.joints)
             if (body := body_of(name)) is not None
         ]
@@ -338,9 +338,9 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], inertia.Bod
     ]
     if not any(fixed):
         return {}
-    links, known = [inertia.lump(bodies) for bodies in fixed], True
+    links, known = [frames.lump(bodies) for bodies in fixed], True
     for joint, bodies, link in zip(tree.moving, fixed, links, strict=True):
-        if wrong := next(filter(None, (inertia.defect(body.inertia) for body in (*bodies, link))), ""):
+        if wrong := next(filter(None, (frames.defect(body.inertia) for body in (*bodies, link))), ""):
             known = False
             warnings.warn(
                 f"{path}: link {joint.child!r}: its inertia {wrong}; the inertia of this file is left out, correct it"
@@ -353,12 +353,12 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], inertia.Bod
     return fields | ({"inertia": tensors} if known and tensors.any() else {})
 
 
-def link_body(arm: Arm, i: int) -> inertia.Body | None:
+def link_body(arm: Arm, i: int) -> frames.Body | None:
     """The link after an arm's joint `i`, from 0, without inertia where that is unknown; None without mass."""
     if arm.mass is None or arm.center_of_mass is None:
         return None
     tensor = np.zeros((3, 3)) if arm.inertia is None else arm.inertia[i]
-    return inertia.Body(float(arm.mass[i]), arm.center_of_mass[i], tensor)
+    return frames.Body(float(arm.mass[i]), arm.center_of_mass[i], tensor)
 
 
 def format_numbers(values: Array) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage
-from lite6jax.arms import frames, inertia
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.trees import (
     IDENTITY,
@@ -94,16 +94,18 @@ def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tre
     """The arm, the chain that it is, and the root element."""
     tree, robot = _tree(path, base, tip)
 
-    def body_of(name: str) -> inertia.Body | None:
+    def body_of(name: str) -> frames.Body | None:
         element = tree.links[name].find("inertial")
         if element is None:
             return None
         where = f"{path}: link {name!r}: inertial"
         kg = scalar(_attribute(element, "mass", "value", where), f"{where}: mass")
         entry = element.find("inertia")
-        six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in inertia.SIX]
-        body = inertia.Body(kg, np.zeros(3), inertia.tensor(six))
-        return inertia.transform_body(body, frames.transform_from_row(origin(element, where)))
+        six = [
+            0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in frames.TENSOR_ENTRIES
+        ]
+        body = frames.Body(kg, np.zeros(3), frames.tensor(six))
+        return frames.transform_body(body, frames.transform_from_row(origin(element, where)))
 
     arm = arm_of_chain(path, tree, robot.get("name", ""), "URDF", body_of, _drives(path, robot, tree.moving))
     return arm, tree, robot
@@ -278,7 +280,7 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         ET.SubElement(robot, "link", name="world")
         _add_joint(robot, "world_joint", "fixed", "world", "base_link", np.zeros(6))
         base.append(ET.Comment(" Stands still: any mass would do, and without one Gazebo drops the whole arm. "))
-        _set_body(base, inertia.Body(1.0, np.zeros(3), 0.01 * np.eye(3)))
+        _set_body(base, frames.Body(1.0, np.zeros(3), 0.01 * np.eye(3)))
     robot.append(base)
     for i, row in enumerate(arm.kinematics):
         link = ET.SubElement(robot, "link", name=f"link{i + 1}")
@@ -365,7 +367,7 @@ def write_into_urdf(
                 for entry in tree.links[name].findall("inertial"):
                     tree.links[name].remove(entry)
             if (body := link_body(arm, i)) is not None:
-                _set_body(tree.links[joint.child], inertia.transform_body(body, axis_frame(joint.axis)))
+                _set_body(tree.links[joint.child], frames.transform_body(body, axis_frame(joint.axis)))
     left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
     _write(root, path, overwrite)
@@ -399,12 +401,12 @@ def _set_origin(joint: ET.Element, T: Array) -> None:
     entry.set("rpy", format_numbers(row[3:]))
 
 
-def _set_body(link: ET.Element, body: inertia.Body) -> None:
+def _set_body(link: ET.Element, body: frames.Body) -> None:
     """Says what a link without an inertial element is."""
     element = ET.SubElement(link, "inertial")
     ET.SubElement(element, "origin", xyz=format_numbers(body.center), rpy="0.0 0.0 0.0")
     ET.SubElement(element, "mass", value=repr(float(body.mass)))
-    six = zip(inertia.SIX, inertia.six_entries(body.inertia), strict=True)
+    six = zip(frames.TENSOR_ENTRIES, frames.six_entries(body.inertia), strict=True)
     ET.SubElement(element, "inertia", {key: repr(float(value)) for key, value in six})
 
 

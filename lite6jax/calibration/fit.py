@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
 from lite6jax.calibration.gauss_newton import MAX_STEPS
 from lite6jax.calibration.problem import (

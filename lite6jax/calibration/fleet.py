@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.arms import bundled
+from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, hayati_fk, joint_motion, six_parameter_fk
 from lite6jax.arms.dh import closed_form
@@ -178,7 +178,7 @@ def fit_fleet_calibrations(
 
 def _load_type(nominal: Arm | str) -> Arm:
     require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
-    return bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    return description.load_bundled(nominal) if isinstance(nominal, str) else nominal
 
 
 def _chain_poses(kinematics: NDArray, joint_position: Array, sliding: tuple[int, ...]) -> jax.Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration, read_factory
 from lite6jax.arms.files import calibrated_arm, read_arm
 from lite6jax.calibration.quality import upper_quartile

@@ -13,7 +13,7 @@ from lite6jax.errors import InputError
 
 with import_lazily():
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import bundled, files
+    from lite6jax.arms import description, files
     from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export
     from lite6jax.effects import listing
@@ -90,8 +90,8 @@ class Convert:
                 f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
                 f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
             )
-        if nominal is None and arm.name in bundled.bundled_arms():
-            nominal = bundled.load_bundled(arm.name)
+        if nominal is None and arm.name in description.bundled_arms():
+            nominal = description.load_bundled(arm.name)
         return arm, left_out, nominal
 
 
@@ -143,7 +143,7 @@ class Arms:
             found = listings.arm_entry(arm).to_dict() | {"joint_list": listings.joint_entries(arm)}
             report = listings.arm_report(arm)
         else:
-            entries = [listings.arm_entry(bundled.load_bundled(name)) for name in bundled.bundled_arms()]
+            entries = [listings.arm_entry(description.load_bundled(name)) for name in description.bundled_arms()]
             found = [entry.to_dict() for entry in entries]
             report = listings.arms_report(entries, screen.console().width)
         if self.json:

@@ -14,14 +14,14 @@ from tyro.conf import arg
 
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, command_line
-from lite6jax.storage import check_writable, exists
+from lite6jax.storage import check_writable, exists, file_sha256
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.arms import bundled
+    from lite6jax.arms import description
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
-    from lite6jax.recordings import checksums, sidecar
+    from lite6jax.recordings import sidecar
     from lite6jax.report import canvas, documents, screen
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def name_arm(arm: str, file: Path) -> str:
         arm: as it was given.
         file: the sidecar, or what stands in the same folder.
     """
-    return arm if arm in bundled.bundled_arms() else relative_path(arm, file)
+    return arm if arm in description.bundled_arms() else relative_path(arm, file)
 
 
 def relative_path(path: str | Path, file: Path) -> str:
@@ -152,7 +152,7 @@ def list_inputs(
     files += [("arm", Path(arm.partition("#")[0]))] if arm else []
     files += [("effects", effects)] if effects else []
     files = [(role, file) for role, file in dict.fromkeys(files) if file.is_file()]
-    return [{"role": role, "file": file.name, "sha256": checksums.table_checksum(file)} for role, file in files]
+    return [{"role": role, "file": file.name, "sha256": file_sha256(file)} for role, file in files]
 
 
 def find_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
@@ -176,7 +176,7 @@ def require_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
     if found is None:
         which = f"the recording {named[0]['file']} that it names is not beside it" if named else "it names no recording"
         raise InputError(f"{diagnosis}: {which}; give one: {command_line('view', diagnosis, 'RECORDING')}")
-    if checksums.table_checksum(found) != named[0]["sha256"]:
+    if file_sha256(found) != named[0]["sha256"]:
         said = f"{found}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)"
         warnings.warn(said, InputWarning, stacklevel=2)
     return found
@@ -195,7 +195,7 @@ def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
     settings = sidecar.read_settings(declared)
     reference = str(settings.arm_reference(declared.parent)) if settings.arm_is_file else ""
     file = Path(reference.partition("#")[0])
-    return reference if reference and file.is_file() and checksums.table_checksum(file) in sums else None
+    return reference if reference and file.is_file() and file_sha256(file) in sums else None
 
 
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:

@@ -19,12 +19,11 @@ from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
 from lite6jax.storage import write_atomically
 
 with import_lazily():
-    from lite6jax import recordings
+    from lite6jax import recordings, workers
     from lite6jax.calibration import source
     from lite6jax.diagnosis import combined, diagnose, fold_processes, torque_diagnosis
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
-    from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
     from lite6jax.fleet import diagnoses, options, reduction
     from lite6jax.report import (
@@ -314,4 +313,4 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
             rows.append(diagnoses.make_refusal(name, said))
         else:
             rows.append(diagnoses.make_row(name, json.loads(found[0]), *found, said))
-    return batches.concatenate(rows)
+    return workers.concatenate(rows)

@@ -23,7 +23,7 @@ with import_lazily():
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.fleet import schema as population_schema
-    from lite6jax.recordings import writing
+    from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         compensation,
         documents,
@@ -72,7 +72,6 @@ class Report:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
         check(document, self.diagnosis)
-        diagnosis_file.verify_checksum(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
@@ -187,7 +186,6 @@ class Predict:
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
             motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, motors)
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
@@ -195,7 +193,6 @@ class Predict:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, model)
             if self.register:
                 model, registered = registration.register_model(model, recording)
@@ -208,7 +205,7 @@ class Predict:
             if registered is not None:
                 opening += compensation.registration_report(registered)
         table = pa.table(columns)
-        path = write_atomically(self.out, lambda target: writing.write_table(table, target), self.force)
+        path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)
         if self.json:
             rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
             document = rows if poses is None else documents.prediction_document(poses, registered)
@@ -307,9 +304,11 @@ class Compensate:
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
-            written = [writing.write_with_settings(columns, settings, self.out, self.force), sidecar]
+            written = [recording_files.write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
-            written = [write_atomically(self.out, lambda target: writing.write_table(columns, target), self.force)]
+            written = [
+                write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
+            ]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = [] if model.reference is None else [reference.origin_statement(model.reference)]

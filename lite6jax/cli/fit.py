@@ -18,9 +18,7 @@ with import_lazily():
     from lite6jax.calibration import fit, solution
     from lite6jax.calibration import fleet as comparing
     from lite6jax.calibration import source as sources
-    from lite6jax.controller import calibration as controller_calibration
-    from lite6jax.controller import connection
-    from lite6jax.controller import verification as verifying
+    from lite6jax.controller import connection, sdk, station
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
     from lite6jax.fleet import folder
@@ -141,7 +139,7 @@ class Fit:
                 try:
                     with screen.progress(self.fk_samples, "asking the controller") as advance:
                         address = connection.parse_address(title)
-                        verification = verifying.verify(source, address, self.fk_samples, self.seed, advance)
+                        verification = sdk.verify(source, address, self.fk_samples, self.seed, advance)
                 except InputError as error:  # the fit is good all the same: it is shown and written first
                     refusal = error
         report.append(fits.solution_report(found, found.recording))
@@ -168,7 +166,7 @@ class Fit:
 
     def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
         if self.source is None:
-            return controller_calibration.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
+            return station.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
         return sources.read_source(
             self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
         )

@@ -28,9 +28,9 @@ with import_lazily():
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
-    from lite6jax.recordings import fault, naming, raw, writing
+    from lite6jax.recordings import fault, naming, raw
+    from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.recordings import sources as tables
     from lite6jax.recordings import table as tabulation
     from lite6jax.report import data_faults, inspection, joining, screen
 
@@ -64,7 +64,7 @@ class _Table(NamedTuple):
         import pyarrow as pa
 
         numbers = pa.table({name: values for name, values in self.columns if values is not None})
-        return write_atomically(self.path, lambda target: writing.write_table(numbers, target), overwrite)
+        return write_atomically(self.path, lambda target: tables.write_table(numbers, target), overwrite)
 
 
 @final

@@ -20,7 +20,7 @@ from lite6jax.interruption import list_signals
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import factory, files
-    from lite6jax.controller import calibration, connection, recorder, station
+    from lite6jax.controller import connection, recorder, station
     from lite6jax.report import live, screen
 
 PATIENCE_S = 10.0
@@ -58,7 +58,7 @@ class Read:
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
         arm, written = None if self.arm is None else files.read_arm(self.arm), []
-        read = calibration.read_calibration(connection.parse_address(self.ip), arm, self.timeout)
+        read = station.read_calibration(connection.parse_address(self.ip), arm, self.timeout)
         if self.out:
             written.append(factory.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
         return command.present(self.json, read, live.calibration_report(read), written)

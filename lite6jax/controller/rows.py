@@ -13,7 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import SILENCE_S, Reports
 from lite6jax.controller.station import Condition, Station
-from lite6jax.recordings.torque_source import WINDOW, TorqueNoise
+from lite6jax.recordings.checks import WINDOW, TorqueNoise
 
 Array = NDArray[np.floating]
 

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_sizes
+from lite6jax.arms.arm import Arm, joint_sizes
 from lite6jax.design.clearance import SelfCollision, link_frames
 from lite6jax.errors import InputError
 

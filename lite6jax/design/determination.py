@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import as_revolute
 
 Array = NDArray[np.floating]
 

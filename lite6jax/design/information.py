@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms import bundled
+from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
@@ -397,7 +397,7 @@ def plan_experiment(
         InputError: no such bundled arm or sensor.
     """
     require_type("arm", arm, Arm | str, "an Arm or the name of a bundled one")
-    arm = bundled.load_bundled(arm) if isinstance(arm, str) else arm
+    arm = description.load_bundled(arm) if isinstance(arm, str) else arm
     sensor = sensor_named(sensor) if isinstance(sensor, str) else sensor
     geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof, arm.sliding)
     values = arm.hayati if chain == "hayati" else arm.kinematics.ravel()

@@ -22,15 +22,14 @@ from jax import Array
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_sizes
+from lite6jax.arms.arm import Arm, joint_sizes
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
 from lite6jax.design.criteria import Determinant, evaluate_each
-from lite6jax.distribution.batches import Workers
 from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.workers import Workers
 
 Matrix = NDArray[np.floating]
 Numbers = Array | Matrix
@@ -182,7 +181,7 @@ def motion_limits(
 ) -> MotionLimits:
     """An arm's limits of position, drawn in by a margin (rad), with limits of velocity and acceleration.
 
-    One number is of revolute joints, and of prismatic joints at `arms.joint_units.LEVER`: 180 deg/s is 0.31 m/s.
+    One number is of revolute joints, and of prismatic joints at `arms.arm.LEVER`: 180 deg/s is 0.31 m/s.
 
     Args:
         arm: whose limits of position; of a range of more than one turn its middle turn is used.

@@ -11,9 +11,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
-from lite6jax.arms.joint_units import joint_size, joint_sizes, joint_unit
 from lite6jax.design.determination import BaseParameter, Determination, determination_of, narrow_joints
 from lite6jax.design.motions import (
     ACCELERATION,
@@ -28,9 +27,9 @@ from lite6jax.design.motions import (
     compute_each,
     random_motions,
 )
-from lite6jax.distribution.batches import Workers
 from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
+from lite6jax.workers import Workers
 
 Array = NDArray[np.floating]
 
@@ -157,7 +156,7 @@ def torque_model(
 
     Args:
         arm: geometry suffices.
-        noise: Nm, one number, of prismatic joints at `arms.joint_units.LEVER`, or one per joint, Nm or N; `NOISE` where
+        noise: Nm, one number, of prismatic joints at `arms.arm.LEVER`, or one per joint, Nm or N; `NOISE` where
             not given.
         gravity: `(3,)` m/s² in the base's frame.
         inertial: whether the links' parameters are unknown.

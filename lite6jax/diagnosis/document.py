@@ -5,7 +5,6 @@ where a file is written.
 """
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import DRIVE_FIELDS, Arm
-from lite6jax.checksum import KEY, verify, with_checksum
 from lite6jax.diagnosis.schema import RANGES, TORQUE_DOCUMENT, check_effect, check_poses
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.torque.predict import DiagnosedMotors, link_sites, with_free_numbers
@@ -25,10 +23,10 @@ from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of
-from lite6jax.errors import InputError, InputWarning, command_line, require_type
+from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
-from lite6jax.recordings.sources import recording_file
+from lite6jax.recordings.files import recording_file
 from lite6jax.schema import RepeatedKeyError, check, unique_keys
 from lite6jax.storage import exists, read_text, write_atomically
 
@@ -329,7 +327,7 @@ def _recorded(entry: Mapping[str, Any], joints: int) -> RecordedRange:
 
 
 def write_document(document: Mapping[str, Any], path: str | Path, overwrite: bool = False) -> Path:
-    """Writes a document, with or without sentences, and its checksum.
+    """Writes a document, with or without sentences.
 
     Raises:
         InputError: as `write_atomically`.
@@ -338,8 +336,8 @@ def write_document(document: Mapping[str, Any], path: str | Path, overwrite: boo
 
 
 def document_text(document: Mapping[str, Any]) -> str:
-    """The text of a diagnosis file: the document with its checksum."""
-    return _laid_out(with_checksum(document), "\n")
+    """The text of a diagnosis file."""
+    return _laid_out(dict(document), "\n")
 
 
 def _laid_out(value: Any, line: str) -> str:
@@ -370,15 +368,10 @@ def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm
 
     Raises:
         InputError: no such file, not a diagnosis, or something in it is missing or not possible.
-
-    Warns:
-        InputWarning: the file was changed after it was written.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
     document = parse_document(path)
-    model = model_from_document(document, effects, str(path))
-    verify_checksum(document, path)
-    return model
+    return model_from_document(document, effects, str(path))
 
 
 def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
@@ -388,9 +381,7 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
         InputError: as `read_model`; a diagnosis of poses alone.
     """
     document = parse_document(path)
-    model = torque_model_from_document(document, effects, str(path))
-    verify_checksum(document, path)
-    return model
+    return torque_model_from_document(document, effects, str(path))
 
 
 def parse_document(path: str | Path) -> Any:
@@ -410,15 +401,6 @@ def parse_document(path: str | Path) -> Any:
         raise InputError(f"{path}: the key {error} is given twice; {DAMAGED}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
-
-
-def verify_checksum(document: Mapping[str, Any], path: str | Path) -> None:
-    """Warns of a document that was changed after it was written, or that does not say so."""
-    if document.get("schema") == SCHEMA and KEY not in document:
-        warnings.warn(
-            f"{path}: has no checksum, so that it is not known whether it was edited", InputWarning, stacklevel=3
-        )
-    verify(document, path)
 
 
 def check_document(document: Any, path: str | Path) -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.diagnosis.document import (
     SCHEMAS,

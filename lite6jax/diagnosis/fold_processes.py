@@ -5,16 +5,15 @@ share. Each process computes with one thread, so that it does not matter which o
 """
 
 import pickle
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import Any, TypeVar
 
 from lite6jax import interruption, threads
-from lite6jax.distribution.workers import Process, Processes
 from lite6jax.progress import part
+from lite6jax.workers import Processes
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
@@ -57,7 +56,7 @@ def work_on_folds(
 ) -> list[Result]:
     """The results `function(fold, *given)`, in the order of the folds.
 
-    Where other processes are at hand they take the last folds, and this one the first. Else as many threads as
+    Where other processes are at hand they take the first folds, and this one the last. Else as many threads as
     `threads.available` says share compiled functions and what is known of all rows. The stages belong to part 1 + the
     folds completed.
 
@@ -101,34 +100,22 @@ def _by_processes(
     completed: Callable[[int], None],
 ) -> list[Result]:
     # now: while this process works, it adds to what is given
-    job, todo, results = pickle.dumps((work_on_one, (function, *given))), deque(range(len(folds))), dict[int, Any]()
-
-    def take(pop: Callable[[], int]) -> int | None:
-        try:
-            return pop()
-        except IndexError:  # another took the last
-            return None
-
-    def work_by(process: Process) -> None:
-        while (k := take(todo.pop)) is not None:
-            try:
-                results[k] = process.work(job, [folds[k]])
-            except Exception:  # what it is shows where this process works on the fold again
-                todo.appendleft(k)
-                return
-
-    working = processes.each(work_by)
+    job, results = pickle.dumps((work_on_one, (function, *given))), dict[int, Any]()
+    begun = [processes.submit(job, [fold]) for fold in folds]  # the others take the first
     try:
-        while todo or not all(one.done() for one in working):
-            while (k := take(todo.popleft)) is not None:
+        for k in reversed(range(len(folds))):
+            if begun[k].cancel():
                 results[k] = function(folds[k], *given)
                 completed(len(results))
-            for one in working:
-                one.cancel()  # one that has not begun stands behind work that is no longer needed
-            wait(working)
+        for k in sorted(set(range(len(folds))) - set(results)):
+            try:
+                results[k] = begun[k].result()
+            except Exception:  # what it is shows where this process works on the fold again
+                results[k] = function(folds[k], *given)
             completed(len(results))
     finally:
-        todo.clear()
+        for one in begun:
+            one.cancel()
     return [results[k] for k in range(len(folds))]
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import as_revolute
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis, Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.functions import site_of

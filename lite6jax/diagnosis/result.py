@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from lite6jax.calibration.quality import Quality, quality_of_poses
-from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
 from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
 from lite6jax.diagnosis.options import Options
@@ -300,11 +299,7 @@ class DomainDiagnosis(Generic[P]):
         return "explained" if found else "consistent"
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes, numbers in SI units, a checksum."""
-        return with_checksum(self.document())
-
-    def document(self) -> dict[str, Any]:
-        """The document without a checksum."""
+        """The document `lite6jax/diagnosis/2`: codes, and numbers in SI units."""
         return self._own_parts() | ({} if self.against is None else {"against": self.against.to_dict()})
 
     @property

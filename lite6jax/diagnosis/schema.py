@@ -8,7 +8,6 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from lite6jax import checksum
 from lite6jax.arms import frames
 from lite6jax.arms.arm import DRIVE_FIELDS
 from lite6jax.arms.description import LARGEST_MASS
@@ -79,7 +78,6 @@ _SHARED: dict[str, Any] = {
     "nearest": record({"effect": str, "site": str, "p_value": Share}) | None,
     "untestable": list[_UNTESTABLE],
     "confounded": list[_PLACED],
-    checksum.KEY: str,
 }
 """Keys of both domains."""
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.joint_units import by_kind
+from lite6jax.arms.arm import by_kind
 from lite6jax.diagnosis.document import effect_entry, torque_model_entry
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques

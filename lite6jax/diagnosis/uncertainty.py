@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.pose.kinematics import FRAMES, whitened
 from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm
 from lite6jax.domains.pose.problem import ONCE_PER_TURN, PoseProblem

@@ -38,7 +38,7 @@ class RecordedRange:
         positions: `(row, joint)` rad, or m, of some recorded rows.
         spacing: rad, the distance from a row to the nearest of `positions` in other blocks of the recording that 95 %
             of rows do not exceed: so far, errors on held-out rows tell what is left. Of torques a prismatic joint
-            counts by `arms.joint_units.LEVER`.
+            counts by `arms.arm.LEVER`.
         drivers: the least and the greatest value of each quantity on which an effect depends, by its phrase.
         velocities: as `joints`, rad/s; None of poses.
         accelerations: likewise, rad/s².

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.joint_units import joint_size, joint_unit
+from lite6jax.arms.arm import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import Deflection, place_at_joint
 from lite6jax.effects.drivers import Driver

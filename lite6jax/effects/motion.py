@@ -6,8 +6,8 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms.arm import joint_sizes
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.deferred import Array, jax, jit, jnp, lax, register_static
 from lite6jax.errors import InputError
 

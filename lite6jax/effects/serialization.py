@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.arm import joint_unit
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.friction import SHARP
 from lite6jax.effects.effect import Effect

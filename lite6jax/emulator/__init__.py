@@ -1,7 +1,7 @@
 """An emulated controller on loopback, to which the SDK connects, with selectable faults and physical effects."""
 
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.faults import Faults, describe_faults, parse_faults
+from lite6jax.emulator.core import Faults, describe_faults, parse_faults
 from lite6jax.emulator.paths import interpolate, read_path, visit
 from lite6jax.emulator.server import Controller, Snapshot
 from lite6jax.simulation.motions import draw_sines

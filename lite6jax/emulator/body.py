@@ -17,7 +17,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import recognise
-from lite6jax.arms.inertia import six_entries
+from lite6jax.arms.frames import six_entries
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.bodies import PayloadTorque

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.core import Client, Core
-from lite6jax.emulator.faults import Faults
+from lite6jax.emulator.core import Client, Core, Faults
 from lite6jax.emulator.paths import Path
 from lite6jax.emulator.replies import PLAUSIBLE, answer, report
 from lite6jax.errors import InputError

@@ -9,9 +9,9 @@ import pyarrow as pa
 
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
-from lite6jax.distribution.batches import Workers, run_batches
 from lite6jax.errors import InputError
 from lite6jax.fleet.place import DIED, Place, list_recordings
+from lite6jax.workers import Workers, run_batches
 
 with import_lazily():  # where recordings are pooled
     from lite6jax.fleet import options, pooling, population, reduced, terms

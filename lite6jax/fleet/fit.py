@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import entries
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.description import bundled_of
 from lite6jax.arms.dh import is_table
 from lite6jax.arms.factory import FactoryCalibration, factory_from, nearest_arms, read_factory
 from lite6jax.calibration.fleet import fit_calibrations

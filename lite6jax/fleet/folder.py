@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lite6jax.calibration.quality import Result
-from lite6jax.distribution.batches import run_batches
 from lite6jax.fleet.place import DIED, Place, divide, guess_kind, list_fleet
+from lite6jax.workers import run_batches
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from lite6jax.distribution.batches import Workers
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.projection import scaled_inverse
@@ -37,6 +36,7 @@ from lite6jax.fleet.hierarchy import ArmLikelihoods
 from lite6jax.fleet.options import PoolingOptions
 from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
 from lite6jax.fleet.terms import PooledTerm, Process, Tested, Tried
+from lite6jax.workers import Workers
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
-from lite6jax.checksum import with_checksum
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
@@ -111,21 +110,19 @@ class Population:
     options: PoolingOptions
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/fleet_diagnosis/1`: codes, numbers in SI units, a checksum."""
+        """The document `lite6jax/fleet_diagnosis/1`: codes, and numbers in SI units."""
         over, mean = None, None
         if self.dates is not None:
             over, mean = "date", date.fromordinal(round(float(self.dates.mean()))).isoformat()
-        return with_checksum(
-            {
-                "schema": SCHEMA,
-                "arm": self.arm,
-                "over": over,
-                "mean_date": mean,
-                "level": self.options.engine.level,
-                "recordings": [self._member(i) for i in range(len(self.members))],
-                "effects": [self._effect(effect) for effect in self.effects],
-            }
-        )
+        return {
+            "schema": SCHEMA,
+            "arm": self.arm,
+            "over": over,
+            "mean_date": mean,
+            "level": self.options.engine.level,
+            "recordings": [self._member(i) for i in range(len(self.members))],
+            "effects": [self._effect(effect) for effect in self.effects],
+        }
 
     def _member(self, place: int) -> dict[str, Any]:
         member = self.members[place]

@@ -61,8 +61,7 @@ _DOCUMENT = record(
         "level": Share,
         "recordings": list[_RECORDING],
         "effects": list[_EFFECT],
-    },
-    {"checksum": str},
+    }
 )
 
 

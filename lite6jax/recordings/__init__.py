@@ -8,19 +8,18 @@ from lite6jax.recordings.checks import (
     check_position_scale,
     check_torque_scale,
     check_velocity_scale,
+    estimated_torque,
     outside_limits,
     repeated_rows,
     require_samples,
     time_disorder,
 )
-from lite6jax.recordings.formats import Targets, read_recording, read_targets, write_recording
+from lite6jax.recordings.files import Targets, read_recording, read_targets, recording_file, stranger, write_recording
 from lite6jax.recordings.readings import Readings, readings_from_arrays
 from lite6jax.recordings.recording import Recording, drop_missing, join_recordings
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import FactoryUncertainty, RecordingSettings
 from lite6jax.recordings.sidecar import read_settings, sidecar_path, write_settings
-from lite6jax.recordings.sources import recording_file, stranger
-from lite6jax.recordings.torque_source import estimated_torque
 from lite6jax.recordings.units import require_radians
 
 __all__ = [

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import Column
+from lite6jax.recordings.files import TABLES, open_table
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import BoardSettings, CameraSettings
-from lite6jax.recordings.sources import TABLES, open_table
 from lite6jax.sensors.camera import FEWEST_CORNERS
 
 Array = NDArray[np.floating]

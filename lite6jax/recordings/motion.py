@@ -1,11 +1,16 @@
-"""What a recording says of the motion and the masses, in the form that effects depend on."""
+"""The motion of a recording: in the form that effects depend on, and with joint positions that are others."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.recordings.recording import Recording
+from lite6jax.recordings.sequence import directions, run_segments
 from lite6jax.recordings.settings import RecordingSettings
 
 
@@ -32,3 +37,86 @@ def inertia_of_arm(arm: Arm, settings: RecordingSettings) -> Inertia | None:
         return None
     center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
     return inertia_of(arm.mass, arm.center_of_mass, center, np.array(settings.gravity_m_per_s2))
+
+
+# ------------------------------------------------------------------ other joint positions
+
+
+Array = NDArray[np.floating]
+
+
+def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None = None) -> Recording:
+    """The recording with the positions A q + b; velocities, accelerations and directions with them.
+
+    Args:
+        recording: any.
+        A: `(joint, joint)`.
+        b: `(joint,)` rad.
+        effort: `(joint, joint)`, by which torques and currents are multiplied; they stay where it is not given.
+    """
+    exchange = np.abs(np.sign(A))
+    moved = bool((exchange.sum(1) == 1).all())
+    changed: dict[str, Any] = {"joint_position": recording.joint_position @ A.T + b}
+    for name, matrix in (
+        ("joint_velocity", A),
+        ("joint_acceleration", A),
+        ("joint_torque", effort),
+        ("motor_current", effort),
+        ("joint_temperature", exchange if moved else None),
+        ("commanded_position", A),
+    ):
+        column = getattr(recording, name)
+        if column is not None and matrix is not None:
+            changed[name] = column @ matrix.T + (b if name == "commanded_position" else 0.0)
+    changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
+    if not moved:
+        velocity, segment = changed.get("joint_velocity"), run_segments(recording.run)
+        changed["direction_of_motion"] = directions(changed["joint_position"], velocity, segment, recording.motion)
+    return replace(recording, **changed)
+
+
+def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
+    """Joint positions `(sample, joint)`, unwrapped within each run of a trajectory and turned back into the limits.
+
+    Args:
+        recording: any.
+        limits: `(joint, 2)` rad.
+        slack: rad, beyond which a position is outside them.
+    """
+    q = recording.joint_position.copy()
+    low, high = limits.T
+    trajectory = recording.motion == "trajectory" and recording.time is not None
+    segment = run_segments(recording.run)
+    runs = [segment == run for run in np.unique(segment)]
+    for run in runs if trajectory else ():
+        unwrapped = np.unwrap(q[run], axis=0)
+        # only what is continuous without its wraps shows that these are wraps
+        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
+        smooth[list(recording.sliding)] = False
+        q[run] = np.where(smooth, unwrapped, q[run])
+    for joint in range(recording.dof):
+        if joint in recording.sliding or not np.isfinite(high[joint] - low[joint]):
+            continue
+        middle = (low[joint] + high[joint]) / 2
+        for part in runs if trajectory else [np.ones(recording.samples, bool)]:
+            values = q[part, joint]
+            outside = (values < low[joint] - slack) | (values > high[joint] + slack)
+            if not outside.any():
+                continue
+            # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
+            turns = (
+                np.round((np.median(values) - middle) / (2 * np.pi))
+                if trajectory
+                else np.round((values - middle) / (2 * np.pi)) * outside
+            )
+            back = values - 2 * np.pi * turns
+            if ((back >= low[joint] - slack) & (back <= high[joint] + slack)).all():
+                q[part, joint] = back
+    return q
+
+
+def at_positions(recording: Recording, q: Array) -> Recording:
+    """The recording with other joint positions, whole turns away; differentiated velocities are taken anew."""
+    fresh = recording.made_anew(joint_position=q, settings=replace(recording.settings, motion=recording.motion))
+    velocity = fresh.joint_velocity if recording.velocity_differentiated else recording.joint_velocity
+    return replace(recording, joint_position=q, joint_velocity=velocity, direction_of_motion=fresh.direction_of_motion)

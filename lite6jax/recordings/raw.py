@@ -1,6 +1,8 @@
-"""A table of columns with any names, which are read when they are asked for."""
+"""Tables of columns with any names, read when they are asked for: Parquet, growing streams, LeRobot's data sets."""
 
+import json
 import re
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,10 +13,10 @@ import pyarrow.compute as pa_compute
 import pyarrow.parquet as pa_parquet
 
 from lite6jax.errors import InputError, command_line
-from lite6jax.recordings import stream
-from lite6jax.recordings.clock_times import clock_times, holds_clock_times
 from lite6jax.recordings.columns import IGNORED, Column
-from lite6jax.recordings.table import Loaded, no_numbers
+from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.table import Loaded, clock_times, holds_clock_times, no_numbers
+from lite6jax.storage import read_text
 
 LONGEST_LIST = 64
 """Numbers in a list that are a column each; longer ones, such as pictures, are none."""
@@ -99,9 +101,9 @@ def of_stream(path: Path, notes: list[str]) -> RawTable:
     """The table of a recording that is being written.
 
     Raises:
-        InputError: as `stream.read_stream`.
+        InputError: as `read_stream`.
     """
-    table = stream.read_stream(path, notes)
+    table = read_stream(path, notes)
 
     def load(columns: Mapping[str, Column]) -> Loaded:
         return {
@@ -225,3 +227,194 @@ def one_line(error: object) -> str:
     """What a library says of a file, shortened."""
     text = " ".join(str(error).split())
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+# ------------------------------------------------------------------ recordings that grow
+
+
+SUFFIX = ".arrows"
+_CHECKSUM = b"lite6jax.crc32"
+_UNREADABLE = (pa.ArrowException, OSError, ValueError)  # ValueError: names that are not UTF-8
+_OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
+
+
+def stream_path(recording: str | Path) -> Path:
+    """Where the rows of a Parquet recording stand until it is complete: the same stem, `.arrows`."""
+    return Path(recording).with_suffix(SUFFIX)
+
+
+def stream_start(schema: pa.Schema) -> bytes:
+    """The bytes with which a stream begins."""
+    return schema.serialize().to_pybytes()
+
+
+def stream_batch(batch: pa.RecordBatch) -> bytes:
+    """The bytes of a batch within a stream, with a checksum of its values."""
+    sink = pa.BufferOutputStream()
+    writer = pa.ipc.new_stream(sink, batch.schema, options=_OPTIONS)
+    writer.write_batch(batch, custom_metadata={_CHECKSUM: str(_checksum(batch)).encode()})
+    start, end = len(stream_start(batch.schema)), sink.tell()
+    writer.close()
+    return sink.getvalue()[start:end].to_pybytes()
+
+
+def stream_batches(path: Path, notes: list[str]) -> Iterator[pa.RecordBatch]:
+    """The whole batches of a stream, in order.
+
+    Args:
+        path: of the stream.
+        notes: gets a sentence where the last batch was cut short, which is left out.
+
+    Raises:
+        InputError: not such a stream, or a batch whose values are not those that were written.
+        OSError: the disk fails.
+    """
+    with pa.OSFile(str(path)) as file:
+        try:
+            reader = pa.ipc.open_stream(file)
+        except _UNREADABLE as error:
+            _reraise_the_disks(error)
+            raise InputError(f"{path}: is not an Arrow stream, or was cut short before its first row") from error
+        number, longest, end = 0, 0, file.tell()
+        while end < file.size():
+            try:
+                batch, metadata = reader.read_next_batch_with_custom_metadata()
+            except StopIteration:  # zeros, of a file that the disk had made longer but not filled
+                break
+            except _UNREADABLE as error:
+                _reraise_the_disks(error)
+                break
+            number += 1
+            if not _as_written(batch, metadata):
+                raise InputError(f"{path}: batch {number} is damaged (its checksum differs); restore it from a copy")
+            longest, end = max(longest, file.tell() - end), file.tell()
+            yield batch
+        if file.size() - end > 4 * longest:
+            raise InputError(f"{path}: is damaged after batch {number}; restore it from a copy")
+        if file.size() > end:
+            notes.append("the recording was ended while rows were being written; the last of them are cut off")
+
+
+def read_stream(path: Path, notes: list[str]) -> pa.Table:
+    """All whole batches of a stream as one table; arguments and errors are those of `stream_batches`.
+
+    Raises:
+        InputError: there is no batch.
+    """
+    batches = list(stream_batches(path, notes))
+    if not batches:
+        raise InputError(f"{path}: has column names but no rows; record again")
+    return pa.Table.from_batches(batches)
+
+
+def _as_written(batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None) -> bool:
+    try:
+        batch.validate(full=True)
+        return metadata is not None and metadata.get(_CHECKSUM) == str(_checksum(batch)).encode()
+    except _UNREADABLE:
+        return False
+
+
+def _reraise_the_disks(error: Exception) -> None:
+    if isinstance(error, OSError) and error.errno:  # not Arrow's
+        raise error
+
+
+def _checksum(batch: pa.RecordBatch) -> int:
+    found = zlib.crc32(repr(batch.schema.names).encode())
+    for column in batch.columns:
+        values = column.to_numpy(zero_copy_only=False)
+        found = zlib.crc32(repr(values.tolist()).encode() if values.dtype == object else values.tobytes(), found)
+    return found
+
+
+# ------------------------------------------------------------------ LeRobot's data sets
+
+
+INFO = Path("meta") / "info.json"
+_INFO_LIMIT = 1 << 22
+
+
+def of_lerobot(folder: Path) -> RawTable:
+    """The frames of all episodes in order; a feature of several numbers is a column for each, by its own names.
+
+    A unit that `info.json` states stands behind the name of the column.
+
+    Args:
+        folder: of versions 2 and 3: `meta/info.json`, and the frames in `data/**/*.parquet`.
+
+    Raises:
+        InputError: `info.json` is none of a data set, there are no Parquet files, or they lack its features.
+    """
+    features = _features(folder / INFO)
+    files = sorted((folder / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
+    kinds = parquet_schema(files[0])
+    columns: list[tuple[str, str, int | None]] = []
+    for name in kinds.names:
+        size = _size(features.get(name, {}))
+        if is_list(kinds.field(name).type):
+            parts, units = _parts(features.get(name, {}), size), _units(features.get(name, {}), size)
+            named = enumerate(zip(parts, units, strict=True))
+            columns += [(f"{name}.{part}{unit}", name, k) for k, (part, unit) in named]
+        else:
+            columns.append((name, name, None))
+
+    def load(wanted: Mapping[str, Column]) -> Loaded:
+        chosen = {key: columns[column.index] for key, column in wanted.items()}
+        names = list(dict.fromkeys(name for _, name, _ in chosen.values()))
+        table = pa.concat_tables([_read(path, names) for path in files])
+        return {key: _part(table[name], k) for key, (_, name, k) in chosen.items()}
+
+    return RawTable([name for name, _, _ in columns], load)
+
+
+def _read(path: Path, names: Sequence[str]) -> pa.Table:
+    lacking = set(names) - set(parquet_schema(path).names)
+    if lacking:
+        raise InputError(f"{path}: lacks the column {min(lacking)} of the other episodes; restore the file")
+    return read_parquet(path, names)
+
+
+def _part(column: pa.ChunkedArray, index: int | None) -> pa.ChunkedArray | str:
+    """One number of a list, or the column itself."""
+    part = within(column, [] if index is None else [index])
+    return part if isinstance(part, str) else no_numbers(part.type, "") or part
+
+
+def _features(path: Path) -> Mapping[str, Mapping[str, Any]]:
+    try:
+        content = json.loads(read_text(path, _INFO_LIMIT))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: is not JSON; restore the file") from error
+    features = content.get("features") if isinstance(content, dict) else None
+    if not isinstance(features, dict) or not all(isinstance(feature, dict) for feature in features.values()):
+        raise InputError(f"{path}: names no features, so it is of no LeRobot data set of version 2 or 3")
+    return features
+
+
+def _size(feature: Mapping[str, Any]) -> int:
+    shape = feature.get("shape")
+    return int(shape[0]) if isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int) else 0
+
+
+def _parts(feature: Mapping[str, Any], size: int) -> list[str]:
+    """The names of a feature's numbers, which data sets give as a list or below a heading; else 0, 1, …."""
+    names = feature.get("names")
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if isinstance(names, list) and len(names) == size and all(isinstance(name, str) for name in names):
+        return [*map(str, names)] if len(set(names)) == size else [str(k) for k in range(size)]
+    return [str(k) for k in range(size)]
+
+
+def _units(feature: Mapping[str, Any], size: int) -> list[str]:
+    """The units of a feature's numbers as they stand behind names, ` [degrees]`; empty where unstated."""
+    info = feature.get("info")
+    stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]
+    units = next((unit for unit in stated if isinstance(unit, str | list)), "")
+    units = [units] * size if isinstance(units, str) else units
+    return [f" [{unit}]" if unit_of(f"x [{unit}]") else "" for unit in units] if len(units) == size else [""] * size

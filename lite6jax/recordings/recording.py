@@ -11,15 +11,12 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
-from lite6jax.recordings.columns import MATRIX
-from lite6jax.recordings.orientations import quaternions
-from lite6jax.recordings.plausible import without_implausible
+from lite6jax.recordings.columns import MATRIX, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import OF_READINGS, Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
-from lite6jax.recordings.units import real_array
+from lite6jax.recordings.units import checked_arrays, missing_rows, real_array, unit_quaternions, without_implausible
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
 

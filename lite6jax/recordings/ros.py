@@ -1,4 +1,4 @@
-"""Logs of ROS, in whatever file: joint states and stamped poses or transforms become the columns of one table."""
+"""Logs of ROS, which the package rosbags reads: joint states and stamped poses or transforms as one table."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings import streams
 
@@ -196,6 +195,51 @@ def read_log(
     else:
         table |= dict(zip(("qw", "qx", "qy", "qz"), quaternion[kept].T, strict=True))
     return table
+
+
+METADATA = "metadata.yaml"
+"""In the folder of a rosbag2."""
+
+
+def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
+    """The table of a log, as `read_log`: of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`.
+
+    Raises:
+        InputError: the package rosbags is missing, the log is damaged or of another kind, or as `read_log`.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise InputError(f"{path}: bags take the package rosbags; pip install 'lite6jax[rosbag]'") from error
+
+    def read(chosen: Sequence[str]) -> Messages:
+        messages = Messages(chosen)
+        connections = [connection for connection in reader.connections if connection.topic in chosen]
+        try:
+            for connection, logged, content in reader.messages(connections=connections):
+                messages.add(connection.topic, logged, reader.deserialize(content, connection.msgtype))
+        except Exception as error:  # the package raises whatever the damaged bytes lead to
+            raise _damaged(path, error) from error
+        return messages
+
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as error:  # as above
+        raise _damaged(path, error) from error
+    try:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        return read_log(path, types, read, topics, of_arm, notes)
+    finally:
+        reader.close()
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    problem = " ".join(f"{type(error).__name__} {error}".split())[:100]
+    tool = {".mcap": "recover what is left with `mcap recover`", ".bag": "check it with `rosbag info`"}
+    remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
+    return InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again")
 
 
 def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:

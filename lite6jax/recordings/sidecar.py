@@ -1,4 +1,4 @@
-"""The sidecar, the YAML file beside a recording: its settings, names of columns and checksums, read and written."""
+"""The sidecar, the YAML file beside a recording: its settings and names of columns, read and written."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import yaml
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.settings import (
     OF_READINGS,
@@ -28,12 +27,10 @@ class Sidecar(NamedTuple):
     Attributes:
         settings: of the arm, the sensor and the motion.
         columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
-        checksums: of the table and of the settings.
     """
 
     settings: RecordingSettings
     columns: Mapping[str, str]
-    checksums: Checksums
 
 
 def sidecar_path(recording: str | Path) -> Path:
@@ -84,16 +81,15 @@ def read_sidecar(path: str | Path) -> Sidecar:
     if not exists(path):
         if exists(path.with_suffix(".yml")):
             raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
-        return Sidecar(RecordingSettings(), {}, Checksums(path, {}, False))
+        return Sidecar(RecordingSettings(), {})
     content = read_yaml(path)
     if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
         raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
-    reject_unknown(f"{path}: ", content, ["recording", "columns", "account", KEY])
+    reject_unknown(f"{path}: ", content, ["recording", "columns", "account"])
     columns = _columns(content.get("columns"), path)
-    content.setdefault("recording", None)
-    settings = content["recording"]
+    settings = content.get("recording")
     if settings is None:
-        return Sidecar(RecordingSettings(), columns, read_checksums(content, path))
+        return Sidecar(RecordingSettings(), columns)
     if not isinstance(settings, dict):
         raise InputError(f"{path}: recording: {shown(settings)} is not a mapping; write `key: value` lines below it")
     reject_unknown(f"{path}: recording.", settings, [field.name for field in fields(RecordingSettings)])
@@ -104,7 +100,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
         declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
-    return Sidecar(declared, columns, read_checksums(content, path))
+    return Sidecar(declared, columns)
 
 
 def _columns(given: Any, path: Path) -> dict[str, str]:
@@ -125,7 +121,6 @@ def write_settings(
     settings: RecordingSettings,
     path: str | Path,
     overwrite: bool = False,
-    tables: Mapping[str, str] | None = None,
     account: Mapping[str, Any] | None = None,
 ) -> Path:
     """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too,
@@ -135,7 +130,6 @@ def write_settings(
         settings: what it declares.
         path: the file.
         overwrite: whether it may be replaced.
-        tables: the checksum of the table beside it, by the key of `checksums.TABLES`; none where it is not known.
         account: what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
 
     Raises:
@@ -147,9 +141,7 @@ def write_settings(
         for key, value in asdict(settings).items()
         if value is not None and not (key in OF_READINGS and getattr(settings, key) == defaults[key])
     }
-    # first: a file that is cut off keeps them, and lacks what they are of
-    content = {KEY: {RECORDING: settings_checksum(declared), **(tables or {})}, "recording": declared}
-    content |= {} if account is None else {"account": dict(account)}
+    content = {"recording": declared} | ({} if account is None else {"account": dict(account)})
     return write_atomically(
         path,
         yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),

@@ -1,11 +1,22 @@
-"""Arrays whose kind or unit is plainly wrong, refused in one line: complex numbers, degrees for radians, millimetres
-for metres. Every public call that takes joint positions comes here, and so does every reader of a file.
+"""The arrays of a recording before it is made: real numbers in the right units, plausible and finite, unit quaternions.
+
+Every public call that takes joint positions comes here, and so does every reader of a file.
 """
 
+from collections.abc import Mapping
+from math import pi
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.description import bundled_of
+from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
+from lite6jax.recordings.settings import RecordingSettings
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows
 FAR_LIMITS = 2.0  # in multiples of the arm's widest limit: no swapped, mirrored or once-turned joint exceeds that
@@ -134,3 +145,226 @@ def require_metres(position: NDArray[np.float64], reach: float, *, from_base: bo
             f"{place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches {reach:.3g} m; "
             f"{remedy}"
         )
+
+
+# ------------------------------------------------------------------ numbers that no arm or sensor can give
+
+
+MOST_TURNS = 1000
+"""Turns of a joint that counts them on and on."""
+LONGEST_DISTANCE_M = 100.0
+"""From the median of the positions, which may be far from the sensor; a laser tracker measures to 80 m."""
+WIDEST_SPREAD = 100.0
+"""The same in median distances, so that positions in millimetres are recognised as such and not dropped."""
+LONGEST_TIME_S = 1e9
+"""From the median of the times: thirty years."""
+_MOST = {
+    "joint_position": ("q{}_rad", 2 * pi * MOST_TURNS),
+    "joint_velocity": ("dq{}_rad_per_s", 1e4),
+    "joint_acceleration": ("ddq{}_rad_per_s2", 1e7),
+    "joint_torque": ("tau{}_Nm", 1e5),
+    "motor_current": ("current{}_A", 1e5),
+    "joint_temperature": ("temp{}_degC", 1e4),
+    "commanded_position": ("cmd{}_rad", 2 * pi * MOST_TURNS),
+    "ambient_temperature": ("ambient_degC", 1e4),
+    "payload": ("payload_kg", 1e5),
+    "time": ("time_s", 1e12),
+    "position": ("{}_m", 1e7),
+}
+"""The column names of each array, and the largest magnitude: of m, one that a float still resolves to nanometres."""
+_SHOWN = 12
+
+
+def without_implausible(
+    arrays: Mapping[str, Any], source: str, spelling: Mapping[str, str], notes: list[str]
+) -> dict[str, Any]:
+    """The same arrays with NaN in place of implausible numbers.
+
+    Args:
+        arrays: arguments of `Recording.assembled`, float64 or None where absent; those of other lengths than the joint
+            positions are left alone, because `assembled` refuses them.
+        source: what messages begin with.
+        spelling: column name in SI units to the name in the file; empty for arrays.
+        notes: gets a sentence that names the rows.
+
+    Raises:
+        InputError: over half of the rows have such a number.
+    """
+    samples = len(np.atleast_1d(arrays["joint_position"]))
+    blanked: dict[str, Any] = dict(arrays)
+    bad, first = np.zeros(samples, bool), ""
+    for name, (pattern, _) in _MOST.items():
+        array = arrays.get(name)
+        if array is None or array.ndim not in (1, 2) or len(array) != samples or not array.size:
+            continue
+        table = array.reshape(samples, -1)
+        found = implausible(name, table)
+        if not found.any():
+            continue
+        row, index = np.argwhere(found)[0]
+        column = pattern.format("xyz"[index] if name == "position" else index + 1)
+        first = first or f"{table[row, index]:.5g} in column {spelling.get(column, column)}, row {row + 1}"
+        bad |= found.any(1)
+        blanked[name] = np.where(found, np.nan, table).reshape(array.shape)
+    if not first:
+        return blanked
+    rows = np.flatnonzero(bad) + 1
+    if len(rows) > LARGEST_MISSING_SHARE * samples:
+        raise InputError(
+            f"{source}: {len(rows)} of {samples} rows have numbers beyond any arm or sensor ({first}); check the unit "
+            "and the column"
+        )
+    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
+    listed = f"; rows {', '.join(map(str, rows[:_SHOWN]))}{more}" if len(rows) > 1 else ""
+    notes.append(f"numbers beyond any arm or sensor count as missing: {first}{listed}")
+    return blanked
+
+
+def implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np.ndarray, "sample column"]:
+    """Which finite numbers of an argument of `Recording.assembled` are; what is not finite is missing already."""
+    with np.errstate(over="ignore"):
+        beyond = np.isfinite(table) & (np.abs(table) > _MOST[name][1])
+        if name in ("position", "time"):
+            distance = _distance(np.where(beyond, np.nan, table))
+            spread = _median(distance.max(1, keepdims=True)).item()
+            farthest = LONGEST_TIME_S if name == "time" else max(LONGEST_DISTANCE_M, WIDEST_SPREAD * spread)
+            beyond |= distance > farthest
+    return beyond
+
+
+def _distance(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each number from the median of its column; NaN where it is not finite."""
+    finite = np.where(np.isfinite(table), table, np.nan)
+    return np.abs(finite - _median(finite))
+
+
+def _median(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(column,)` of the numbers that are not NaN; zero where there are none."""
+    there = [column[~np.isnan(column)] for column in table.T]
+    return np.array([np.median(column) if len(column) else 0.0 for column in there])
+
+
+# ------------------------------------------------------------------ the arguments of a recording
+
+
+LARGEST_MISSING_SHARE = 0.5
+QUATERNION_TOLERANCE = 0.01
+_ROUNDING = 1e-14  # a quaternion this close to unit length is left alone, so that normalising twice changes nothing
+
+
+def checked_arrays(
+    arrays: Mapping[str, Any],
+    arm: Arm | str | None,
+    settings: RecordingSettings,
+    source: str,
+    spelling: Mapping[str, str],
+) -> dict[str, Any]:
+    """The same arrays as float64, refused where the arm shows that a unit is wrong.
+
+    Args:
+        arrays: arguments of `Recording.assembled`, None where absent.
+        arm: the arm, where the caller named it.
+        settings: whose `arm` is taken otherwise.
+        source: what messages begin with.
+        spelling: column name in SI units to the name in a table; empty for arrays.
+
+    Raises:
+        InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
+    """
+    real: dict[str, Any] = {
+        name: value
+        if value is None or name in ("run", "row", "sliding", "readings")
+        else real_array(f"{source}: {name}", value)
+        for name, value in arrays.items()
+    }
+    q, position = real["joint_position"], real["position"]
+    if q.ndim != 2:
+        return real  # of a wrong shape, which `assembled` refuses
+    given = real.get("sliding")
+    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, 0 if given else q.shape[1])
+    if known is None:
+        return real
+    if q.shape[1] != known.dof:
+        raise InputError(
+            f"{source}: has {q.shape[1]} joints, but {known.name} has {known.dof}; give the arm that it is of"
+        )
+    if given is None:
+        real["sliding"] = known.sliding
+    elif given != known.sliding:
+        raise InputError(f"{source}: {other_joints(given, known.sliding, known.name)}")
+    found = far_joint(q, known.possible_positions)
+    if found is not None:
+        sample, joint = found
+        column = spelling.get(f"q{joint + 1}_rad", "")
+        place = f"{source}: column {column}" if spelling else f"{source}: joint_position"
+        remedy = "name the columns q1_deg ..." if spelling else "give radians: np.deg2rad(joint_position)"
+        remedy = "check the unit" if column.endswith("_deg") else f"are these degrees? {remedy}"
+        limits = limits_of(known.dof, known.joint_limits)
+        raise InputError(unlikely_joint(place, f"row {sample + 1}", q[found], joint, limits, remedy))
+    if position is not None and position.shape == (len(q), 3):
+        columns = [spelling.get(name, "") for name in ("x_m", "y_m", "z_m")]
+        place = f"{source}: columns {' '.join(columns)}" if spelling else f"{source}: position"
+        remedy = "name the columns x_mm y_mm z_mm" if spelling else "give metres: position / 1000"
+        remedy = "check the unit" if columns[0].endswith("_mm") else f"are these millimetres? {remedy}"
+        require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
+    return real
+
+
+def _declared_arm(settings: RecordingSettings, source: str, joints: int) -> Arm | None:
+    """The settings' arm; where none is declared, the bundled one of as many joints with the longest reach, if any."""
+    if settings.arm is not None:
+        return read_arm(settings.arm_reference(Path(source).parent))
+    return max(bundled_of(joints), key=lambda arm: arm.reach, default=None)
+
+
+def missing_rows(
+    table: Mapping[str, np.ndarray], row: Int[np.ndarray, " sample"], source: str, spelling: Mapping[str, str]
+) -> tuple[Bool[np.ndarray, " sample"], str]:
+    """The rows with a number that is not finite, and a note that counts them; empty where there are none.
+
+    Raises:
+        InputError: over half of the rows; the message names the column with most gaps.
+    """
+    missing = {name: ~np.isfinite(column) for name, column in table.items()}
+    bad = np.logical_or.reduce(list(missing.values()))
+    count = int(bad.sum())
+    if not count:
+        return bad, ""
+    first = row[np.argmax(bad)]
+    if count > LARGEST_MISSING_SHARE * len(row):
+        worst = max(missing, key=lambda name: int(missing[name].sum()))
+        raise InputError(
+            f"{source}: {count} of {len(row)} rows have NaN, infinite or empty fields, the first is row {first}, most "
+            f"of them in column {spelling.get(worst, worst)} ({int(missing[worst].sum())}); fill or remove that "
+            "column, or record again"
+        )
+    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
+    return bad, f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
+
+
+def unit_quaternions(
+    quaternion: Float[np.ndarray, "sample 4"], row: Int[np.ndarray, " sample"], source: str
+) -> tuple[Float[np.ndarray, "sample 4"], str | None]:
+    """Quaternions of unit length whose first non-zero component is positive, and a note where many were not.
+
+    Raises:
+        InputError: a length more than 1 % off; the message names the row.
+    """
+    given = np.all(np.isfinite(quaternion), axis=1)
+    with np.errstate(over="ignore"):  # an absurdly long one is infinitely long, and refused as such
+        length = np.sqrt(np.sum(np.where(given[:, None], quaternion, 0.5) ** 2, axis=1))
+    off = np.abs(length - 1.0)
+    beyond = np.flatnonzero(off > QUATERNION_TOLERANCE)
+    if beyond.size:
+        others = f" (and {beyond.size - 1} more rows)" if beyond.size > 1 else ""
+        raise InputError(
+            f"{source}: columns qw qx qy qz: row {row[beyond[0]]} has length {length[beyond[0]]:.6g}{others}, not 1; "
+            "give unit quaternions, scalar first, and leave the fields empty where the sensor lost its target"
+        )
+    note = None
+    if off.max() > 1e-6:  # below, it is the rounding of the file's decimals
+        count = int(np.sum(off > 1e-6))
+        note = f"normalised {count} quaternions, the furthest {off.max():.2g} from unit length"
+    unit = np.where((off > _ROUNDING)[:, None], quaternion / length[:, None], quaternion)
+    leading = np.argmax(np.abs(np.sign(unit)), axis=1)
+    return np.where(unit[np.arange(len(unit)), leading, None] < 0, -unit, unit), note

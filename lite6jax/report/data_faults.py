@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.arms.bundled import VARIANTS, bundled_arms
+from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import pose_faults, torque_faults
 from lite6jax.report.pose_faults import MISMATCHES, mismatch_ruled_out

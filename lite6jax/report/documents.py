@@ -16,7 +16,7 @@ import numpy as np
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Errors, Solution
-from lite6jax.controller.calibration import CalibrationRead
+from lite6jax.controller.station import CalibrationRead
 from lite6jax.design.identify import Identification
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.sensitivity import Sensitivity

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Errors, Solution
-from lite6jax.controller.verification import GATE_M, Verification
+from lite6jax.controller.sdk import GATE_M, Verification
 from lite6jax.recordings import Recording
 from lite6jax.report.canvas import (
     AFTER,

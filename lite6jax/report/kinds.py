@@ -32,7 +32,7 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.recordings.writing import write_table
+from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures
 from lite6jax.report.canvas import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.compensation import compensation_columns

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import VARIANTS, maker_of
+from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
 from lite6jax.report.screen import indented
 from lite6jax.report.words import counted, listing

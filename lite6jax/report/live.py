@@ -13,9 +13,9 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.start import calibration_poses, check_positions
-from lite6jax.controller.calibration import CalibrationRead
 from lite6jax.controller.recorder import LiveRecording, Progress
-from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
 from lite6jax.report.words import STATISTICS, fixed, listing, number
 

@@ -4,6 +4,7 @@ The same diagnosis gives the same bytes: no clock and no file name beside those 
 """
 
 import base64
+import hashlib
 import textwrap
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -18,8 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lite6jax import storage
-from lite6jax.checksum import checksum_of
 from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import ranking, reference, statements
@@ -225,8 +226,8 @@ def certificate(document: Document) -> Figure:
     for entry in document.get("inputs", ()):
         page.text(f"{entry['role']}: {entry['file']}", size=7.5)
         page.text(entry["sha256"], size=7, family="monospace")
-    page.text("this diagnosis (checksum of its values)", size=7.5)
-    page.text(checksum_of(dict(document)), size=7, family="monospace")
+    page.text("this diagnosis", size=7.5)
+    page.text(hashlib.sha256(document_text(document).encode()).hexdigest(), size=7, family="monospace")
     return page.figure
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.arms.joint_units import joint_sizes, joint_unit
+from lite6jax.arms.arm import joint_sizes, joint_unit
 from lite6jax.design.candidates import Candidates
 from lite6jax.design.determination import NARROW, Dependency, Determination
 from lite6jax.design.identify import Identification, on_last_axis

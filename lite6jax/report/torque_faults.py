@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.arm import joint_unit
 from lite6jax.report.words import Numbers, Wording, be, counted, joints_named
 
 

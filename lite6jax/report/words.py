@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.arms.joint_units import joint_unit
+from lite6jax.arms.arm import joint_unit
 from lite6jax.recordings import Recording
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}

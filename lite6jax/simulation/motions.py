@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_arms
+from lite6jax.arms.description import bundled_arms
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.units import real_array

@@ -8,8 +8,8 @@ import yaml
 from typed import refusal
 
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
-from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.chains import hayati_fk, six_parameter_fk
+from lite6jax.arms.description import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.files import convert_file, read_arm
 from lite6jax.arms.urdf import write_urdf
 from lite6jax.errors import InputError

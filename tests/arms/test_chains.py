@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from typed import refusal
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm, fk, hayati_fk, hayati_form_of, six_parameter_fk
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.errors import InputError
 from lite6jax.model import ModelForm, arm_model, predict

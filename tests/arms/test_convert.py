@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 from typed import refusal
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, six_parameter_fk
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import hayati_to_six_parameter, six_parameter_to_hayati
 from lite6jax.errors import InputError
 from tests.oracles.arms import (

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from lite6jax.arms import dynamics
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
 from tests.oracles.arms import perturbed, random_kinematics
 from tests.oracles.pinocchio_dynamics import (

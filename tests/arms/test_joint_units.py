@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lite6jax.arms.joint_units import LEVER, as_revolute, by_kind, joint_size, joint_sizes, joint_unit
+from lite6jax.arms.arm import LEVER, as_revolute, by_kind, joint_size, joint_sizes, joint_unit
 
 
 @pytest.mark.parametrize(

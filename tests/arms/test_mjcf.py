@@ -9,7 +9,7 @@ import pytest
 from typed import refusal
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import convert_file, omissions, read_arm, write_arm
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf

@@ -12,7 +12,7 @@ from typed import refusal
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_into_urdf, write_urdf

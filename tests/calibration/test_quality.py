@@ -12,7 +12,7 @@ import pytest
 from diagnosis.recorded import Made, static_motion
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.fit import fit_calibration, fit_recording
 from lite6jax.calibration.quality import FARTHEST_SHARE, quality_of_calibration, quality_of_poses
 from lite6jax.calibration.source import arm_of, matches, read_source, with_arm

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.calibration import fit, solution, solve
 from lite6jax.calibration.problem import recording_problem
 from lite6jax.calibration.residual import observe, residuals

@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager, suppress
 
 import numpy as np
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address
 from lite6jax.emulator import Body, Controller

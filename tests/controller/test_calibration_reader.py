@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_arm import ARM, KINEMATICS, emulated, new_host, reply, serving
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
-from lite6jax.controller import calibration, protocol
-from lite6jax.controller.calibration import SilentError, UncalibratedError, read_calibration
+from lite6jax.controller import protocol, station
 from lite6jax.controller.connection import Address, parse_address
+from lite6jax.controller.station import SilentError, UncalibratedError, read_calibration
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 
@@ -42,7 +42,7 @@ def asked(answer, at_a_time=1 << 16, closes=True, seconds=5.0, arm=None):
         if closes:
             theirs.shutdown(socket.SHUT_WR)
         try:
-            with patch.object(calibration, "connect", lambda *_: near):
+            with patch.object(station, "connect", lambda *_: near):
                 return read_calibration(Address("10.0.0.7"), arm, seconds)
         finally:
             theirs.setblocking(False)

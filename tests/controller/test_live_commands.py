@@ -20,7 +20,7 @@ from live_arm import ARM, KINEMATICS, emulated, new_host
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
-from lite6jax.controller import calibration
+from lite6jax.controller import station
 from lite6jax.emulator import Faults, draw_sines
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
@@ -154,7 +154,7 @@ def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
 
 
 def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(capsys, monkeypatch):
-    read = calibration.read_calibration
+    read = station.read_calibration
 
     def micrometres_off(*args):
         found = read(*args)
@@ -162,7 +162,7 @@ def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(
         rows[3, 1] += 5e-6
         return found._replace(calibration=replace(found.calibration, kinematics=rows))
 
-    monkeypatch.setattr(calibration, "read_calibration", micrometres_off)
+    monkeypatch.setattr(station, "read_calibration", micrometres_off)
     with emulated() as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
     assert code == 1

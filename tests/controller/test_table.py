@@ -10,9 +10,9 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from lite6jax.controller.table import TableWriter
+from lite6jax.controller.recorder import TableWriter
 from lite6jax.errors import InputError
-from lite6jax.recordings.stream import read_stream
+from lite6jax.recordings.raw import read_stream
 
 
 def rows(count, seed=0, columns=20):

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.frames import compare_transforms
-from lite6jax.controller import protocol, verification
-from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, find_offset, verify
+from lite6jax.controller import protocol, sdk
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, find_offset, verify
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
@@ -74,9 +74,9 @@ def test_a_tool_is_taken_into_account():
 
 def report_with(monkeypatch, tool):
     """Lets the slow report say another tool than the controller computes with."""
-    read = verification.read_condition
+    read = sdk.read_condition
     changed = lambda address: replace(read(address), tool_offset=np.array(tool))  # noqa: E731
-    monkeypatch.setattr(verification, "read_condition", changed)
+    monkeypatch.setattr(sdk, "read_condition", changed)
 
 
 def test_a_tool_that_the_kinematics_leave_out_is_said(monkeypatch):
@@ -128,7 +128,7 @@ def test_differences_are_distance_and_angle_down_to_rounding():
     ],
 )
 def test_what_cannot_be_verified_says_why(faults, says, monkeypatch):
-    monkeypatch.setattr(verification, "read_condition", partial(verification.read_condition, seconds=0.4))
+    monkeypatch.setattr(sdk, "read_condition", partial(sdk.read_condition, seconds=0.4))
     with emulated(faults=faults) as (_, address), pytest.raises(InputError, match=says) as error:
         verify(calibration(), address, samples=5)
     assert str(error.value).startswith(address.host)

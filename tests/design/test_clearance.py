@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.design.clearance import (
     Capsule,

@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from lite6jax import fit_fleet
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import hayati_fk
+from lite6jax.arms.description import load_bundled
 from lite6jax.design.determination import observability
 from lite6jax.design.identify import count, determine, identify
 from lite6jax.design.information import experiment, plan_experiment

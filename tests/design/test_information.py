@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recording_experiment
 from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.errors import InputError

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import plan_experiment

@@ -7,7 +7,7 @@ import pytest
 from typed import flat, refused, run
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.design.identify import determine, predict_accuracy
 from lite6jax.design.poses import plan_poses
 from lite6jax.design.readings import READERS, choose_places, draw_readings, plan_reading, read_places

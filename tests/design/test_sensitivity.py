@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.sensitivity import sensitivity
 from tests.oracles.arms import random_positions

@@ -7,8 +7,7 @@ import pytest
 from domains.torque import slid
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.description import write_arm
+from lite6jax.arms.description import load_bundled, write_arm
 from lite6jax.cli import main
 from lite6jax.design.motions import Motion
 from lite6jax.design.torques import identify_torques, structure_of, torque_model

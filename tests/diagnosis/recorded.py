@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.concealed.trials import draw
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.effects.serialization import parse_effect

@@ -11,8 +11,8 @@ from diagnosis.recorded import Made, static_motion
 
 from lite6jax.diagnosis import fold_processes as module
 from lite6jax.diagnosis.fold_processes import fold_processes, work_on_folds
-from lite6jax.distribution.workers import Process
 from lite6jax.recordings import write_recording
+from lite6jax.workers import _Process
 from tests import batch_work
 from tests.batch_work import folded
 
@@ -44,11 +44,11 @@ def test_what_a_process_could_not_do_is_done_here(what):
 
 def test_an_error_here_is_an_error_and_processes_that_work_are_ended_at_once(monkeypatch):
     started = []
-    monkeypatch.setattr(Process, "_start", lambda self, start=Process._start: started.append(start(self)))
+    monkeypatch.setattr(_Process, "_start", lambda self, start=_Process._start: started.append(start(self)))
 
     def fail_once_the_other_works():
         deadline = time.monotonic() + 60
-        while process._told is None and time.monotonic() < deadline:
+        while not process._is_ready and time.monotonic() < deadline:
             time.sleep(0.01)
         raise ValueError("no such fold")
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import Bend, SixParameterForm, sweep, sweep_order
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import hayati_to_six_parameter
 from lite6jax.arms.se3 import base_frame, cross, displace, turn
 from lite6jax.effects.composition import Physics

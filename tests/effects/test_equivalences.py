@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.se3 import turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup

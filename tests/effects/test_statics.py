@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.se3 import turn
 from lite6jax.effects.statics import Loads, inertia_of, loads
 from lite6jax.errors import InputError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from emulated import Line
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.emulator import Body
 from lite6jax.simulation import draw_calibration
 

@@ -12,7 +12,7 @@ import pytest
 from emulated import new_address
 from typed import flat, refused, run
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
 from tests.oracles import sliding_arms

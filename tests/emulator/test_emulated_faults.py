@@ -9,7 +9,7 @@ import pytest
 from emulated import CONTROL_PORT, new_address, read_reports, until
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.emulator import draw_sines, interpolate, read_path, visit
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Timeline, brake, move, rest, servo
 from lite6jax.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 from emulated import CONTROL_PORT, new_address, until
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.emulator import Body, Controller, draw_sines
 from lite6jax.simulation import draw_calibration

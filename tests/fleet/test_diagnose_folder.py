@@ -137,7 +137,7 @@ def test_the_command_writes_of_each_what_it_writes_of_one(corpus, tmp_path, caps
     options = ["--quick", "--poses"]
     assert main(["diagnose", str(folder / made.path.name), "--out", str(alone), *options]) == 0
     capsys.readouterr()
-    monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
+    monkeypatch.setattr("lite6jax.workers.Processes", None)  # in this process, where all is compiled
     monkeypatch.setattr("lite6jax.cli.command.check_processes", lambda processes, scheduler: None)
     results = tmp_path / "results"
     assert main(["diagnose", str(folder), "--out", str(results), *options, "--processes", "0"]) == 0

@@ -5,18 +5,18 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import nearest_arms, write_factory
 from lite6jax.arms.files import write_table
 from lite6jax.calibration.fit import fit_calibration
 from lite6jax.calibration.fleet import fit_calibrations
 from lite6jax.calibration.quality import Result
 from lite6jax.cli import main
-from lite6jax.distribution.batches import write_tables
 from lite6jax.errors import InputError
 from lite6jax.fleet import fit, place
 from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
 from lite6jax.fleet.place import restore_url
+from lite6jax.workers import write_tables
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")

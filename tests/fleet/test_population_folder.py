@@ -105,7 +105,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     for file in made.path.parent.glob("*.yaml"):
         (folder / file.name).write_bytes(file.read_bytes())
     (folder / "broken.csv").write_text("q1_rad\n")
-    monkeypatch.setattr("lite6jax.distribution.batches.Processes", None)  # in this process, where all is compiled
+    monkeypatch.setattr("lite6jax.workers.Processes", None)  # in this process, where all is compiled
     monkeypatch.setattr("lite6jax.cli.command.check_processes", lambda processes, scheduler: None)
     options = ["--out", str(results), "--quick", "--processes", "0"]
 

@@ -6,7 +6,7 @@ import pytest
 from lite6jax.domains.pose.fit import fit_recording
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, read_targets
-from tests.damaged import CSV_BY_HAND, LITE6, SAMPLES, recording
+from tests.damaged import CSV, LITE6, SAMPLES, recording
 
 ROW = 20
 ABSURD = [
@@ -20,7 +20,7 @@ ABSURD = [
 @pytest.fixture
 def written(tmp_path):
     """Writes the recording with other text in some cells, by data row and column."""
-    path = CSV_BY_HAND.write(tmp_path)
+    path = CSV.write(tmp_path)
     lines = [line.split(",") for line in path.read_text().splitlines()]
 
     def write(*cells):

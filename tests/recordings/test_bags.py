@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
-from lite6jax.recordings.sources import split_topics
+from lite6jax.recordings.files import split_topics
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="the package of the extra `rosbag` is not installed")
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the package of the extra `rosbag` is not installed")
@@ -136,18 +136,20 @@ def test_a_file_of_ros_1(tmp_path):
     assert refusal(path).startswith("is no bag, truncated or damaged (")
 
 
-def test_a_file_within_a_folder_is_the_folder(tmp_path):
+def test_a_file_within_a_folder_needs_no_metadata(tmp_path):
     path = bag2(tmp_path / "run7", topics_of(STORE))
     (part,) = path.glob("*.db3")
     part.with_suffix(".yaml").write_text("recording: {motion: trajectory}\n")
     holds_the_motion(read_recording(part))
     (path / "metadata.yaml").unlink()
-    assert refusal(part) == "has no metadata.yaml beside it; write that with `ros2 bag reindex run7`"
+    holds_the_motion(read_recording(part))
+    (path / "run7_1.db3").write_bytes(part.read_bytes())
     assert refusal(path) == "a rosbag2 without metadata.yaml; write that with `ros2 bag reindex run7`"
 
 
-def test_an_mcap_folder_whose_recorder_was_ended_is_read_by_its_file(tmp_path):
-    path = bag2(tmp_path / "run7", topics_of(STORE), "MCAP")
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
+def test_a_folder_whose_recorder_was_ended_is_read_by_its_file(tmp_path, plugin):
+    path = bag2(tmp_path / "run7", topics_of(STORE), plugin)
     (path / "metadata.yaml").unlink()
     holds_the_motion(read_recording(path))
 

@@ -9,7 +9,7 @@ from typed import flat, refused, run
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import ArmJoints, read_recording
-from lite6jax.recordings.sources import open_table
+from lite6jax.recordings.files import open_table
 
 VALUES = np.array([[0.5, -1.25, 30.5], [1.5, 2.75, -40.25], [-2.5, 0.0, 50.0], [3.5, 1.0, 60.5]])
 

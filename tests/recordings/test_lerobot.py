@@ -10,7 +10,7 @@ import pytest
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.errors import InputError
 from lite6jax.recordings import ArmJoints, read_recording, recording_file
-from lite6jax.recordings.sources import open_table
+from lite6jax.recordings.files import open_table
 
 NAMES = [f"joint_{k}.pos" for k in range(1, 7)] + ["gripper.pos"]
 LENGTHS = (30, 20)

@@ -6,7 +6,7 @@ import pytest
 from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, drop_missing
-from lite6jax.recordings.joint_changes import with_joints
+from lite6jax.recordings.motion import with_joints
 
 STATIC = RecordingSettings(motion="static")
 TRAJECTORY = RecordingSettings(motion="trajectory")

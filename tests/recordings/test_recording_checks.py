@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.recordings import (
     Recording,

@@ -1,5 +1,6 @@
 import os
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
+from tests.damaged import flip_bit, recording
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared"
 JOINTS = "q1_rad,q2_rad"
@@ -649,3 +651,21 @@ def test_the_real_torque_recordings(name, arm):
     assert (settings.arm, settings.torque_source, settings.inertial) == (arm, "current", "unknown")
     assert recording.torques().shape == (recording.samples, 6)
     agrees_with_numpy(path, recording)
+
+
+def test_no_flipped_bit_of_a_parquet_file_changes_numbers_in_silence(tmp_path):
+    path = write_recording(recording(), tmp_path / "run7.parquet")
+    assert pq.ParquetFile(path).metadata.num_rows == 60
+    path.with_suffix(".yaml").write_text("recording: {motion: static, pose_frame: base}\n")
+    whole, content = read_recording(path), path.read_bytes()
+    rng, refused = Random(0), 0
+    for _ in range(150):
+        path.write_bytes(flip_bit(content, rng))
+        try:
+            read = read_recording(path)
+        except InputError:
+            refused += 1
+            continue
+        for name, column in whole.columns().items():
+            assert read.notes != whole.notes or np.array_equal(read.columns()[name], column), name
+    assert refused > 75

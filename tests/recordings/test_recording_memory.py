@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, require_radians, write_recording
 from lite6jax.recordings.units import far_joint

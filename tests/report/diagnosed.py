@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options

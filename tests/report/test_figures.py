@@ -5,7 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from lite6jax import fit
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.fleet import compare
 from lite6jax.errors import InputError

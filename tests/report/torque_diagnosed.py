@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding

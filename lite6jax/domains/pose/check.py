@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.calibration.fit import fit_recording
 from lite6jax.calibration.problem import UNDECLARED_NOISE

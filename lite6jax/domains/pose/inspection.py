@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
 from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement, computed_by_controller
@@ -25,16 +25,17 @@ from lite6jax.recordings.columns import (
     MATRIX,
     QUATERNION,
     differs_by_joint,
+    is_no_rotation,
     is_per_joint,
     is_refused,
     is_standard,
     known_column,
     nearest_known,
+    quaternions,
     reading_of,
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
-from lite6jax.recordings.orientations import is_no_rotation, quaternions
 
 Array = NDArray[np.floating]
 

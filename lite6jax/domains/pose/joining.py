@@ -19,9 +19,8 @@ from lite6jax.domains.pose.readings import FEWEST
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
 from lite6jax.recordings import sizes
-from lite6jax.recordings.columns import QUATERNION, known_column, units_of
+from lite6jax.recordings.columns import QUATERNION, known_column, units_of, with_quaternions
 from lite6jax.recordings.naming import unit_of
-from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 

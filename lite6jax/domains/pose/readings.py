@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import frames_from_poses
-from lite6jax.recordings.columns import ANGLES, units_of
-from lite6jax.recordings.orientations import quaternions
+from lite6jax.recordings.columns import ANGLES, quaternions, units_of
 from lite6jax.recordings.sizes import Decision, Sureness, length_unit
 
 Array = NDArray[np.floating]

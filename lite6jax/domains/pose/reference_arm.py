@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
+from lite6jax.arms.description import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.domains.pose.problem import pose_problem

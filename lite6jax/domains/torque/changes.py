@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
 from lite6jax.recordings.fault import DataFault
-from lite6jax.recordings.joint_changes import with_joints
+from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
 Hypothesis = tuple["Change", ...]

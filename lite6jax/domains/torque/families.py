@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple

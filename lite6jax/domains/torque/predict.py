@@ -10,8 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import as_revolute, joint_sizes, joint_unit
+from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import evenly_timed, interpolant

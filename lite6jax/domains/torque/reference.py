@@ -7,8 +7,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.domains.torque.rows import bodies_of, require_joints
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording

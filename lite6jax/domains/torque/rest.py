@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, direction
 from lite6jax.recordings.fault import DataFault, row_numbers

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
+from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults
 from lite6jax.domains.torque.problem import TorqueProblem
@@ -21,11 +20,10 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, estimated_torque
-from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
+from lite6jax.recordings.checks import STILL_RAD, check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.recordings.joint_changes import at_positions, without_turns
+from lite6jax.recordings.motion import at_positions, without_turns
 from lite6jax.recordings.sequence import run_segments, stretches
-from lite6jax.recordings.torque_source import STILL_RAD
 
 Array = NDArray[np.floating]
 

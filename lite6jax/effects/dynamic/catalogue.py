@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from lite6jax.arms.joint_units import joint_size
+from lite6jax.arms.arm import joint_size
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.friction import (

@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.joint_units import as_revolute, joint_size
+from lite6jax.arms.arm import as_revolute, joint_size
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import Coordinate, Effect
 from lite6jax.effects.motion import Motion
@@ -21,7 +21,7 @@ Array = NDArray[np.floating]
 
 DIRECTION_SPEED = 0.002
 """rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v); of a prismatic joint it is
-0.2 mm/s (`arms.joint_units`)."""
+0.2 mm/s (`arms.arm`)."""
 
 POINT_MASS = 10
 """Numbers of a link's inertia: m, m·c, and the tensor about the frame's origin (xx yy zz xy xz yz)."""

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.domains.pose.clocks import find_clocks
 from lite6jax.errors import InputError
 from lite6jax.recordings.streams import JointStream

@@ -13,7 +13,7 @@ from typed import flat, run
 from typed import refused as refused_as_typed
 
 from benchmarks import compensation as benchmark
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options

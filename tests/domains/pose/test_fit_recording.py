@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import NOISE, Made, static_motion
 
 import lite6jax
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.options import QUICK

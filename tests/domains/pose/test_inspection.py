@@ -7,7 +7,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.readings import computed_by_controller, digit_step

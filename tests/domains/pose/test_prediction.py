@@ -136,7 +136,7 @@ def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
     made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
     found = diagnose(made.recording(static_motion(1)), options=FEW)
     motion = static_motion(10, SAMPLES)
-    poses = predicted(tmp_path, found.document(), motion)
+    poses = predicted(tmp_path, found.to_dict(), motion)
     off = (poses - made.poses(motion))[:, :3, 3]
     assert np.sqrt(np.mean(np.sum(off**2, 1))) < 1.2e-5
     turned = np.einsum("nij,nik->njk", poses[:, :3, :3], made.poses(motion)[:, :3, :3])
@@ -148,7 +148,7 @@ def test_without_noise_the_prediction_is_the_truth(arm, tmp_path):
     found = diagnose(made.recording(static_motion(1), noise=(1e-9, 1e-9)), options=FEW)
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     motion = static_motion(10, SAMPLES)
-    poses = predicted(tmp_path, found.document(), motion)
+    poses = predicted(tmp_path, found.to_dict(), motion)
     assert np.abs(poses - made.poses(motion)).max() < 1e-9
 
 

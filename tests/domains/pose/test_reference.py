@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax import simulation
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis import diagnose
 from lite6jax.diagnosis.options import Options

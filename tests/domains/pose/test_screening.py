@@ -9,7 +9,7 @@ import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, plain_effect, static_motion, with_effects
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.description import bundled_of
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
@@ -24,7 +24,7 @@ from lite6jax.domains.pose.screening.screened import Detection, Screened
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
-from lite6jax.recordings.joint_changes import with_joints
+from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
 Hypothesis = tuple["Change", ...]

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
+from lite6jax.arms.description import VARIANTS, bundled_arms, load_bundled
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns

@@ -11,7 +11,7 @@ from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.recordings.joint_changes import at_positions, without_turns
+from lite6jax.recordings.motion import at_positions, without_turns
 
 Array = NDArray[np.floating]
 

@@ -1,5 +1,7 @@
 """Recordings in files and folders with a sidecar: read whole or refused in one line, and written exactly."""
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from math import pi
 from pathlib import Path
@@ -7,22 +9,199 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pa_parquet
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
-from lite6jax.errors import InputError, require_type
+from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.plausible import without_implausible
+from lite6jax.recordings.raw import (
+    INFO,
+    SUFFIX,
+    RawTable,
+    of_arrays,
+    of_lerobot,
+    of_parquet,
+    of_stream,
+    one_line,
+    stream_path,
+)
 from lite6jax.recordings.recording import Recording, drop_missing
-from lite6jax.recordings.ros import ArmJoints
+from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
-from lite6jax.recordings.sources import SUFFIXES, TABLES, is_log, open_table, split_topics
+from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path, write_settings
 from lite6jax.recordings.table import Table, arrays_of, tabulated
-from lite6jax.recordings.writing import write_with_settings
-from lite6jax.storage import exists
+from lite6jax.recordings.texts import of_csv
+from lite6jax.recordings.units import without_implausible
+from lite6jax.storage import check_readable, check_writable, exists, write_atomically
+
+LOGS = (".mcap", ".db3", ".bag")
+TEXTS = (".csv", ".tsv", ".txt", ".dat", ".log")
+TABLES = (*TEXTS, ".parquet")
+SUFFIXES = (*TABLES, SUFFIX, *LOGS)
+"""Of the files that are recordings."""
+KINDS = "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
+_LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
+_ARMS = (".urdf", ".xacro", ".xml", ".mjcf")
+_EXCEL = (".xlsx", ".xls", ".xlsm", ".ods")
+_ARRAYS = (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather")
+
+
+def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
+    """The file or folder and the topics of `run.mcap#/joint_states,/pose`; no topics where none are named."""
+    file, topics = str(path), ""
+    if match := _LOG.fullmatch(file):
+        file, topics = match.groups()
+    elif "#/" in file and os.path.isdir(file.partition("#/")[0]):
+        file, _, topics = file.partition("#")
+    return Path(file), tuple(filter(None, (topic.strip() for topic in topics.split(","))))
+
+
+def recording_file(path: str | Path) -> Path | None:
+    """The file or folder that a recording's name names, without topics; None where it is no recording's name."""
+    file, _ = split_topics(path)
+    return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or _is_lerobot(file) else None
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file or folder is a log of ROS."""
+    return path.suffix.lower() in LOGS or _is_bag(path)
+
+
+def open_table(
+    path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str], kinds: Sequence[str] = SUFFIXES
+) -> tuple[Path, RawTable]:
+    """The table of a recording and where it is: of a Parquet file that was not completed, the stream of its stem.
+
+    Args:
+        path: the file or folder.
+        topics: of a log, as in `ros.read_log`.
+        of_arm: the joints of the arm, as far as known, of which a log says less than a table.
+        notes: what was chosen, assumed and dropped is added here.
+        kinds: the suffixes accepted.
+
+    Raises:
+        InputError: not there, of another kind (with what helps), or as the reader of its kind.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".parquet" and not exists(path) and exists(growing := stream_path(path)):
+        notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
+        path, suffix = growing, SUFFIX
+    try:
+        if os.path.isdir(path) and set(LOGS) <= set(kinds) and suffix not in SUFFIXES:
+            return path, _of_folder(path, topics, of_arm, notes)
+        if not suffix and not exists(path):
+            raise InputError(f"{path}: no such file or folder; check the name")
+        if suffix not in kinds:
+            raise InputError(f"{path}: {stranger(path) or _other(kinds)}")
+        check_readable(path)
+        if suffix in LOGS:
+            return path, _of_log(path, topics, of_arm, notes)
+        if suffix == ".parquet":
+            return path, of_parquet(path)
+        return path, of_csv(path, notes) if suffix in TEXTS else of_stream(path, notes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
+
+
+def _of_log(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
+    """The table of a log, in whose joint states nothing says the unit of efforts."""
+    columns = read_bag(path, topics, of_arm, notes)
+    return of_arrays(columns, [name for name in columns if name.startswith("tau")])
+
+
+def _other(kinds: Sequence[str]) -> str:
+    if set(LOGS) <= set(kinds):
+        return f"{KINDS}; convert it or correct the name"
+    return "targets end in .csv or .parquet; convert it or correct the name"
+
+
+def stranger(path: str | Path) -> str:
+    """What helps where a file or folder is of a kind that people take for a recording's; empty for every other."""
+    path = Path(str(path).partition("#")[0])
+    suffix, name = path.suffix.lower(), path.name
+    if os.path.isdir(path):
+        return _of_no_recording(path)
+    if suffix in _ARMS:
+        return f"describes an arm and holds no measurements; name a recording, and the arm with --arm {name}"
+    if suffix in _EXCEL:
+        table = path.with_suffix(".csv")
+        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `{command_line('init', table)}`"
+    if suffix in _ARRAYS:
+        return f"is no recording; write it as {path.stem}.csv or .parquet with a name for each column"
+    return ""
+
+
+def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
+    if _is_lerobot(path):
+        return of_lerobot(path)
+    if exists(path / METADATA):
+        return _of_log(path, topics, of_arm, notes)
+    logs = _logs(path)
+    if len(logs) == 1:  # a recorder that was ended writes no metadata
+        return _of_log(logs[0], topics, of_arm, notes)
+    if logs:
+        raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
+    raise InputError(f"{path}: {_of_no_recording(path)}")
+
+
+def _of_no_recording(path: Path) -> str:
+    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (".csv", ".parquet", ".mcap"))
+    if not tables:
+        return (
+            "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
+            "(meta/info.json), no table; name the file of a recording"
+        )
+    all_of_them = command_line("fleet", path)
+    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{all_of_them}`"
+
+
+def _is_lerobot(path: Path) -> bool:
+    return exists(path / INFO)
+
+
+def _is_bag(path: Path) -> bool:
+    return os.path.isdir(path) and (exists(path / METADATA) or bool(_logs(path)))
+
+
+def _logs(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
+
+
+# ------------------------------------------------------------------ writing
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Writes a table so that every number reads back bit for bit; Parquet has a checksum in each page.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    if path.suffix.lower() == ".parquet":
+        pa_parquet.write_table(table, path, use_dictionary=False, compression="zstd", write_page_checksum=True)
+        return
+    with open(path, "wb") as file:  # Arrow would put the names in quotes
+        file.write(",".join(table.column_names).encode() + b"\n")
+        pa_csv.write_csv(table, file, pa_csv.WriteOptions(include_header=False, quoting_style="none"))
+
+
+def write_with_settings(table: pa.Table, settings: RecordingSettings, path: Path, overwrite: bool) -> Path:
+    """Writes a table, and the sidecar beside it.
+
+    Raises:
+        InputError: as `storage.write_atomically` of either.
+    """
+    for file in (path, sidecar_path(path)):
+        check_writable(file, overwrite)
+    write_atomically(path, lambda target: write_table(table, target), overwrite)
+    write_settings(settings, sidecar_path(path), overwrite)
+    return path
+
+
+# ------------------------------------------------------------------ whole recordings
 
 
 def read_recording(
@@ -64,7 +243,6 @@ def read_recording(
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
     columns, values = table.columns, table.values
-    settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
 
@@ -81,8 +259,7 @@ def read_recording(
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    recording = _assembled(table, path, settings, notes)
-
+    recording = _assembled(table, path, sidecar.settings, notes)
     spelling = table.spelling
     recording = drop_missing(recording, spelling)
     if joint_limits is not None:
@@ -133,7 +310,7 @@ def read_targets(
     given = "q1_rad" in found
     if not given:
         values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
-    recording = _assembled(table, path, _checked(sidecar, path, notes), notes)
+    recording = _assembled(table, path, sidecar.settings, notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
@@ -169,13 +346,6 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
 def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:
     arrays = without_implausible(arrays_of(table, str(path), notes), str(path), table.spelling, notes)
     return Recording.assembled(**arrays, settings=settings, source=str(path), notes=tuple(notes))
-
-
-def _checked(sidecar: Sidecar, path: Path, notes: list[str]) -> RecordingSettings:
-    """What the sidecar declares, after a check that it was written with this table."""
-    sidecar.checksums.check_table(path)
-    notes += sidecar.checksums.notes
-    return sidecar.settings
 
 
 def _declared_joints(path: Path, sidecar: Sidecar) -> ArmJoints:

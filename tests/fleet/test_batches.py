@@ -12,10 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lite6jax.distribution import batches as layer
-from lite6jax.distribution.batches import Workers, run_batches
-from lite6jax.distribution.workers import work
+from lite6jax import workers as layer
 from lite6jax.errors import InputError
+from lite6jax.workers import Workers, run_batches, work
 from tests.batch_work import dead, ends_at_once, freed, hoarded, resident, spelled, unsendable
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,7 +97,7 @@ def test_work_that_was_left_does_not_come_back(tmp_path):
 @LINUX
 def test_a_worker_that_has_grown_is_renewed_and_nothing_is_lost(monkeypatch):
     bound = resident_of_a_fresh_worker() + (250 << 20)
-    monkeypatch.setattr("lite6jax.distribution.workers.MOST_RESIDENT", bound)
+    monkeypatch.setattr("lite6jax.workers.MOST_RESIDENT", bound)
     rows = outcomes(hoarded, [[f"{i}"] for i in range(6)], 130 << 20, processes=1)
     assert [rows[i]["input"].to_pylist() for i in range(6)] == [[f"{i}"] for i in range(6)]
     processes = [rows[i]["process"][0].as_py() for i in range(6)]
@@ -114,9 +113,10 @@ def resident_of_a_fresh_worker():
 def test_freed_memory_between_what_stays_is_given_back():
     if not hasattr(ctypes.CDLL(None), "malloc_trim"):
         pytest.skip("the C library is not glibc")
-    work(pickle.dumps((freed, ())), ["a"])
+    job = pickle.dumps((freed, ()))
+    work(job, ["a"])
     before = resident()
-    rows, after = work(None, ["a"])
+    rows, after = work(job, ["a"])
     held = rows["held"][0].as_py()
     assert held - before > 5 << 20
     assert after - before < held - before
@@ -150,7 +150,7 @@ SLOW = [[f"{i}", "slow"] for i in range(20)]
 KILLED = """
 import sys
 from pathlib import Path
-from tests.distribution.test_batches import SLOW, ran
+from tests.fleet.test_batches import SLOW, ran
 ran(Path(sys.argv[1]), SLOW, processes=2)
 """
 
@@ -177,6 +177,6 @@ def test_a_run_that_was_killed_leaves_no_process_and_no_temporary_folder(tmp_pat
 
 
 def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("lite6jax.distribution.workers._serve", ends_at_once)
+    monkeypatch.setattr("lite6jax.workers._serve", ends_at_once)
     with pytest.raises(InputError, match="the processes that are to do the work end as they start; free memory, or"):
         outcomes(spelled, [["a"]], str(tmp_path), processes=1)

@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from lite6jax import workers as layer
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import write_arm
 from lite6jax.cli import main
-from lite6jax.distribution import workers as layer
-from lite6jax.distribution.batches import run_batches
 from lite6jax.errors import InputError
+from lite6jax.workers import run_batches
 from tests.batch_work import dead, reduced, spelled
 from tests.oracles.arms import random_kinematics
 
