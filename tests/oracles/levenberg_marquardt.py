@@ -16,7 +16,7 @@ _SCALES = 30
 def fit_of_record(problem, start, freedom=None):
     """The likeliest model of a problem, and whether the last solve converged.
 
-    Under Student's t of `freedom` degrees it solves at one scale of the noise after the other, until that has converged.
+    Under Student's t of `freedom` degrees it solves at one scale of the noise after the other.
     """
     form, free = problem.form, problem.movable.astype(float)
     data = (jnp.asarray(part) for part in (problem.joint_position, problem.pose, np.ones(len(problem.pose))))
