@@ -26,7 +26,7 @@ with import_lazily():
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.distribution import batches
     from lite6jax.effects import user_effects
-    from lite6jax.fleet import diagnoses, options, reduction
+    from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.report import (
         canvas,
         diagnosis_figures,
@@ -263,7 +263,7 @@ class Diagnose:
             document = diagnoses.pool_folder(
                 str(self.source),
                 out,
-                options.DEFAULTS,
+                terms.PoolingOptions(),
                 self.over,
                 self.scheduler,
                 self.processes,

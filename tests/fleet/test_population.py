@@ -9,7 +9,7 @@ from fleet.linear_arms import OPTIONS, arm, population, stored, tried, wave
 from lite6jax.checksum import verify
 from lite6jax.distribution.batches import Workers
 from lite6jax.fleet.pooling import Reduced
-from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.population import check_fleet_document
 from lite6jax.fleet.terms import PooledTerm
 
 ROOT = Path(__file__).resolve().parents[2]
