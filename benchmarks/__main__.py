@@ -16,11 +16,11 @@ from lite6jax.storage import check_writable
 
 WORKLOADS = {
     **dict.fromkeys(("one", "fleet"), "fits"),
-    **{name: name for name in ("samples", "study", "command", "folders", "growth", "devices", "ceres", "diagnose")},
-    **{name: name for name in ("fleet_diagnosis", "compensation", "models", "regressor", "soak", "interrupts")},
+    **{name: name for name in ("samples", "study", "command", "folders", "devices", "ceres", "diagnose")},
+    **{name: name for name in ("fleet_diagnosis", "compensation", "models", "regressor", "soak")},
 }
 """Functions of this folder's modules, by name, in the order in which they run."""
-BY_NAME = ("growth", "devices", "ceres", "fleet_diagnosis")
+BY_NAME = ("devices", "ceres", "fleet_diagnosis")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
 COMPARED = ("models", "devices")
 PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}

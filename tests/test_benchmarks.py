@@ -19,7 +19,6 @@ from benchmarks import (
     diagnose,
     fits,
     folders,
-    growth,
     measure,
     models,
     problem,
@@ -275,31 +274,6 @@ def test_ceres_and_the_library_agree():
     found = list(ceres.ceres(arms=2, samples=40, repeats=1))
     assert [record.failed for record in found] == [""] * len(found)
     assert all(record.value > 0 for record in found)
-
-
-SIZES = (100, 300, 1000, 3000, 10_000)
-
-
-@pytest.mark.parametrize(("constant", "exponent"), [(0.0, 1.0), (0.5, 1.0), (0.02, 2.0), (0.0, 1.5)])
-def test_the_exponent_of_a_known_law_is_inside_its_interval(constant, exponent):
-    rng = np.random.default_rng(4)
-    seconds = (constant + (np.array(SIZES) / 1000) ** exponent) * np.exp(0.02 * rng.standard_normal(len(SIZES)))
-    found = growth.fitted("work", SIZES, seconds, start=constant > 0)
-    assert abs(found.exponent - exponent) <= found.interval
-    assert 0 < found.interval < 0.5
-    million = constant + 1000.0**exponent
-    assert found.at(1e6) == pytest.approx(million, rel=0.6)
-
-
-def test_an_exponent_takes_four_sizes():
-    with pytest.raises(ValueError, match="work: 3 sizes; give 4 or more"):
-        growth.fitted("work", (1, 2, 3), (1, 2, 3))
-
-
-def test_the_figure_shows_every_law(tmp_path):
-    laws = [growth.fitted(of, SIZES, np.array(SIZES) * 1e-3 * (k + 1)) for k, of in enumerate(("files", "joints"))]
-    growth.draw(laws, tmp_path / "growth.png")
-    assert (tmp_path / "growth.png").stat().st_size > 5000
 
 
 def halves(recording, low):

@@ -102,8 +102,6 @@ def test_design_a_motion(capsys, tmp_path, arm):
         (("--torque", "--limit-margin", "900"), "leaves joint1 no room; give a smaller one"),
         (("--torque", "--box", "5000", "0", "0", "6000", "10", "10"), "box refused 100 % of them; widen it"),
         (("--torque", "--poses", "9"), "--torque: designs a motion; leave --poses out"),
-        (("--processes", "2"), "--processes, --scheduler: apply only to the design of a motion; add"),
-        (("--torque", "--processes", "0"), "--processes 0: give 1 or more"),
         (("--torque", "--sensor", "camera"), "--torque: designs a motion; leave the options of a sensor out"),
         (("--duration", "20"), "--duration: is for torques; add --torque"),
         (("--torque", "--discriminate", "a", "b"), "--torque: designs a motion; leave --discriminate out"),

@@ -25,7 +25,7 @@ with import_lazily():
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.effects import user_effects
-    from lite6jax.fleet import diagnoses, options, reduction
+    from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.report import (
         canvas,
         diagnosis_figures,
@@ -262,7 +262,7 @@ class Diagnose:
             document = diagnoses.pool_folder(
                 str(self.source),
                 out,
-                options.DEFAULTS,
+                terms.PoolingOptions(),
                 self.over,
                 self.scheduler,
                 self.processes,

@@ -446,12 +446,6 @@ class Design:
     refine: bool = True
     """Move the chosen poses on by gradient, between the candidates."""
     seed: command.Seed = 0
-    processes: command.Processes = None
-    """With --torque: so many processes of this machine compute, each with one thread; this one alone where not
-    given."""
-    scheduler: command.Scheduler = None
-    """With --torque, in place of processes of this machine: the Dask cluster of the scheduler at this address
-    (tcp://HOST:8786)."""
     figures: command.Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
     json: command.Json = False
@@ -464,7 +458,6 @@ class Design:
         inputs = [self.source, self.recorded, self.collision_geometry, *filters]
         command.check_outputs([self.out, sidecar], inputs, self.force)
         command.check_seed(self.seed)
-        command.check_processes(self.processes, self.scheduler)
         self._check_options()
         of_motion = self.torque.torque
         name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
@@ -490,10 +483,6 @@ class Design:
                 raise InputError(f"--torque: designs a motion; leave {given[0]} out")
             return
         self.torque.refuse_unused()
-        if self.processes is not None or self.scheduler is not None:
-            raise InputError(
-                "--processes, --scheduler: apply only to the design of a motion; add --torque, or leave them out"
-            )
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(
                 "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
@@ -546,8 +535,7 @@ class Design:
     def _design_motion(self, arm: "arms.Arm") -> "Designed":
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
-        search = motions.MotionSearch(seed=self.seed, processes=self.processes, scheduler=self.scheduler)
-        found = torques.plan_motion(self.torque.model(arm), room, search)
+        found = torques.plan_motion(self.torque.model(arm), room, motions.MotionSearch(seed=self.seed))
         report = study.torque_plan_report(found, disabled, self.source)
         time, motion = found.trajectory.time, found.trajectory.motion
         settings = recordings.RecordingSettings(

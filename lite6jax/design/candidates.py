@@ -4,9 +4,8 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,7 +141,13 @@ def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLi
     if not (low < high).all():
         corners = f"{tuple(low.tolist())} to {tuple(high.tolist())}"
         raise InputError(f"box {corners} m: empty; give the least x, y, z, then the greatest")
-    return _beyond("box", partial(_into_box, arm, low, high, point))
+
+    def into_box(q: Array) -> Array:
+        T = link_frames(arm, q)[-1]
+        position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
+        return np.minimum(position - low, high - position).min(1)
+
+    return _beyond("box", into_box)
 
 
 def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
@@ -153,70 +158,34 @@ def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)
         height: in the base's frame, m.
         tool_point: `(3,)` m in the flange's frame.
     """
-    return _beyond("floor", partial(_over_floor, arm, height, np.asarray(tool_point, float)))
+    point = np.asarray(tool_point, float)
+
+    def over_floor(q: Array) -> Array:
+        F = link_frames(arm, q)
+        tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
+        return np.minimum(F[1:, 2, 3].min(0), tool) - height
+
+    return _beyond("floor", over_floor)
 
 
 def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
     """The arm's capsules keep a clearance of more than `margin`, m."""
-    return _beyond("self-collision", partial(_apart, collision, margin))
+    return _beyond("self-collision", lambda q: collision.clearance(q) - margin)
 
 
 def _beyond(name: str, distance: Distance) -> Filter:
     """The condition that a distance is positive."""
-    return Filter(name, partial(_positive, distance), distance)
-
-
-# functions of this module, and no lambdas: filters are sent to workers
-
-
-def _positive(distance: Distance, q: Array) -> NDArray[np.bool_]:
-    return distance(q) > 0
-
-
-def _into_box(arm: Arm, lower: Array, upper: Array, point: Array, q: Array) -> Array:
-    T = link_frames(arm, q)[-1]
-    position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
-    return np.minimum(position - lower, upper - position).min(1)
-
-
-def _over_floor(arm: Arm, height: float, point: Array, q: Array) -> Array:
-    F = link_frames(arm, q)
-    tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
-    return np.minimum(F[1:, 2, 3].min(0), tool) - height
-
-
-def _apart(collision: SelfCollision, margin: float, q: Array) -> Array:
-    return collision.clearance(q) - margin
+    return Filter(name, lambda q: distance(q) > 0, distance)
 
 
 def user_filter(reference: str) -> Filter:
     """A function of the user's own, from `FILE.py:function`: `(sample, joint)` rad to `(sample,)` bool.
 
-    Loading it runs the file; so does a worker that the filter is sent to.
+    Loading it runs the file.
 
     Raises:
         InputError: no such file or function, or an error in either; here, or where the filter is applied.
     """
-    _user_function.cache_clear()  # a file may have changed since it was loaded
-    _user_function(reference)
-    return Filter(reference, partial(_accepts_of_user, reference))
-
-
-def _accepts_of_user(reference: str, q: Array) -> NDArray[np.bool_]:
-    function = _user_function(reference)
-    try:
-        mask = np.asarray(function(q.copy()))
-    except Exception as error:
-        raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
-    if mask.shape != (len(q),) or mask.dtype != bool:
-        raise InputError(
-            f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
-        )
-    return mask
-
-
-@cache
-def _user_function(reference: str) -> Callable[[Array], Any]:
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py") or not name.isidentifier():
         raise InputError(f"filter {reference!r}: write FILE.py:function")
@@ -235,7 +204,19 @@ def _user_function(reference: str) -> Callable[[Array], Any]:
     if not callable(function):
         there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
-    return function
+
+    def accepts(q: Array) -> NDArray[np.bool_]:
+        try:
+            mask = np.asarray(function(q.copy()))
+        except Exception as error:
+            raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
+        if mask.shape != (len(q),) or mask.dtype != bool:
+            raise InputError(
+                f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
+            )
+        return mask
+
+    return Filter(reference, accepts)
 
 
 def _one_line(error: Exception) -> str:

@@ -4,23 +4,17 @@ Capsules come from the arm's chain or from a URDF's collision geometry.
 """
 
 import re
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from numpy import typing as npt
 
 from lite6jax.arms import frames, urdf
 from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.se3 import cross, joint_turn
 from lite6jax.errors import InputError
 from lite6jax.recordings import require_radians
 from lite6jax.storage import exists, open_file
@@ -275,90 +269,44 @@ def link_frames(arm: Arm, joint_position: npt.ArrayLike) -> Floats:
         InputError: joint positions in degrees.
     """
     require_radians(joint_position, arm.joint_limits)
-    F = _in_blocks(lambda q: _frames(arm.links, q, arm.sliding), joint_position)[1:]
-    T = arm.T_joint_flange
-    flange = np.einsum("ijs,jk->iks", F[-1][:, :3], T[:3])
-    flange[:, 3] += F[-1][:, 3]
-    return np.concatenate([F, flange[None]])
+    _, *walked = frames.walk(arm.links, np.asarray(joint_position, float), arm.sliding)
+    return np.moveaxis(np.stack([*walked, walked[-1] @ arm.T_joint_flange])[:, :, :3], 1, -1)
 
 
-def segment_distance(p1: ArrayLike, q1: ArrayLike, p2: ArrayLike, q2: ArrayLike) -> Array:
+def segment_distance(p1: npt.ArrayLike, q1: npt.ArrayLike, p2: npt.ArrayLike, q2: npt.ArrayLike) -> Floats:
     """The distance between segments p1 q1 and p2 q2; each end `(3, …)`, points and parallels included.
 
     The least of what each end is from the other segment and, where the common perpendicular of the lines meets both
     segments, of its length (C. Ericson, Real-Time Collision Detection, 2005, 5.1.9, its cases taken at once). Lines
     within 1 µrad of parallel are left to their ends: nothing is divided by what rounding made.
     """
-    p1, q1, p2, q2 = (jnp.asarray(p) for p in (p1, q1, p2, q2))
+    p1, q1, p2, q2 = (np.asarray(p, float) for p in (p1, q1, p2, q2))
     d1, d2, between = q1 - p1, q2 - p2, p2 - p1
-    a, e, n = jnp.sum(d1 * d1, 0), jnp.sum(d2 * d2, 0), cross(d1, d2)
-    n2 = jnp.sum(n * n, 0)
+    a, e, n = np.sum(d1 * d1, 0), np.sum(d2 * d2, 0), np.cross(d1, d2, axis=0)
+    n2 = np.sum(n * n, 0)
     oblique = n2 > 1e-12 * a * e
-    safe = jnp.where(oblique, n2, 1.0)
-    s, t = (jnp.sum(cross(between, d) * n, 0) / safe for d in (d2, d1))
+    safe = np.where(oblique, n2, 1.0)
+    s, t = (np.sum(np.cross(between, d, axis=0) * n, 0) / safe for d in (d2, d1))
     meets = oblique & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    squares = [jnp.where(meets, jnp.sum(between * n, 0) ** 2 / safe, jnp.inf)]
+    squares = [np.where(meets, np.sum(between * n, 0) ** 2 / safe, np.inf)]
     for p, start, d, length2 in ((p1, p2, d2, e), (q1, p2, d2, e), (p2, p1, d1, a), (q2, p1, d1, a)):
         to = p - start
-        along = jnp.clip(jnp.sum(to * d, 0) / jnp.where(length2 > 0, length2, 1.0), 0.0, 1.0)
-        squares.append(jnp.sum((to - along * d) ** 2, 0))
-    return jnp.sqrt(jnp.min(jnp.stack(squares), 0))
-
-
-@partial(jax.jit, static_argnums=2)
-def _frames(links: ArrayLike, q: ArrayLike, sliding: tuple[int, ...]) -> Array:
-    """The base's frame and those after each joint, `(joint + 1, 3, 4, sample)`, of `(joint, sample)` rad or m."""
-    links, q = jnp.asarray(links), jnp.asarray(q)
-    count, samples = q.shape
-    cos, sin, shift = joint_turn(q, sliding)
-    first = jnp.broadcast_to(jnp.eye(3, 4)[:, :, None], (3, 4, samples))
-
-    def body(i: Array, collected: Array) -> Array:
-        F, L = collected[i], links[i]
-        x, y, z, origin = (sum(F[:, j] * L[j, k] for j in range(3)) for k in range(4))
-        origin = origin if shift is None else origin + shift[i] * z
-        turned = jnp.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, z, F[:, 3] + origin], 1)
-        return collected.at[i + 1].set(turned)
-
-    return lax.fori_loop(0, count, body, jnp.zeros((count + 1, 3, 4, samples)).at[0].set(first))
-
-
-def _in_blocks(function: Callable[[Floats], Array], joint_position: npt.ArrayLike) -> Floats:
-    """A jitted function of `(joint, block)`, over samples `(sample, joint)`: one shape, so that it is compiled once."""
-    q = np.asarray(joint_position, float)
-    count = len(q)
-    padded = np.zeros((q.shape[1], max(-(-count // _BLOCK), 1) * _BLOCK))
-    padded[:, :count] = q.T
-    found = [np.asarray(function(padded[:, i : i + _BLOCK])) for i in range(0, padded.shape[1], _BLOCK)]
-    return np.concatenate(found, -1)[..., :count]
+        along = np.clip(np.sum(to * d, 0) / np.where(length2 > 0, length2, 1.0), 0.0, 1.0)
+        squares.append(np.sum((to - along * d) ** 2, 0))
+    return np.sqrt(np.min(squares, 0))
 
 
 def _pair_clearances(arm: Arm, capsules: Sequence[Capsule], pairs: npt.NDArray[np.integer], q: npt.ArrayLike) -> Floats:
     """Each pair's distance of surfaces, m, `(pair, sample)`."""
-    carriers = np.array([capsule.link for capsule in capsules])
-    segments = np.array([[capsule.start, capsule.end] for capsule in capsules], float)
-    radii = np.array([capsule.radius for capsule in capsules], float)[pairs].sum(1)
-    return _in_blocks(lambda block: _clearances(arm.sliding, arm.links, carriers, segments, radii, pairs, block), q)
-
-
-@partial(jax.jit, static_argnums=0)
-def _clearances(
-    sliding: tuple[int, ...],
-    links: ArrayLike,
-    carriers: ArrayLike,
-    segments: ArrayLike,
-    radii: ArrayLike,
-    pairs: ArrayLike,
-    q: ArrayLike,
-) -> Array:
-    """The distance of each pair's surfaces, `(pair, sample)`, of `(joint, sample)` rad or m."""
-    segments = jnp.asarray(segments)
-    F = _frames(links, q, sliding)[carriers]
-    ends = jnp.sum(F[:, None, :, :3] * segments[:, :, None, :, None], 3) + F[:, None, :, 3]
-
-    def of_pair(both: tuple[Array, Array]) -> Array:
-        pair, radius = both
-        (p1, q1), (p2, q2) = ends[pair[0]], ends[pair[1]]
-        return segment_distance(p1, q1, p2, q2) - radius
-
-    return lax.map(of_pair, (jnp.asarray(pairs), jnp.asarray(radii)))
+    q = np.asarray(q, float)
+    found = np.empty((len(pairs), len(q)))
+    for some in (slice(first, first + _BLOCK) for first in range(0, len(q), _BLOCK)):
+        walked = list(frames.walk(arm.links, q[some], arm.sliding))
+        ends = [
+            [walked[one.link][..., :3, :3] @ end + walked[one.link][..., :3, 3] for end in (one.start, one.end)]
+            for one in capsules
+        ]
+        for k, (i, j) in enumerate(pairs):
+            distance = segment_distance(*(end.T for end in (*ends[i], *ends[j])))
+            found[k, some] = distance - capsules[i].radius - capsules[j].radius
+    return found

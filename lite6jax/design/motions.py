@@ -8,19 +8,16 @@ IEEE Transactions on Robotics and Automation 13 (1997), eq. 8, with angular freq
 Rest at t = 0 and after each period takes Σ aₖ = 0 (velocity) and Σ k bₖ = 0 (acceleration).
 """
 
-import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
 from jax import Array
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_sizes
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
@@ -428,44 +425,16 @@ def _pull_back(free: Free, bounds: tuple[Array, ...], harmonics: int, change: Mo
 
 
 class MotionSearch(NamedTuple):
-    """How the best motion is sought, and who computes.
+    """How the best motion is sought.
 
     Attributes:
         seed: of the random motions.
         draws: random motions, with which the best is compared too.
         starts: ascents, from the best of these.
         steps: of each ascent.
-        processes: of this machine that compute, each with one thread; none but this one where not given.
-        scheduler: the address of the scheduler of a Dask cluster that computes.
     """
 
     seed: int = 0
     draws: int = 50
     starts: int = 2
     steps: int = 150
-    processes: int | None = None
-    scheduler: str | None = None
-
-
-def compute_each(
-    workers: Workers, function: Callable[[Free], Any], motions: Sequence[Free], together: int = 5
-) -> list[Any]:
-    """What a function makes of each of some motions, in their order; so many are a batch.
-
-    Motions are independent and each is computed by one thread, so that numbers do not depend on the workers.
-
-    Raises:
-        InputError: a process was ended.
-    """
-    batches = [motions[first : first + together] for first in range(0, len(motions), together)]
-    done = dict(workers.outcomes(_compute, enumerate(batches), (function,), died=_fail))
-    return [pickle.loads(found) for number in range(len(batches)) for found in done[number]["found"].to_pylist()]
-
-
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def _compute(motions: Sequence[Free], function: Callable[[Free], Any]) -> pa.Table:
-    return pa.table({"found": [pickle.dumps(function(free)) for free in motions]})
-
-
-def _fail(free: Free) -> pa.Table:
-    raise InputError("a process that works on the design was ended; free memory, or give --processes 1")

@@ -10,6 +10,7 @@ from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
@@ -18,13 +19,11 @@ from lite6jax.design.motions import (
     ACCELERATION,
     VELOCITY,
     Excitation,
-    Free,
     Motion,
     MotionRoom,
     MotionSearch,
     Trajectory,
     ascend,
-    compute_each,
     random_motions,
 )
 from lite6jax.effects.dynamic.torque_effect import direction
@@ -424,6 +423,7 @@ class TorquePlan:
         return float(np.exp((self.identification.log_determinant - log_determinant) / (2 * count)))
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # sums of products depend on the threads
 def plan_motion(model: TorqueModel, room: MotionRoom, search: MotionSearch) -> TorquePlan:
     """The motion with the largest information determinant about base parameters and friction that the room allows.
 
@@ -433,24 +433,21 @@ def plan_motion(model: TorqueModel, room: MotionRoom, search: MotionSearch) -> T
     Args:
         model: the unknowns and the noise.
         room: limits, obstacles, duration.
-        search: random motions, ascents, and who computes.
+        search: random motions and ascents.
 
     Raises:
-        InputError: no room for a motion; or as `Workers`.
+        InputError: no room for a motion.
     """
     structure = structure_of(model)
     columns = partial(model.columns, chosen=structure.free, scale=structure.scale)
     drawn = random_motions(room, search.seed, search.draws)
     excitation = Excitation(room, columns)
-    with Workers(search.scheduler, search.processes or 0, max(search.draws, 1)) as workers:
-        values = np.array(compute_each(workers, excitation.value, drawn))
-        best = [drawn[i] for i in np.argsort(-values, kind="stable")[: max(search.starts, 1)]]
-        ends = compute_each(workers, partial(ascend, excitation, steps=search.steps), best, together=1)
-        random = compute_each(workers, partial(_identify_free, structure, room), drawn)
+    values = np.array([excitation.value(free) for free in drawn])
+    best = [drawn[i] for i in np.argsort(-values, kind="stable")[: max(search.starts, 1)]]
+    ends = [ascend(excitation, start, search.steps) for start in best]
     free, _, _ = max(ends, key=lambda end: end[1])
     steps = sum(improved for _, _, improved in ends)
-    return TorquePlan(room, room.trajectory(free), _identify_free(structure, room, free), tuple(random), steps)
-
-
-def _identify_free(structure: Structure, room: MotionRoom, free: Free) -> TorqueIdentification:
-    return identify_torques(structure.model, room.trajectory(free).motion, structure=structure)
+    own, *random = (
+        identify_torques(model, room.trajectory(each).motion, structure=structure) for each in (free, *drawn)
+    )
+    return TorquePlan(room, room.trajectory(free), own, tuple(random), steps)

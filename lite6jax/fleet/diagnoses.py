@@ -14,7 +14,7 @@ from lite6jax.fleet.place import DIED, Place, list_recordings
 from lite6jax.workers import Workers, run_batches
 
 with import_lazily():  # where recordings are pooled
-    from lite6jax.fleet import options, pooling, population, reduced, terms
+    from lite6jax.fleet import pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
@@ -180,7 +180,7 @@ def _make_folder(out: Path, place: Place) -> Path:
 def pool_folder(
     folder: str,
     out: Path,
-    thresholds: "options.PoolingOptions",
+    thresholds: "terms.PoolingOptions",
     over: Literal["date"] | None = None,
     scheduler: str | None = None,
     processes: int | None = None,

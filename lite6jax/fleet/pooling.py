@@ -33,9 +33,8 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import ArmLikelihoods
-from lite6jax.fleet.options import PoolingOptions
 from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared
-from lite6jax.fleet.terms import PooledTerm, Process, Tested, Tried
+from lite6jax.fleet.terms import PooledTerm, PoolingOptions, Process, Tested, Tried
 from lite6jax.workers import Workers
 
 if TYPE_CHECKING:

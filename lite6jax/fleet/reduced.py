@@ -24,8 +24,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import block_covariance, sums_by_block
-from lite6jax.fleet.options import PoolingOptions
-from lite6jax.fleet.terms import CUBICS, SPLINES, Candidate, Place, PooledTerm, Process, Tested, Varied
+from lite6jax.fleet.terms import CUBICS, SPLINES, Candidate, Place, PooledTerm, PoolingOptions, Process, Tested, Varied
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]

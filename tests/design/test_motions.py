@@ -8,7 +8,7 @@ from domains.torque import slid
 
 from lite6jax.arms.arm import Arm
 from lite6jax.cli.study import TorqueSetup
-from lite6jax.design import candidates, clearance
+from lite6jax.design import candidates
 from lite6jax.design.motions import (
     Excitation,
     Free,
@@ -31,7 +31,6 @@ LIMITS = motion_limits(ARM, [1.0, 2.0, 3.0], [4.0, 6.0, 20.0])
 MADE = {"duration": 6.0, "harmonics": 4, "rate": 50.0}
 ROOM = MotionRoom(ARM, LIMITS, **MADE)
 UNKNOWN = torque_model(ARM)
-NUMBERS = ("samples", "span", "determined", "standard_deviation", "condition", "log_determinant", "at_rest")
 FINE = np.linspace(0.0, 6.0, 20011)
 
 
@@ -126,29 +125,6 @@ def test_obstacles_are_kept_clear_of():
     # without them the same seed leads elsewhere
     unhindered = plan_motion(UNKNOWN, ROOM, MotionSearch(draws=10, starts=1, steps=0)).trajectory.motion.q.T
     assert not candidates.all_pass(filters, unhindered).all()
-
-
-def test_designs_do_not_depend_on_the_processes(tmp_path):
-    """Under filters of every kind; each process loads the user's anew."""
-    (tmp_path / "mine.py").write_text("def low(q):\n    return q[:, 2] < 2.5\n")
-    filters = [
-        candidates.inside_box(ARM, (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)),
-        candidates.above_floor(ARM, -1.5),
-        candidates.clear_of_itself(clearance.self_collision(ARM)),
-        candidates.user_filter(f"{tmp_path / 'mine.py'}:low"),
-    ]
-    room = MotionRoom(ARM, LIMITS, filters, duration=6.0, harmonics=3, rate=50.0)
-
-    def designed(processes):
-        search = MotionSearch(draws=7, starts=2, steps=3, processes=processes)
-        plan = plan_motion(UNKNOWN, room, search)
-        motion = [part.tolist() for part in plan.trajectory.motion]
-        found = [
-            [np.asarray(getattr(one, name)).tolist() for name in NUMBERS] for one in (plan.identification, *plan.random)
-        ]
-        return motion, found, plan.steps
-
-    assert designed(2) == designed(None)
 
 
 def test_an_ascent_never_ends_lower():

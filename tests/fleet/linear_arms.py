@@ -5,11 +5,10 @@ import numpy as np
 from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.noise import UNCORRELATED, NoiseModel
 from lite6jax.estimation.problem import Quantity
-from lite6jax.fleet.options import PoolingOptions
 from lite6jax.fleet.pooling import Reduced
 from lite6jax.fleet.population import Member, diagnose_population
 from lite6jax.fleet.reduced import Heading, ReducedArm
-from lite6jax.fleet.terms import Candidate, Place, PooledTerm, Tried, Varied
+from lite6jax.fleet.terms import Candidate, Place, PooledTerm, PoolingOptions, Tried, Varied
 from lite6jax.workers import Workers
 
 SAMPLES = 80

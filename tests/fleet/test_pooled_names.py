@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
-from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.population import check_fleet_document
 from lite6jax.fleet.terms import PooledTerm, Process
 from lite6jax.report.fleets import population_report, title
 

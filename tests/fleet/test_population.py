@@ -7,7 +7,7 @@ import pytest
 from fleet.linear_arms import OPTIONS, arm, population, stored, tried, wave
 
 from lite6jax.fleet.pooling import Reduced
-from lite6jax.fleet.schema import check_fleet_document
+from lite6jax.fleet.population import check_fleet_document
 from lite6jax.fleet.terms import PooledTerm
 from lite6jax.workers import Workers
 

@@ -8,11 +8,10 @@ from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.fleet.options import PoolingOptions
+from lite6jax.fleet.population import check_fleet_document
 from lite6jax.fleet.reduced import ReducedArm
 from lite6jax.fleet.reduction import reduced
-from lite6jax.fleet.schema import check_fleet_document
-from lite6jax.fleet.terms import PooledTerm
+from lite6jax.fleet.terms import PooledTerm, PoolingOptions
 from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)

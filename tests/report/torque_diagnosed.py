@@ -1,5 +1,7 @@
 """Diagnoses of simulated torques without a search, for what a report shows."""
 
+from unittest.mock import patch
+
 import numpy as np
 
 from lite6jax.arms.description import load_bundled
@@ -7,8 +9,9 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque import screening
+from lite6jax.domains.torque.hypotheses import ScreenedTorques
 from lite6jax.domains.torque.problem import torque_problem
-from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.effects.dynamic.friction import CoulombFriction, CoupledFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import JointSpring, TorqueOffset, TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.estimation.least_squares import fit
@@ -55,9 +58,10 @@ def recorded(declared=True, friction=True, extra=None):
 
 
 def diagnosed(recording, effects=(), faults=(), arm=LITE6):
-    """The result of a search that adds just these effects: no search is run, and nothing is held out."""
+    """The result of a search that adds just these effects: nothing is searched for, nor held out."""
     options = Options()
-    problem = torque_problem(screen_torques(recording, arm).data)
+    with patch.object(screening, "correct_faults", lambda data: ScreenedTorques(data, (), ())):
+        problem = torque_problem(screening.screen_torques(recording, arm).data)
     baseline = fit(problem, Terms(), options.engine)
     fitted = fit(problem, Terms(effects), options.engine) if effects else baseline
     scores = score_test(problem, baseline, options.engine).score(effects) if effects else []

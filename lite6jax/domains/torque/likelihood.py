@@ -48,6 +48,8 @@ _PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
 """Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
 _TILT = 0.15
 """rad, one sigma of a base's tilt."""
+_RIDGE = 1e-12
+"""Added to the squares of columns of unit length, of which some may be zero or alike."""
 _OF_SIGN = float(np.log(7))
 """Log-likelihood that a reversed sign costs: one of seven joints."""
 
@@ -202,20 +204,16 @@ class Samples:
         moved, gravity = self._moved(hypothesis)
         measured, rigid = maps(hypothesis, self.dof)[2] @ self.measured, self.rigid(moved, gravity)
         n, dof, half = self.measured.shape[1], self.dof, 0.5 * self.counted
-        square, factor, loaded = np.empty((2, dof, dof)), np.ones((2, dof)), np.empty((2, dof))
-        seen = np.zeros(dof, bool)
-        for j, columns in enumerate(self._beside(moved)):
-            weight = max(float(np.linalg.norm(rigid[j])), 1e-300)
-            alone = np.linalg.qr(columns.T)
-            with_load = np.linalg.qr(np.vstack([columns, rigid[j] / weight]).T)
-            for k, sign in enumerate((1.0, -1.0)):
-                for c in range(dof):
-                    square[k, c, j] = _nonnegative(alone, sign * measured[c] - rigid[j])[1] / n
-                numbers, rss = _nonnegative(with_load, sign * measured[j])
-                factor[k, j], loaded[k, j] = numbers[-1] / weight, rss / n
-            seen[j] = (
-                half * np.log(_nonnegative(alone, measured[j])[1] / (n * max(loaded[:, j].min(), 1e-300))) > TRUSTED
-            )
+        weight = np.maximum(np.linalg.norm(rigid, axis=1, keepdims=True), 1e-300)
+        # an offset of either sign is what the mean is taken off for
+        own, measured, rigid = (x - x.mean(-1, keepdims=True) for x in (self._beside(moved)[:, 2:], measured, rigid))
+        missed = np.concatenate([sign * measured - rigid[:, None] for sign in (1.0, -1.0)] + [measured[:, None]], 1)
+        squares = _nonnegative(own, missed)[1] / n
+        square = squares[:, :-1].reshape(dof, 2, dof).transpose(1, 2, 0)
+        both = np.stack([measured, -measured], 1)
+        numbers, rss = _nonnegative(np.concatenate([own, (rigid / weight)[:, None]], 1), both)
+        factor, loaded = numbers[..., -1].T / weight.T, rss.T / n
+        seen = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > TRUSTED
         square = np.maximum(square, self.floor[None, :, None] ** 2)
         loaded = np.maximum(loaded, self.floor**2)
         every, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
@@ -401,12 +399,25 @@ def _rotated(numbers: Array, R: Array) -> Array:
     return np.r_[numbers[0], R @ numbers[1:4], np.diagonal(tensor), tensor[[0, 0, 1], [1, 2, 2]]]
 
 
-def _nonnegative(factors: tuple[Array, Array], y: Array) -> tuple[Array, float]:
-    """Numbers of columns `QR`, none negative, by least squares, and the sum of squares that they leave."""
-    Q, R = factors
-    target = Q.T @ y
-    numbers, left = nnls(R, target)
-    return numbers, max(float(y @ y - target @ target), 0.0) + left**2
+def _nonnegative(columns: Array, y: Array) -> tuple[Array, Array]:
+    """Numbers `(…, row, number)` of a few columns, none negative, by least squares, and the squares that they leave.
+
+    Of all sets of columns whose least squares have no negative number, the one that leaves least; all at once.
+
+    Args:
+        columns: `(…, number, sample)`, none longer than one.
+        y: `(…, row, sample)`.
+    """
+    count = columns.shape[-2]
+    sets = (np.arange(2**count)[:, None] >> np.arange(count)) % 2 == 1
+    H = np.where(sets[:, :, None] & sets[:, None], (columns @ columns.swapaxes(-1, -2))[..., None, :, :], 0.0)
+    H = H + np.where(sets, _RIDGE, 1.0)[..., None] * np.eye(count)
+    b = (y @ columns.swapaxes(-1, -2)).swapaxes(-1, -2)[..., None, :, :]
+    x = np.linalg.solve(H, np.where(sets[..., None], b, 0.0))
+    explained = np.where((x >= 0).all(-2), np.sum(x * b, -2), -np.inf)
+    best = np.argmax(explained, -2)
+    numbers = np.take_along_axis(x, best[..., None, None, :], -3)[..., 0, :, :].swapaxes(-1, -2)
+    return numbers, np.maximum(np.sum(y**2, -1) - np.max(explained, -2), 0.0)
 
 
 def _solved(H: Array, g: Array, lower: NDArray[np.bool_]) -> Array:
