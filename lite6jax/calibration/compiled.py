@@ -15,7 +15,7 @@ SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 """For functions that are called from several threads, which would otherwise share XLA's own pool."""
 
 _PACKAGE = Path(__file__).parents[1]
-_LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "pyarrow")
+_LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "pyarrow", "optimistix")
 
 
 def keep_compiled_code() -> None:

@@ -26,7 +26,7 @@ from lite6jax.calibration.problem import (
 from lite6jax.calibration.quality import NOISES, Result, spread_of
 from lite6jax.calibration.residual import POSE, POSITION
 from lite6jax.calibration.solution import Errors, Held, Noise, Solution, prediction_errors
-from lite6jax.calibration.solve import Estimate, inverse, solve
+from lite6jax.calibration.solve import Estimate, Solver, inverse, solve
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
@@ -56,6 +56,7 @@ _EXCESS = 2.0
 def fit_calibration(
     calibration: FactoryCalibration,
     *,
+    solver: Solver = "gauss_newton",
     samples: int = SAMPLES,
     seed: int = 0,
     max_steps: int = MAX_STEPS,
@@ -73,7 +74,7 @@ def fit_calibration(
     q = np.concatenate([sample_within_limits(arm, samples, seed), check_positions(arm, seed)])
     pose = calibration_poses(calibration, q)
     problem = calibration_problem(calibration, q[:samples], pose[:samples])
-    estimate = solve(problem, max_steps=max_steps)
+    estimate = solve(problem, solver=solver, max_steps=max_steps)
     errors = prediction_errors(problem.form, estimate.model, q, pose)
     return Solution(
         arm=arm,
@@ -120,6 +121,7 @@ def fit_recording(
     *,
     geometry: Geometry = "declared",
     loss: Loss = "student_t",
+    solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
 ) -> Solution:
     """The fit of a recording; `checked` on contiguous fifths, each predicted by a fit of the other four. See `fit`.
@@ -130,6 +132,7 @@ def fit_recording(
     """
     problem = recording_problem(recording, nominal, geometry)
     form, chain = problem.form, problem.form.chain
+    everything = np.arange(recording.samples)
     few = np.unique(np.linspace(0, recording.samples - 1, min(MOST_SPREAD, recording.samples)).astype(int))
     spread = few if len(few) < recording.samples else slice(None)
     information = _information(problem.select(few), recording.source)
@@ -151,12 +154,13 @@ def fit_recording(
     some, weight = problem.select(few), np.ones((FOLDS, recording.samples))
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
         weight[k, fold] = 0.0
-    start, begun = first.model, None
-    if len(few) < recording.samples:
-        on_few = estimate(some, free, start=start)
-        start, begun = on_few.model, (on_few, recording.samples / len(few))
-    final = estimate(problem, free, begun=begun, start=start)
-    folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], start=start), list(weight))
+    start = {"start": first.model, "solver": solver}
+    begun = None
+    if len(few) < len(everything) and solver == "gauss_newton":
+        on_few = estimate(some, free, **start)
+        start["start"], begun = on_few.model, (on_few, len(everything) / len(few))
+    final = estimate(problem, free, begun=begun, **start)
+    folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], **start), list(weight))
     frames_only = free & (np.arange(form.size) >= chain.size)
     nominal_fit = estimate(some, frames_only)
 

@@ -1,11 +1,13 @@
-"""One arm's fit under Student's t, by damped Gauss–Newton on the host.
+"""One arm's fit under Student's t: damped Gauss–Newton on the host, and the solver of record, optimistix'
+Levenberg–Marquardt.
 
 Samples are looked at slice by slice and on every core. Slices of long recordings are of one size, so that one function
 is compiled, and are added in order, so that sums do not depend on the threads. The scale of the noise follows the
 residuals of every step.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,12 +31,14 @@ from lite6jax.calibration.residual import (
     pad,
     padded_size,
     predict_frames,
+    residuals,
     whiten,
 )
 from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.model import ArmModel, ModelForm
 
 Array = NDArray[np.floating]
+Solver = Literal["gauss_newton", "levenberg_marquardt"]
 
 SLICE = 10 * BLOCK
 """Samples of a slice: 3 MB of poses."""
@@ -44,8 +48,12 @@ _SCALE_TOLERANCE = 1e-6
 """Relative change of the noise scale below which it has converged."""
 _FEW = 1500
 """Samples up to which the compiler's optimisation takes longer than it saves, were it a hundred looks."""
+_MAX_SCALES = 30
+"""Most solves of record, each at another scale."""
 _LEAST_CURVED = 0.5
 """Of the curvature of the loss over that of its weighted squares; of few outliers it is 0.9."""
+_RECORD = 1e-12, 1e-13
+"""Relative and absolute tolerance of the solver of record."""
 
 
 class Estimate(NamedTuple):
@@ -75,6 +83,7 @@ def solve(
     start: ArmModel | None = None,
     weight: Array | None = None,
     freedom: float | None = None,
+    solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
     begun: tuple[Estimate, float] | None = None,
 ) -> Estimate:
@@ -86,6 +95,7 @@ def solve(
         start: where from; that of the problem where not given.
         weight: `(sample,)`; zero holds a sample out, of the scale as well.
         freedom: degrees of freedom of Student's t; None is least squares.
+        solver: which; see `fit`.
         max_steps: most steps; zero only evaluates residuals and information at the start.
         begun: an estimate from some of the samples, and how many times as many there are: its curvature serves for the
             steps until it leads no further.
@@ -93,7 +103,10 @@ def solve(
     free = problem.movable if free is None else free
     samples = _Samples(problem, np.ones(len(problem.pose)) if weight is None else weight, freedom)
     first: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
-    end, scale, result, steps = _gauss_newton(samples, free, first, max_steps, begun)
+    if solver == "levenberg_marquardt" and max_steps:
+        end, scale, result, steps = _solve_by_record(samples, free, first, max_steps)
+    else:
+        end, scale, result, steps = _solve_by_gauss_newton(samples, free, first, max_steps, begun)
     seen = samples.look(*end, scale, curved=True)
     curvature = seen.curvature + np.diag(problem.precision)
     information = np.where(np.outer(free, free), curvature, np.diag(1.0 - free))
@@ -217,7 +230,7 @@ _totals, _totals_of_few = (
 )
 
 
-def _gauss_newton(
+def _solve_by_gauss_newton(
     samples: _Samples,
     free: NDArray[np.bool_],
     start: ArmModel,
@@ -271,3 +284,75 @@ def _damped_solve(H: Array, gradient: Array, damping: float) -> Array:
         return np.linalg.solve(H / np.outer(root, root) + damping * np.eye(len(H)), gradient / root) / root
     except np.linalg.LinAlgError:
         return np.full_like(gradient, np.nan)
+
+
+def _solve_by_record(
+    samples: _Samples, free: NDArray[np.bool_], start: ArmModel, max_steps: int
+) -> tuple[tuple[ArmModel, Array], float, Result, int]:
+    """As `_solve_by_gauss_newton`, by solves of record at one scale after the other, until the scale has converged."""
+    form, still = samples.problem.form, np.zeros(free.size)
+    size, block = padded_size(len(samples.weight))
+    q, pose, weight, whitener = map(jnp.asarray, samples.padded(slice(None), size))
+    observed = observe(form, q, pose, weight, whitener, block)
+    model, steps, scale, result = start, 0, samples.first_scale(start), Result.STEPS_EXHAUSTED
+    for _ in range(_MAX_SCALES):
+        robust = None if samples.freedom is None else _robust(samples.freedom, scale)
+        known = samples.center, samples.problem.precision, free.astype(float)
+        found = _solve_of_record(form, max_steps, model, observed, robust, *known)
+        model, cost, good, more = jax.tree.map(np.asarray, found)
+        result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
+        result, steps = result if np.isfinite(cost) else Result.NOT_FINITE, steps + int(more)
+        if robust is None or result == Result.NOT_FINITE:
+            break
+        before, scale = scale, samples.scale(samples.look(model, still, scale, curved=False).squares)
+        if abs(scale / before - 1) < _SCALE_TOLERANCE:
+            break
+    return (model, still), scale, result, steps
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _solve_of_record(
+    form: ModelForm,
+    max_steps: int,
+    start: ArmModel,
+    observed: Observations,
+    robust: Robust | None,
+    center: jax.Array,
+    precision: jax.Array,
+    free: jax.Array,
+) -> tuple[ArmModel, jax.Array, jax.Array, jax.Array]:
+    """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
+    import optimistix  # which takes 0.3 s
+
+    n = form.chain.size
+
+    def robust_residuals(model: ArmModel, block: Observations) -> jax.Array:
+        """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
+        rows = residuals(form, model, block)
+        if robust is None:
+            return rows
+        there = block.weight > 0
+        squares = jnp.sum(rows**2, 0) / jnp.where(there, block.weight, 1.0) / robust.scale**2
+        u = squares / robust.freedom
+        small = u < 1e-5
+        safe = jnp.where(small, 1.0, u)
+        ratio = jnp.where(small, 1 - u / 2 + u * u / 3 - u**3 / 4, jnp.log1p(safe) / safe)
+        return jnp.sqrt((robust.freedom + rows.shape[0]) / robust.freedom * ratio) / robust.scale * rows
+
+    def every_residual(step: jax.Array, _: None) -> jax.Array:
+        model = form.retract(start, step * free)
+        rows = lax.map(partial(robust_residuals, model), observed)
+        pull = jnp.sqrt(precision[:n]) * (model.geometry - center)
+        return jnp.concatenate([rows.reshape(-1), pull * free[:n], step * (1 - free)])
+
+    solution = optimistix.least_squares(
+        every_residual,
+        optimistix.LevenbergMarquardt(*_RECORD, norm=optimistix.max_norm),
+        jnp.zeros(form.size),
+        options={"jac": "fwd"},
+        max_steps=max_steps,
+        throw=False,
+    )
+    cost = 0.5 * jnp.sum(every_residual(solution.value, None) ** 2)
+    good = solution.result == optimistix.RESULTS.successful
+    return form.retract(start, solution.value * free), cost, good, solution.stats["num_steps"]

@@ -98,6 +98,8 @@ class Fit:
     """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
     loss: Literal["student_t", "least_squares"] = "student_t"
     """Of a recording: student_t is robust to outliers."""
+    solver: Literal["gauss_newton", "levenberg_marquardt"] = "gauss_newton"
+    """gauss_newton is the fast one, levenberg_marquardt that of optimistix; they agree."""
     samples: int = 300
     """Of a calibration: joint positions drawn inside the limits."""
     seed: int = 0
@@ -128,10 +130,10 @@ class Fit:
         names = [f"{stem}_{kind}" for kind in (*kinds, *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
         if isinstance(source, recordings.Recording):
-            found = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss)
+            found = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
             report = [fits.recording_read(source, found)]
         else:
-            found = fit.fit_calibration(source, samples=self.samples, seed=self.seed)
+            found = fit.fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
             report = [fits.calibration_read(source)]
             if verified:
                 try:

@@ -80,7 +80,6 @@ _DOCUMENT = record(
         "recordings": list[_RECORDING],
         "effects": list[_EFFECT],
     },
-    {"checksum": str},
 )
 
 

@@ -7,14 +7,11 @@ from scipy.optimize import least_squares
 
 import lite6jax
 from lite6jax.calibration.fit import fit_recording
-from lite6jax.calibration.problem import TOLERANCE, recording_problem
-from lite6jax.calibration.solve import solve
-from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.robust import gaussian_t_scale, t_scale
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
 from lite6jax.report.documents import document, text
 from tests.oracles.arms import NOMINAL, lite6_positions, perturbed_parameters
 from tests.oracles.chains import seed_poses
-from tests.oracles.levenberg_marquardt import fit_of_record
 from tests.oracles.transforms import perturb_poses, quaternions, random_transform
 
 POSITION_NOISE, ORIENTATION_NOISE = 2e-5, 1e-4
@@ -259,22 +256,22 @@ def test_the_prior_of_a_factory_file_is_respected(tmp_path):
     assert rms[1] < rms[2]
 
 
-@pytest.mark.parametrize(("freedom", "unknown"), [(None, True), (FREEDOM, False)])  # each compiles for long
-def test_the_solver_agrees_with_levenberg_marquardt(freedom, unknown):
+@pytest.mark.parametrize(("loss", "unknown"), [("least_squares", True), ("student_t", False)])  # each compiles for long
+def test_the_fast_solver_agrees_with_levenberg_marquardt(loss, unknown):
     rng = np.random.default_rng(7)
     frames = {"frame": random_transform(rng, 2.0), "tool": random_transform(rng, 0.1)} if unknown else {}
     data = recording(rng, perturbed_parameters(rng), joint_noise=5e-5 if unknown else 0.0, **frames)
-    problem = recording_problem(data, None, "declared")
-    precision = np.zeros(problem.form.size)
-    precision[: problem.form.chain.size] = [TOLERANCE[unit] ** -2.0 for unit in problem.form.chain.units]
-    problem = dataclasses.replace(problem, precision=precision)
-    fast, first = solve(problem, freedom=freedom), solve(problem, freedom=FREEDOM if freedom is None else None)
-    record, converged = fit_of_record(problem, first.model, freedom)
-    assert converged
-    assert fast.result == lite6jax.Result.CONVERGED
-    deviation = np.sqrt(np.diagonal(np.linalg.inv(fast.information))).max()
-    for one, other in zip(fast.model, record, strict=True):
-        assert np.abs(one - other).max() < (1e-12 if freedom is None else 1e-5 * deviation)
+    fast = lite6jax.fit(data, loss=loss)
+    record = lite6jax.fit(data, loss=loss, solver="levenberg_marquardt")
+    assert record.result == lite6jax.Result.CONVERGED
+    q = lite6_positions(rng, 50)
+    if loss == "least_squares":
+        assert np.abs(fast.predict(q) - record.predict(q)).max() < 1e-12
+        assert np.abs(fast.parameters - record.parameters).max() < 1e-12
+        np.testing.assert_allclose(fast.checked.position, record.checked.position, rtol=0, atol=1e-12)
+    else:
+        assert np.abs(fast.parameters - record.parameters).max() < 1e-5 * fast.standard_deviation.max()
+        np.testing.assert_allclose(fast.checked.position, record.checked.position, rtol=0, atol=1e-5 * POSITION_NOISE)
 
 
 def test_held_out_blocks_are_predicted_by_the_others():
