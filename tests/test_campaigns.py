@@ -40,7 +40,8 @@ def test_drawing_a_trial_takes_nothing_of_the_library():
     said = (
         "import json, sys; from benchmarks.concealed import trials; from benchmarks.torque_trials import trials as t;"
     )
-    said += "trials.draw(0, 5), t.draw(0, 1); loaded = {name: str(getattr(module, '__file__', ''))"
+    said += "trials.draw(0, 5), trials.draw_reading('plane', 0, 0), t.draw(0, 1);"
+    said += " loaded = {name: str(getattr(module, '__file__', ''))"
     said += " for name, module in sys.modules.items()}; print(json.dumps(loaded))"
     run = subprocess.run([sys.executable, "-c", said], cwd=RECORD.parents[2], capture_output=True, text=True)
     loaded = json.loads(run.stdout)
@@ -191,6 +192,17 @@ def test_arguments_that_cannot_be_used_are_said(campaign, arguments, why, capsys
     with pytest.raises(SystemExit, match="2"):
         harness.main([campaign.name, *arguments])
     assert why in capsys.readouterr().err
+
+
+def test_sensors_that_measure_no_poses_have_kinds_and_goals_of_their_own(rows, capsys):
+    for arguments, why in ((["contact", "--kind", "mixture"], "there are clean and single"), (["sonar"], "invalid")):
+        with pytest.raises(SystemExit, match="2"):
+            harness.main(["concealed", "--sensor", *arguments])
+        assert why in capsys.readouterr().err
+    reader, judged = POSES.sensors["plane"], [row for _, row in rows["concealed"]]
+    asked = [goal.asked for goal in reader.goals(judged)]
+    assert [said.split(" ")[0] for said in asked] == ["clean", "found", "—", "95"]
+    assert {title for title, *_ in sections(reader, judged)} >= {"Goals", "Nothing hidden"}
 
 
 @DOMAINS

@@ -30,6 +30,7 @@ from benchmarks.concealed.view import Open, View
 from lite6jax.arms.arm import Arm as LibraryArm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.description import load_bundled, read_description
+from lite6jax.domains.pose.fit import fit
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.serialization import effect_from_dict
@@ -322,6 +323,26 @@ def test_a_seed_gives_the_same_trial_and_the_library_reads_it(index, tmp_path):
     assert not recording.notes
     given = " ".join(first.files.values())
     assert not any(effect["effect"] in given for effect in first.truth["hidden"])  # nothing tells
+
+
+@pytest.mark.parametrize("sensor", plans.READERS)
+def test_the_library_fits_what_the_generator_reads_to_its_noise(sensor, tmp_path):
+    clean = plans.READ_ROUNDS.indices(0, 12, "clean")
+    index = next(i for i in clean if trials.draw_reading(sensor, 0, i).plan.geometry == "known")
+    trial = trials.draw_reading(sensor, 0, index)
+    assert trial.files == trials.draw_reading(sensor, 0, index).files
+    write_files(trial.files, tmp_path)
+    recording = read_recording(tmp_path / "recording.csv")
+    assert recording.samples == plans.READERS[sensor]
+    assert not recording.notes
+    assert fit(recording).noise.over_declared == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_place_that_is_touched_is_none_of_what_an_effect_shows():
+    trial = trials.draw_reading("contact", 0, 1)
+    (effect,) = trial.truth["hidden"]
+    assert effect["size"] == pytest.approx(trial.truth["sizes"][0], rel=1e-2)
+    assert 0.01 < effect["seen"] < 0.5  # most of what it does, points, tool and chain can do as well
 
 
 def test_sizes_are_those_that_were_planned():

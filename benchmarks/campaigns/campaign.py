@@ -9,8 +9,8 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -98,6 +98,7 @@ class Campaign:
         story: of a truth and its row, what is particular to the domain: a line of its own, and lines on the errors.
         beside: of a truth, the files that an exported trial has beside it, and what is added to the truth.
         answer: diagnoses the files of a folder and writes what comes of it there.
+        sensors: campaigns of other sensors, among which `--sensor` chooses.
     """
 
     name: str
@@ -112,6 +113,7 @@ class Campaign:
     story: Callable[[Row, Row], tuple[str, Iterable[str]]]
     beside: Callable[[str, Row], tuple[dict[str, str], Row]]
     answer: Callable[[Path], None] = diagnose_and_predict
+    sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
 
     def seal(self, seed: int, index: int, folder: Path, sealed_families: bool = False) -> str:
         """Draws a trial, writes what the diagnosis is given, puts the truth aside, and gives only its SHA-256."""

@@ -1,4 +1,4 @@
-"""Tables of numbers as the files of a trial have them: CSV, a column a name."""
+"""Tables as the files of a trial have them: CSV, a column a name."""
 
 import math
 from collections.abc import Mapping
@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 
 def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
-    """The columns, of equal length, as CSV with so many significant digits."""
-    rows = np.column_stack([np.asarray(values, float) for values in columns.values()])
-    lines = ([f"{v:.{digits}g}" for v in row] for row in rows)
+    """The columns, of equal length, as CSV: numbers with so many significant digits, text as it is."""
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = ([v if isinstance(v, str) else f"{v:.{digits}g}" for v in row] for row in rows)
     return "\n".join([",".join(columns), *map(",".join, lines)]) + "\n"
 
 

@@ -30,6 +30,12 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--kind", choices=campaign.kinds, action="append", help="only trials of this kind; give it again for one more"
     )
+    if campaign.sensors:
+        parser.add_argument(
+            "--sensor",
+            choices=list(campaign.sensors),
+            help="only recordings of this sensor, which measures no poses: clean ones and single effects",
+        )
     parser.add_argument(
         "--sealed",
         action="store_true",
@@ -53,6 +59,9 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
     )
     options = parser.parse_args(arguments)
+    campaign = campaign.sensors.get(getattr(options, "sensor", None) or "", campaign)
+    if not set(options.kind or ()) <= set(campaign.kinds):
+        parser.error(f"--kind: with this sensor there are {' and '.join(campaign.kinds)}")
     if options.trial is not None and (options.kind or options.out or options.figure or options.compare):
         parser.error("--trial: runs one and keeps nothing; leave --kind, --out, --figure and --compare out")
     if options.out and options.out.suffix != ".parquet":

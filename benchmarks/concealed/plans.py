@@ -52,8 +52,18 @@ UNCERTAIN = 5e-5
 """m and rad: the standard deviation that an uncertain factory file says of itself."""
 LOOSE = (5 * MADE[0], 5 * MADE[1])
 """m and rad: what anyone believes of an arm of whose numbers nothing is said; it settles what no pose can."""
+TOUCHED, ENCODERS = (1e-3, 5e-3), 2e-4
+"""m and rad: what is believed of the chain, and of each encoder once a turn, where touches are all that is measured."""
 OFF = 1e-5
 """m and rad: how far the factory file is off that says nothing of it."""
+
+READERS = {"contact": 120, "plane": 150, "distance": 200, "axis": 200, "fixed_camera": 60, "flange_camera": 60}
+"""Sensors that measure no poses, and how many readings or images each takes."""
+READ_KINDS: tuple[Kind, ...] = ("clean", "single")
+READ_ROUNDS = Rounds({"clean": 1, "single": 1}, 11)
+READ_SIZES = (2.0, 2.0, 2.0, 3.0, 5.0, 10.0)
+READ = tuple(name for name in SINGLE if name not in ("joint_lag", "time_offset", "measurement_scale", "tool_offset"))
+"""Effects of an arm at rest that a sensor with places and a tool of its own may show."""
 
 BY_CONTROLLER = (
     "joint_offset",
@@ -178,6 +188,41 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         edge=edge,
         masses_off=edge == "masses off" or (kind == "outside" and ordinal % 3 == 0),
         sealed=sealed and kind == "outside",
+    )
+
+
+def draw_reading_plan(sensor: str, seed: int, index: int, rng: np.random.Generator) -> Plan:
+    """What a trial of a sensor that measures no poses is to be: nothing, or one effect of twice the threshold or more.
+
+    Args:
+        sensor: a key of `READERS`.
+        seed: of the campaign.
+        index: of the trial in it.
+        rng: draws what no goal is set on.
+    """
+    kind = READ_ROUNDS.kind_of(seed, index)
+    ordinal = READ_ROUNDS.ordinal(seed, index, kind)
+    single = kind == "single"
+    effects = (turn(seed, 3, ordinal, READ),) if single else ()
+    # an unknown frame is geometry, and touches of planes have no length of their own
+    tables = (
+        ["known", "uncertain"] if sensor == "plane" or "frame_offset" in effects else ["known", "uncertain", "unknown"]
+    )
+    return Plan(
+        seed=seed,
+        index=index,
+        kind=kind,
+        engine="plain",
+        arm=str(rng.choice(["lite6", "seven", "six"], p=[0.7, 0.15, 0.15])),
+        sensor=sensor,
+        moving=False,
+        geometry=str(rng.choice(tables)),
+        mounted=True,
+        noise=NOISES[0],
+        fault="",
+        effects=effects,
+        sizes=(turn(seed, 4, ordinal, READ_SIZES),) if single else (),
+        rows=READERS[sensor],
     )
 
 

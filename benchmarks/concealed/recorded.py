@@ -1,5 +1,6 @@
 """What is recorded: motions, what sensor and encoders read of them with noise and faults, and the files of it."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from benchmarks.concealed.plans import SENSORS, UNCERTAIN, Plan
 UNSEEN_ROWS = 200
 _TRACK_STEP, _REST_STEP = 0.05, 8.0
 PAYLOAD_CENTER = (0.01, 0.0, 0.05)
+JOINTS = (-3.0, 3.4)
+"""rad, between which joints stay."""
 
 
 def draw_motion(
@@ -38,7 +41,7 @@ def draw_motion(
     Temperatures that are `wandering` rise and fall as well: what depends on them is then no function of time.
     """
     dof = chain.dof
-    lower, upper = np.maximum(chain.limits[:, 0], -3.0), np.minimum(chain.limits[:, 1], 3.4)
+    lower, upper = np.clip(chain.limits, *JOINTS).T
     curve: Curve | None = None
     if moving:
         curve = _drawn_curve(rng, (lower + upper) / 2, (upper - lower) / 2)
@@ -137,26 +140,10 @@ def files_of(
     unseen: Motion,
 ) -> dict[str, str]:
     """What the diagnosis is given, and the motion that is to be predicted."""
-    said: dict[str, Any] = {
-        "arm": nominal.name if nominal.bundled else "arm.yaml",
-        "joint_source": "measured",
-        "pose_source": SENSORS[plan.sensor][2],
-        "motion": "trajectory" if plan.moving else "static",
-        "pose_frame": "unknown" if plan.mounted else "base",
-        "tool": "unknown" if plan.mounted else "none",
-        "position_noise_m": noise[0],
-        "payload_com_m": list(PAYLOAD_CENTER),
-    }
-    files: dict[str, str] = {}
+    said: dict[str, Any] = {"pose_source": SENSORS[plan.sensor][2], "position_noise_m": noise[0]}
+    said["payload_com_m"] = list(PAYLOAD_CENTER)
     if noise[1]:
         said["orientation_noise_rad"] = noise[1]
-    if plan.geometry != "unknown":
-        said["factory_calibration"] = "factory.yaml"
-        files["factory.yaml"] = factory_text(declared.rows)
-    if plan.geometry == "uncertain":
-        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
-    if not nominal.bundled:
-        files["arm.yaml"] = description_text(nominal)
     columns = _columns(motion, q, plan.moving)
     columns.update(zip(("x_m", "y_m", "z_m"), measured[1].T, strict=True))
     if noise[1]:
@@ -168,10 +155,53 @@ def files_of(
     if plan.fault == "repeated_rows":
         again = np.random.default_rng([plan.seed, 9, plan.index]).choice(len(order), 8, replace=False)
         order = np.sort(np.concatenate([order, again]))
-    files["recording.yaml"] = yaml.safe_dump({"recording": said}, sort_keys=False)
-    files["recording.csv"] = csv_text({name: values[order] for name, values in columns.items()})
-    files["unseen.csv"] = csv_text(_columns(unseen, unseen.q, plan.moving))
-    return files
+    return {
+        **_declared(plan, nominal, declared, said),
+        "recording.csv": csv_text({name: values[order] for name, values in columns.items()}),
+        "unseen.csv": csv_text(_columns(unseen, unseen.q, plan.moving)),
+    }
+
+
+def files_of_readings(
+    plan: Plan,
+    nominal: Chain,
+    declared: Chain,
+    motion: Motion,
+    readings: Mapping[str, Any],
+    said: Mapping[str, Any],
+    unseen: Motion,
+) -> dict[str, str]:
+    """As `files_of`, of columns of readings: as many for each sample of the motion."""
+    (count,) = {len(column) // len(motion.q) for column in readings.values()}
+    columns = {name: np.repeat(column, count) for name, column in _columns(motion, motion.q, False).items()}
+    columns |= {name: column for name, column in readings.items() if name != "inside"}
+    there = readings.get("inside", slice(None))
+    return {
+        **_declared(plan, nominal, declared, {**said, "payload_com_m": list(PAYLOAD_CENTER)}),
+        "recording.csv": csv_text({name: column[there] for name, column in columns.items()}),
+        "unseen.csv": csv_text(_columns(unseen, unseen.q, False)),
+    }
+
+
+def _declared(plan: Plan, nominal: Chain, declared: Chain, sensor: Mapping[str, Any]) -> dict[str, str]:
+    """The sidecar, with what it says of the sensor, and the files that it names."""
+    said: dict[str, Any] = {
+        "arm": nominal.name if nominal.bundled else "arm.yaml",
+        "joint_source": "measured",
+        "pose_source": sensor["pose_source"],
+        "motion": "trajectory" if plan.moving else "static",
+        "pose_frame": "unknown" if plan.mounted else "base",
+        "tool": "unknown" if plan.mounted else "none",
+    } | dict(sensor)
+    files: dict[str, str] = {}
+    if plan.geometry != "unknown":
+        said["factory_calibration"] = "factory.yaml"
+        files["factory.yaml"] = factory_text(declared.rows)
+    if plan.geometry == "uncertain":
+        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
+    if not nominal.bundled:
+        files["arm.yaml"] = description_text(nominal)
+    return files | {"recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False)}
 
 
 def _columns(motion: Motion, q: Array, moving: bool) -> dict[str, Array]:

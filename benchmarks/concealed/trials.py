@@ -7,14 +7,34 @@ from numpy.typing import NDArray
 
 from benchmarks.campaigns.rounds import Trial, first_made
 from benchmarks.concealed import chain as chains
+from benchmarks.concealed import readings
 from benchmarks.concealed.chain import Array, Chain, quaternion_from_rotation, vector_from_rotation
 from benchmarks.concealed.hiding import described, hide
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.oracle import oracle
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
-from benchmarks.concealed.plans import LOOSE, NAMES_AT_STAKE, OFF, SENSORS, UNCERTAIN, Plan, draw_plan
-from benchmarks.concealed.recorded import PAYLOAD_CENTER, UNSEEN_ROWS, draw_motion, files_of, measure
+from benchmarks.concealed.plans import (
+    ENCODERS,
+    LOOSE,
+    NAMES_AT_STAKE,
+    OFF,
+    SENSORS,
+    TOUCHED,
+    UNCERTAIN,
+    Plan,
+    draw_plan,
+    draw_reading_plan,
+)
+from benchmarks.concealed.recorded import (
+    JOINTS,
+    PAYLOAD_CENTER,
+    UNSEEN_ROWS,
+    draw_motion,
+    files_of,
+    files_of_readings,
+    measure,
+)
 from benchmarks.concealed.view import Open, View, turned
 
 MASS_ERROR = 0.1
@@ -30,6 +50,69 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
         sealed: draws what is outside the catalogue from the sealed families, and from no other.
     """
     return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 0, index)
+
+
+def draw_reading(sensor: str, seed: int, index: int, sealed: bool = False) -> Trial:
+    """As `draw`, of a sensor that measures no poses, a key of `READERS`; these hide nothing outside the catalogue."""
+
+    def make(rng: np.random.Generator) -> Trial | None:
+        return _make_reading(draw_reading_plan(sensor, seed, index, rng), rng)
+
+    return first_made(make, seed, 12, index)
+
+
+def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
+    """The trial of a plan; None where the arm does not come to the places, or what it would hide cannot be seen."""
+    nominal, actual, declared = _arms(plan, rng)
+    scene = readings.draw_scene(plan.sensor, rng, actual, plan.rows)
+    tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.03, -0.01, 0.08]) + rng.uniform(-0.01, 0.01, 3))
+    setup, frame = Setup(actual, scene.sensor, tool, np.array(PAYLOAD_CENTER)), scene.turned
+    touched = plan.geometry == "unknown" and not frame
+    left_open = Open(
+        frame=frame,
+        tool=6 if frame else 3,
+        geometry=plan.geometry != "known",
+        prior={"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": TOUCHED if touched else LOOSE}.get(plan.geometry),
+        encoders=ENCODERS if touched else 0.0,
+    )
+    warming = "link_thermal_expansion" in plan.effects or rng.random() < 0.3
+    loading = rng.random() < 0.4
+    starts = draw_motion(rng, actual, False, len(scene.group), warming, loading)
+    bounds = np.clip(actual.limits, *JOINTS)
+    which: NDArray[np.integer] | None = np.arange(plan.rows)
+    if scene.wanted is not None:
+        came, reached = readings.led(setup, (), starts, scene, scene.wanted, bounds)
+        starts, which = readings.at_rest(starts, came.q), readings.chosen(scene, reached, plan.rows)
+    if which is None:
+        return None
+    motion = readings.at_rest(draw_motion(rng, actual, False, plan.rows, warming, loading), starts.q[which])
+    group = scene.group[which]
+    noise = (scene.noise_m, scene.noise_m if frame else None)
+    view = View(setup, left_open, motion, noise, scene.reading(group))
+
+    hidden = hide(plan, rng, view)
+    if hidden is None:
+        return None
+    if scene.wanted is not None:
+        motion, reached = readings.led(setup, hidden, motion, scene, scene.wanted[which], bounds)
+        if not reached.all():
+            return None
+        view = replace(view, motion=motion)
+    seen, unseen = poses(setup, hidden, motion), draw_motion(rng, actual, False, UNSEEN_ROWS, warming, loading)
+    rotation, position = poses(setup, hidden, unseen)
+    truth = {
+        "schema": "concealed/truth/1",
+        **plan.told(),
+        "hidden": described(view, hidden),
+        "fault_rows": [],
+        "moved_rms_m": float(np.sqrt(np.mean(np.sum((seen[1] - poses(setup, (), motion)[1]) ** 2, 1)))),
+        "noise_m": noise[0],
+        "noise_rad": noise[1],
+        "unseen_position_m": position.tolist(),
+        "unseen_quaternion": quaternion_from_rotation(rotation).tolist(),
+    }
+    files = files_of_readings(plan, nominal, declared, motion, scene.columns(seen, group), scene.said, unseen)
+    return Trial(plan, truth, files)
 
 
 def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:

@@ -5,11 +5,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from benchmarks.concealed.chain import Array, rotation_from_rpy, rotation_from_vector, vector_from_rotation
 from benchmarks.concealed.plain_physics import COORDINATES, Hidden, Motion, Setup, poses
 
 _STEPS = {"m": 1e-5, "rad": 1e-5, "s": 1e-4, "Nm": 1e-6, "K": 1e-6, "kg": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a sensor reads that measures no poses.
+
+    Attributes:
+        rows: how many numbers a sample has.
+        read: of poses without noise and its own numbers, readings over their noise `(sample, row)`.
+        numbers: `(number,)`, its own, unknown to whoever reads: places, or the corners of a board.
+        known: `(row, number)`, by which what is known of these counts as measured.
+    """
+
+    rows: int
+    read: Callable[[tuple[Array, Array], Array], Array]
+    numbers: Array
+    known: Array
 
 
 @dataclass(frozen=True)
@@ -21,12 +39,14 @@ class Open:
         tool: how many numbers of the tool are: 0, 3 or 6.
         geometry: whether the chain is.
         prior: m and rad, one standard deviation of each of its numbers where it is known so well; None where not.
+        encoders: rad, one standard deviation of sine and cosine of an error of every joint once a turn; 0 for none.
     """
 
     frame: bool
     tool: int
     geometry: bool
     prior: tuple[float, float] | None = None
+    encoders: float = 0.0
 
     def size(self, dof: int) -> int:
         """How many numbers those are."""
@@ -59,12 +79,14 @@ class View:
         open: what is not known of them.
         motion: what the arm did.
         noise: m and rad, one standard deviation; rad is None where only positions are measured.
+        reading: what is measured in place of poses, if anything is.
     """
 
     setup: Setup
     open: Open
     motion: Motion
     noise: tuple[float, float | None]
+    reading: Reading | None = None
 
     def thinned(self, most: int) -> tuple["View", NDArray[np.integer]]:
         """So many of the samples at most, each of which counts for those it stands for; and which they are."""
@@ -74,7 +96,9 @@ class View:
         return replace(self, motion=self.motion.thinned(most), noise=noise), kept
 
     def difference(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
-        """Whitened numbers `(sample · 3 or 6,)` by which poses b differ from a."""
+        """Whitened numbers `(sample · row,)` by which poses b, or what is read of them, differ from a."""
+        if self.reading:
+            return (self.reading.read(b, self.reading.numbers) - self.reading.read(a, self.reading.numbers)).ravel()
         parts: list[Array] = [(b[1] - a[1]) / self.noise[0]]
         if self.noise[1]:
             parts.append(vector_from_rotation(np.swapaxes(a[0], 1, 2) @ b[0]) / self.noise[1])
@@ -98,24 +122,49 @@ class View:
             return poses(self.open.moved(self.setup, x), hidden, self.motion)
 
         found = self._slopes(at, np.zeros(size), [1e-6] * size)
-        return np.concatenate([found, self.prior()]) if self.open.prior else found
+        if self.open.encoders:
+            joints = range(1, self.setup.chain.dof + 1)
+            waves = (Hidden("joint_harmonic", f"joint{k}", (0.0, 0.0), {"order": 1.0}) for k in joints)
+            found = np.hstack([found, *(self.columns((*hidden, wave), len(hidden)) for wave in waves)])
+        if self.reading:
+            found = np.hstack([found, self._by_own(poses(self.setup, hidden, self.motion))])
+        known = self.prior()
+        return np.concatenate([found, known]) if len(known) else found
+
+    def _by_own(self, shown: tuple[Array, Array]) -> Array:
+        """`(number, own)`: how readings move with their own numbers."""
+        assert self.reading is not None
+        x, step = self.reading.numbers, 1e-6
+        found = np.empty((len(self.motion.q) * self._rows(), len(x)))
+        for i, move in enumerate(step * np.eye(len(x))):
+            found[:, i] = (self.reading.read(shown, x + move) - self.reading.read(shown, x - move)).ravel() / (2 * step)
+        return found
 
     def prior(self) -> Array:
-        """`(geometry, open)`: the rows by which what is known of the geometry counts as measured."""
-        size, geometry = self.open.size(self.setup.chain.dof), 6 * self.setup.chain.dof
-        rows = np.zeros((geometry, size))
-        assert self.open.prior is not None
-        rows[:, size - geometry :] = np.diag(1 / np.tile(np.repeat(self.open.prior, 3), geometry // 6))
-        return rows
+        """`(row, open)`: the rows by which what is known beforehand counts as measured."""
+        dof, parts = self.setup.chain.dof, []
+        if self.open.prior:
+            size = self.open.size(dof)
+            parts.append(np.eye(size)[size - 6 * dof :] / np.tile(np.repeat(self.open.prior, 3), dof)[:, None])
+        elif size := self.open.size(dof):
+            parts.append(np.zeros((0, size)))
+        if self.open.encoders:
+            parts.append(np.eye(2 * dof) / self.open.encoders)
+        if self.reading:
+            parts.append(self.reading.known)
+        return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
     def padded(self, columns: Array) -> Array:
         """Columns with zeros for the prior's rows."""
-        if not self.open.prior:
-            return columns
-        return np.concatenate([columns, np.zeros((6 * self.setup.chain.dof, columns.shape[1]))])
+        known = len(self.prior())
+        return np.concatenate([columns, np.zeros((known, columns.shape[1]))]) if known else columns
+
+    def _rows(self) -> int:
+        """How many numbers a sample has."""
+        return self.reading.rows if self.reading else 6 if self.noise[1] else 3
 
     def _slopes(self, at: Callable[[Array], tuple[Array, Array]], x: Array, steps: Sequence[float]) -> Array:
-        found = np.empty((len(self.motion.q) * (6 if self.noise[1] else 3), len(x)))
+        found = np.empty((len(self.motion.q) * self._rows(), len(x)))
         for i, step in enumerate(steps):
             move = np.zeros(len(x))
             move[i] = step

@@ -26,7 +26,6 @@ from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
-from lite6jax.workers import Workers
 
 Matrix = NDArray[np.floating]
 Numbers = Array | Matrix

@@ -28,7 +28,6 @@ from lite6jax.design.motions import (
 )
 from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
-from lite6jax.workers import Workers
 
 Array = NDArray[np.floating]
 

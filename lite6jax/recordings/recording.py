@@ -247,8 +247,8 @@ class Recording(PublicResult):
             quaternion = quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))
             there = np.isfinite(position[:, 0])
             if there.sum() < samples:
-                few = f"{samples - int(there.sum())} of {samples} images show fewer than {FEWEST_CORNERS} corners"
-                notes += (f"{few}, and are left out",)
+                few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
+                notes += (f"{samples - int(there.sum())} of {samples} images show {few}: they are left out",)
         quaternion = optional("quaternion", quaternion, 4)
         if quaternion is not None and position is None:
             raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")

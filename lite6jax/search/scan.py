@@ -242,16 +242,17 @@ class Scan:
             rows: `(row,)`, on some of which a site must act; all where not given.
             least: log odds below which nothing is asked for.
         """
-        weighed = _Weighed(self, test, rows)
-        if self._among is not None:
-            few = [weighed.of_kernel(*one, exact=True) for one in self._processes if one[0] in weighed.components]
-            found = [*weighed.named(), *weighed.waves(), *(one for one in few if one.gain > 0)]
-            return _in_order(found)
-        white = test.fit.noise.white
-        found = [*weighed.named(), *weighed.waves(), *weighed.spectra()]
+        weighed, white = _Weighed(self, test, rows), test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        singles = weighed.singles(max([least, *(one.net - self.options.close for one in found)]))
-        found += [*singles, *weighed.pairs(singles, 0.0 if white else least)]
+        found = [*weighed.named(), *weighed.waves()]
+        if self._among is None:
+            found += weighed.spectra()
+            singles = weighed.singles(max([least, *(one.net - self.options.close for one in found)]))
+            found += [*singles, *weighed.pairs(singles, 0.0 if white else least)]
+        else:
+            there = (one for one in self._processes if one[0] in weighed.components)
+            few = (weighed.of_kernel(*one, exact=one[2] == "spectrum") for one in there)
+            found += (one for one in few if one.gain > 0)
         found.sort(key=lambda one: -one.net)
         likely = [one for one in found if one.process][:_CONSIDERED]
         self.considered |= {(*one.key, *one.process[2:]) for one in likely}

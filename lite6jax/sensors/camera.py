@@ -21,6 +21,8 @@ Mounted = Literal["fixed", "on_flange"]
 
 FEWEST_CORNERS = 6
 """Of an image whose pose is determined with some to spare."""
+_TURNED = 0.1
+"""rad, the most standard deviation of an image's orientation with which it counts."""
 _STEPS, _UNDISTORTED = 25, 30
 _FREEDOM = 4.0
 """Of Student's t, by which corners count."""
@@ -42,7 +44,7 @@ class BoardPoses(NamedTuple):
     """Poses of a board in a camera, or of a camera in its board, and how constant errors change them.
 
     Attributes:
-        T: `(image, 4, 4)`, NaN where too few corners were seen.
+        T: `(image, 4, 4)`, NaN where too few corners were seen, or all nearly in one line.
         whitener: `(image, 6, 6)`: times a displacement (m in the fixed axes, rad in the moved ones) it is one of unit
             noise, if that of pixels is as declared.
         by_numbers: `(image, 6, number)`, the whitened change by constant errors, each of unit prior.
@@ -148,9 +150,15 @@ def board_poses(
     r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
     weight, shown = _weights(r, there[good])
     sigma = noise or shown
-    images, root = len(seen), np.sqrt(weight)[..., None] / sigma
-    r, J = (root * r).reshape(images, -1), (root[..., None] * J).reshape(images, -1, 6)
+    root = np.sqrt(weight)[..., None] / sigma
+    r, J = (root * r).reshape(len(seen), -1), (root[..., None] * J).reshape(len(seen), -1, 6)
     Q, U = np.linalg.qr(J)
+    variance = np.linalg.inv(np.swapaxes(U, 1, 2) @ U + 1e-9 * np.eye(6))[:, [3, 4, 5], [3, 4, 5]]
+    told = ((variance > 0) & (variance < _TURNED**2)).all(1)  # corners in one line tell no pose
+    good[good] = told
+    if not told.any():
+        return empty
+    T, r, Q, U, root = T[told], r[told], Q[told], U[told], root[told]
     columns, prior = _constants(mounted, lens, corners, T, root, corner_noise, refined)
     inside = np.swapaxes(Q, 1, 2) @ columns
     left = columns - Q @ inside

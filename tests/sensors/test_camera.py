@@ -68,6 +68,16 @@ def test_images_of_few_corners_have_no_pose():
     assert np.isfinite(found.T[[0, 2, 3]]).all()
 
 
+def test_corners_in_one_line_are_no_pose():
+    pixels = images(boards(6), 0.1)
+    pixels[2, 7:] = np.nan  # a row of six and one beside it, as at the edge of a picture
+    pixels[4, 6:] = np.nan
+    found = board_poses("fixed", LENS, CORNERS, pixels, 0.1)
+    assert np.isnan(found.T[[2, 4], 0, 0]).all()
+    assert np.isfinite(found.T[[0, 1, 3, 5]]).all()
+    assert np.isfinite(found.whitener).all()
+
+
 def test_a_wild_corner_hardly_counts():
     T = boards(8)
     clean = images(T, 0.1)
