@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax import storage
 from lite6jax.arms import frames
@@ -161,13 +162,8 @@ def _compiled(path: str | Path) -> Any:
 
 def _pose(position: Array, quaternion: Array) -> Array:
     """(4, 4) of a position, and a unit quaternion whose scalar is first."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
     T = np.eye(4)
-    T[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    T[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     T[:3, 3] = position
     return T
 

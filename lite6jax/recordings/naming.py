@@ -38,23 +38,8 @@ _QUANTITIES = {
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot", "qacc"},
     "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }
-_JOINT = {
-    "q",
-    "joint",
-    "joints",
-    "jnt",
-    "jt",
-    "axis",
-    "achse",
-    "gelenk",
-    "qpos",
-    "theta",
-    "th",
-    "angle",
-    "angles",
-    "servo",
-}
-_JOINT |= {"motor", "j"}
+_JOINT = {"q", "joint", "joints", "jnt", "jt", "axis", "achse", "gelenk", "qpos", "theta", "th", "angle", "angles"}
+_JOINT |= {"servo", "motor", "j"}
 _EXTERNAL = {"ext", "external", "extax", "eax"}
 """Axes beside the arm, and torques from outside."""
 _PLACE = {"position", "positions", "pos"}

@@ -339,78 +339,44 @@ def _number(value: Any) -> float:
     return number
 
 
-def _not_negative(value: Any) -> float:
-    if (number := _number(value)) < 0:
-        raise ValueError(" (negative)")
-    return number
+Parse = Callable[[Any], Any]
 
 
-def _ratio(value: Any) -> float:
-    if (number := _not_negative(value)) > 0.5:
-        raise ValueError(" (above 0.5: per cent?)")
-    return number
+def _up_to(most: float, remark: str = "") -> Parse:
+    """Reads a number from 0."""
 
-
-def _sigma(value: Any) -> float:
-    if (number := _number(value)) <= 0:
-        raise ValueError(" (not positive)")
-    if not SMALLEST_SIGMA <= number <= LARGEST_SIGMA:
-        raise ValueError(f" (not from {SMALLEST_SIGMA:g} to {LARGEST_SIGMA:g})")
-    return number
-
-
-def _up_to(highest: float) -> Callable[[Any], float]:
-    def parse(value: Any) -> float:
-        if (number := _not_negative(value)) > highest:
-            raise ValueError(f" (above {highest:g})")
+    def read(value: Any) -> float:
+        if (number := _number(value)) < 0:
+            raise ValueError(" (negative)")
+        if number > most:
+            raise ValueError(f" (above {most:g}{remark})")
         return number
 
-    return parse
+    return read
+
+
+def _positive(least: float, most: float, remark: str = "") -> Parse:
+    """Reads a number above 0 and within bounds."""
+
+    def read(value: Any) -> float:
+        if (number := _number(value)) <= 0:
+            raise ValueError(" (not positive)")
+        if not least <= number <= most:
+            raise ValueError(f" (not from {least:g} to {most:g}{remark})")
+        return number
+
+    return read
+
+
+_ratio = _up_to(0.5, ": per cent?")
+_sigma = _positive(SMALLEST_SIGMA, LARGEST_SIGMA)
+_pixels = _positive(SMALLEST_SIGMA, LARGEST_PIXEL_NOISE)
+_length = _positive(SMALLEST_SIGMA, LONGEST_OFFSET_M, ": millimetres?")
 
 
 def _temperature(value: Any) -> float:
     if not -273.15 <= (number := _number(value)) <= HIGHEST_TEMPERATURE:
         raise ValueError(f" (not from -273.15 to {HIGHEST_TEMPERATURE:g})")
-    return number
-
-
-def _gravity(value: Any) -> tuple[float, ...]:
-    gravity = _numbers(3)(value)
-    if max(map(abs, gravity)) > LARGEST_GRAVITY:
-        raise ValueError(f" (over {LARGEST_GRAVITY:g} m/s^2)")
-    return gravity
-
-
-def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
-    def parse(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list | tuple) or len(value) != count:
-            raise ValueError
-        return tuple(_number(part) for part in value)
-
-    return parse
-
-
-def _offset(value: Any) -> tuple[float, ...]:
-    offset = _numbers(3)(value)
-    if math.hypot(*offset) > LONGEST_OFFSET_M:
-        raise ValueError(f" (over {LONGEST_OFFSET_M:g} m long: millimetres?)")
-    return offset
-
-
-def _per_joint(parse: Callable[[Any], float]) -> Callable[[Any], tuple[float, ...]]:
-    def numbers(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list | tuple) or not value:
-            raise ValueError
-        return tuple(parse(part) for part in value)
-
-    return numbers
-
-
-def _torque_sigma(value: Any) -> float:
-    if (number := _number(value)) <= 0:
-        raise ValueError(" (not positive)")
-    if not SMALLEST_TORQUE_SIGMA <= number <= LARGEST_TORQUE_SIGMA:
-        raise ValueError(f" (not from {SMALLEST_TORQUE_SIGMA:g} to {LARGEST_TORQUE_SIGMA:g})")
     return number
 
 
@@ -420,17 +386,46 @@ def _torque_constant(value: Any) -> float:
     return number
 
 
-# ------------------------------------------------------------------ of readings that are no poses
+def _listed(parse: Parse, fewest: int = 1, most: int = 1 << 20) -> Parse:
+    """Reads a list of so many values."""
+
+    def read(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or not fewest <= len(value) <= most:
+            raise ValueError
+        return tuple(parse(part) for part in value)
+
+    return read
 
 
-def _record(kind: type, **parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
+_point = _listed(_number, 3, 3)
+
+
+def _gravity(value: Any) -> Point:
+    if max(map(abs, gravity := _point(value))) > LARGEST_GRAVITY:
+        raise ValueError(f" (over {LARGEST_GRAVITY:g} m/s^2)")
+    return gravity
+
+
+def _offset(value: Any) -> Point:
+    if math.hypot(*(offset := _point(value))) > LONGEST_OFFSET_M:
+        raise ValueError(f" (over {LONGEST_OFFSET_M:g} m long: millimetres?)")
+    return offset
+
+
+def _direction(value: Any) -> Point:
+    if not math.hypot(*(direction := _point(value))) > 0:
+        raise ValueError(" (no direction)")
+    return direction
+
+
+def _record(kind: type, place: str, **parse: Parse) -> Parse:
     """Reads a mapping with the fields of a dataclass; those without a default are needed."""
 
     def read(value: Any) -> Any:
         given = asdict(value) if isinstance(value, kind) else value
         if not isinstance(given, Mapping):
             raise ValueError
-        reject_unknown(f"{kind.__name__.removesuffix('Settings').lower()}: ", given, parse)
+        reject_unknown(place, given, parse)
         lacking = [f.name for f in fields(kind) if f.default is MISSING and f.name not in given]
         if lacking:
             raise ValueError(f" (without {lacking[0]})")
@@ -445,7 +440,7 @@ def _record(kind: type, **parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return read
 
 
-def _by_name(parse: Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
+def _by_name(parse: Parse) -> Parse:
     def read(value: Any) -> dict[str, Any]:
         if not isinstance(value, Mapping) or not value:
             raise ValueError
@@ -454,56 +449,13 @@ def _by_name(parse: Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
     return read
 
 
-def _each(parse: Callable[[Any], Any]) -> Callable[[Any], tuple[Any, ...]]:
-    def read(value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, list | tuple):
-            raise ValueError
-        return tuple(parse(part) for part in value)
-
-    return read
-
-
-def _unknown_or(parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    return lambda value: value if value == "unknown" else parse(value)
-
-
-def _choice(*accepted: str) -> Callable[[Any], str]:
+def _choice(*accepted: str) -> Parse:
     def read(value: Any) -> str:
-        if value not in accepted:
+        if not isinstance(value, str) or value not in accepted:
             raise ValueError
         return value
 
     return read
-
-
-def _direction(value: Any) -> Point:
-    x, y, z = _numbers(3)(value)
-    if not math.hypot(x, y, z) > 0:
-        raise ValueError(" (no direction)")
-    return x, y, z
-
-
-def _point(value: Any) -> Point:
-    x, y, z = _numbers(3)(value)
-    return x, y, z
-
-
-def _length(value: Any) -> float:
-    if not 0 < (number := _number(value)) <= LONGEST_OFFSET_M:
-        raise ValueError(f" (not above 0 and up to {LONGEST_OFFSET_M:g} m: millimetres?)")
-    return number
-
-
-def _pixels(value: Any) -> float:
-    if not 0 < (number := _number(value)) <= LARGEST_PIXEL_NOISE:
-        raise ValueError(f" (not above 0 and up to {LARGEST_PIXEL_NOISE:g})")
-    return number
-
-
-def _focal(value: Any) -> float:
-    if (number := _number(value)) <= 0:
-        raise ValueError(" (not positive)")
-    return number
 
 
 def _distortion(value: Any) -> tuple[float, ...]:
@@ -524,21 +476,30 @@ def _pair(value: Any) -> tuple[str, str]:
     return str(value[0]), str(value[1])
 
 
-_distances = _each(_record(KnownDistance, between=_pair, distance_m=_length, noise_m=_sigma))
+_uncertainty = _record(FactoryUncertainty, "factory_uncertainty.", position_m=_sigma, rotation_rad=_sigma)
+_distances = _listed(_record(KnownDistance, "knowndistance: ", between=_pair, distance_m=_length, noise_m=_sigma), 0)
+_planes = _by_name(_record(KnownPlane, "knownplane: ", normal=_direction, offset_m=_number))
 _camera = _record(
     CameraSettings,
+    "camera: ",
     mounted=_choice("fixed", "on_flange"),
-    **dict.fromkeys(("fx", "fy"), _focal),
+    **dict.fromkeys(("fx", "fy"), _positive(0.0, math.inf)),
     **dict.fromkeys(("cx", "cy"), _number),
-    **dict.fromkeys(("width", "height"), _not_negative),
+    **dict.fromkeys(("width", "height"), _up_to(math.inf)),
     distortion=_distortion,
     intrinsics=_choice("known", "refine"),
 )
-_board = _record(BoardSettings, columns=_corners, rows=_corners, square_m=_length, noise_m=_up_to(LARGEST_SIGMA))
+_board = _record(
+    BoardSettings, "board: ", columns=_corners, rows=_corners, square_m=_length, noise_m=_up_to(LARGEST_SIGMA)
+)
 
 
 def _anchor(value: Any) -> Any:
-    return _by_name(_point)(value) if isinstance(value, Mapping) else _unknown_or(_point)(value)
+    return _by_name(_point)(value) if isinstance(value, Mapping) else value if value == "unknown" else _point(value)
+
+
+def _axis(value: Any) -> Any:
+    return value if value == "unknown" else _direction(value)
 
 
 def _inertial(value: Any) -> Inertial:
@@ -557,32 +518,16 @@ def _tool(value: Any) -> Tool:
             value = [float(part) for part in value.split()]
         except ValueError:
             raise ValueError from None
-    x, y, z, roll, pitch, yaw = _numbers(6)(value)
-    _offset((x, y, z))
-    if max(abs(roll), abs(pitch), abs(yaw)) > 2 * math.pi:
+    tool = _listed(_number, 6, 6)(value)
+    _offset(tool[:3])
+    if max(map(abs, tool[3:])) > 2 * math.pi:
         raise ValueError(" (an angle beyond one turn: degrees?)")
-    return x, y, z, roll, pitch, yaw
-
-
-def _uncertainty(value: Any) -> FactoryUncertainty:
-    if isinstance(value, FactoryUncertainty):
-        value = asdict(value)
-    keys = [field.name for field in fields(FactoryUncertainty)]
-    if not isinstance(value, Mapping) or not set(keys) <= set(value):
-        raise ValueError
-    reject_unknown("factory_uncertainty.", value, keys)
-    return FactoryUncertainty(**{key: _sigma(value[key]) for key in keys})
+    return tool
 
 
 def _one_of(choices: Any) -> _Kind:
     *first, last = accepted = get_args(choices)
-
-    def parse(value: Any) -> str:
-        if not isinstance(value, str) or value not in accepted:
-            raise ValueError
-        return value
-
-    return _Kind(parse, f"{', '.join(first)} or {last}")
+    return _Kind(_choice(*accepted), f"{', '.join(first)} or {last}")
 
 
 _KINDS: dict[str, _Kind] = {
@@ -607,34 +552,36 @@ _KINDS: dict[str, _Kind] = {
     "payload_uncertainty_kg": _Kind(_up_to(1000.0), "one sigma in kg, zero or more"),
     "torque_source": _one_of(TorqueSource),
     "torque_noise_Nm": _Kind(
-        _per_joint(_torque_sigma),
+        _listed(_positive(SMALLEST_TORQUE_SIGMA, LARGEST_TORQUE_SIGMA)),
         "a list with one sigma in N m per joint, each more than zero (leave it out where unknown)",
     ),
     "inertial": _Kind(
         _inertial, "declared, unknown (they are fitted), or a relative uncertainty up to 0.5, such as 0.1"
     ),
     "torque_constant_Nm_per_A": _Kind(
-        _per_joint(_torque_constant), "a list with one number in N m per A for each joint, none zero"
+        _listed(_torque_constant), "a list with one number in N m per A for each joint, none zero"
     ),
     "contact_noise_m": _Kind(_sigma, "one sigma in m of the touched point about its contact, more than zero"),
     "contact_distances": _Kind(_distances, "a list of {between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}"),
     "contact_points": _Kind(_by_name(_point), "contacts by name, each with [x, y, z] in m"),
     "plane_noise_m": _Kind(_sigma, "one sigma in m of the touched point from its plane, more than zero"),
     "planes": _Kind(
-        _by_name(_record(KnownPlane, normal=_direction, offset_m=_number)),
+        _planes,
         "planes by name, each with {normal: [x, y, z], offset_m: 0.0}",
     ),
     "distance_noise_m": _Kind(_sigma, "one sigma in m, more than zero"),
     "anchor_m": _Kind(_anchor, "unknown, [x, y, z] in m, or anchors by name with [x, y, z] each"),
     "distance_offset": _Kind(_choice("none", "unknown"), "none or unknown"),
     "axis_noise_m": _Kind(_sigma, "one sigma in m, more than zero"),
-    "axis": _Kind(_unknown_or(_direction), "unknown, or a direction [x, y, z]"),
-    "pixel_noise_px": _Kind(_pixels, "one sigma in pixels of a corner along each axis, such as 0.15"),
+    "axis": _Kind(_axis, "unknown, or a direction [x, y, z]"),
+    "pixel_noise_px": _Kind(
+        _positive(SMALLEST_SIGMA, LARGEST_PIXEL_NOISE), "one sigma in pixels of a corner along each axis, such as 0.15"
+    ),
     "camera": _Kind(
         _camera, "{mounted: fixed or on_flange, fx, fy, cx, cy, distortion: [k1, k2, p1, p2, k3], width, height}"
     ),
     "board": _Kind(_board, "{columns: 7, rows: 5, square_m: 0.02, noise_m: 2.0e-5}"),
-    "points_m": _Kind(_each(_point), "a list of the corners' [x, y, z] in m"),
+    "points_m": _Kind(_listed(_point, 0), "a list of the corners' [x, y, z] in m"),
     "date": _Kind(_day, "a day as YYYY-MM-DD, such as 2026-11-21"),
     "instrument": _Kind(_line, f"one line of at most {LONGEST_LINE} characters"),
 }

@@ -242,7 +242,7 @@ def test_writing_needs_permission_to_replace(tmp_path):
         ),
         (
             "recording: {factory_calibration: a.yaml, factory_uncertainty: {position_m: 1.0e-5}}",
-            "recording.factory_uncertainty: {'position_m': 1e-05} is not accepted; give {position_m: 1.0e-5, rot",
+            "{'position_m': 1e-05} is not accepted (without rotation_rad); give {position_m: 1.0e-5, rot",
         ),
         (
             "recording: {factory_uncertainty: {position_m: 1.0e-5, rotation_rad: 1.0e-5, rotation_deg: 1}}",
