@@ -114,7 +114,7 @@ def compensation(
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
             seconds, found = timed(partial(diagnose, recording))
             document = Path(folder) / "diagnosis.json"
-            write_document(found.document(), document)
+            write_document(found.to_dict(), document)
             wanted_q, payload = drawn(rng, targets)
             wanted = np.asarray(plain.predict(wanted_q), np.float64)
             asked = Recording.from_arrays(

@@ -109,7 +109,7 @@ def series(
             outcomes.append(Outcome(OURS, found.after, found.fit.terms.size, names, seconds))
             if other is not None:
                 with tempfile.TemporaryDirectory() as folder:
-                    model = read_model(write_document(found.document(), Path(folder) / "d.json"))
+                    model = read_model(write_document(found.to_dict(), Path(folder) / "d.json"))
                 elsewhere.append(replace(outcomes[-1], errors=register_model(model, other)[1].distance))
         yield f"{path.name}, {recording.samples} rows, held-out fifths", outcomes
         if after is not None:

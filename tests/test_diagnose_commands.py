@@ -362,7 +362,7 @@ def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
         assert f"{broken}: is damaged (it lacks '{lost}'); run `lite6jax diagnose` again" in err
     assert not pdf.exists()
     broken.write_text(json.dumps({**document, "schema": "lite6jax/diagnosis/1"}))
-    assert "is no diagnosis (lite6jax/diagnosis/2)" in refused(capsys, "report", broken)
+    assert "is no diagnosis (lite6jax/diagnosis/2 with a model)" in refused(capsys, "report", broken)
 
 
 def test_the_document_names_its_inputs(diagnosed, recorded):

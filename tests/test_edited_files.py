@@ -75,33 +75,32 @@ DAMAGE = {
     ),
     "an angle of 1e6": (
         changed("model", "kinematics", 1, 4, 1e6),
-        "kinematics[1][4] is 1e+06, which is not between -6.28319 and 6.28319",
+        "Expected `float` <= 6.28318",
     ),
     "a length in millimetres": (
         changed("model", "kinematics", 0, 2, 243.3),
-        "kinematics[0][2] is 243.3, which is not between -10 and 10",
+        "Expected `float` <= 10.0 - at `$.model.kinematics[0][2]`",
     ),
-    "true for a number": (changed("model", "kinematics", 0, 2, True), "kinematics[0][2] is True, which is no number"),
+    "true for a number": (changed("model", "kinematics", 0, 2, True), "got `bool` - at `$.model.kin"),
     "a text for a number": (
         changed("model", "kinematics", 0, 2, "0.2"),
-        "kinematics[0][2] is '0.2', which is no number",
+        "Expected `float`, got `str` - at `$.model.kinematics[0][2]`",
     ),
     "a text for a flag": (
         changed("model", "orientation", "false"),
-        "orientation is 'false', which is neither true nor",
+        "Expected `bool`, got `str` - at `$.model.orientation`",
     ),
-    "a number for a flag": (changed("model", "orientation", 1), "orientation is 1, which is neither true nor false"),
-    "NaN": (changed("model", "inertia", "gravity", 2, float("nan")), "inertia.gravity[2] is nan, which is not finite"),
-    "an infinite number": (changed("model", "T_flange_tool", 0, 3, float("inf")), "is inf, which is not finite"),
-    "an unknown key": (changed("model", "tool", None), "model has the unknown key 'tool'"),
-    "an unknown part": (changed("note", "mine"), "the key 'note' is unknown"),
+    "a number for a flag": (changed("model", "orientation", 1), "Expected `bool`, got `int`"),
+    "NaN": (changed("model", "inertia", "gravity", 2, float("nan")), "is no JSON (JSON is malformed"),
+    "an infinite number": (changed("model", "T_flange_tool", 0, 3, float("inf")), "is no JSON (JSON is malformed"),
+    "an unknown key": (changed("model", "tool", None), "unknown field `tool` - at `$.model`"),
     "an absurd effect": (
         changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", 1e6),
         "joint_compliance:joint2: compliance_rad_per_Nm is 1e+06, which is not between",
     ),
     "true for an effect's number": (
         changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", True),
-        "joint_compliance:joint2: compliance_rad_per_Nm.value is True, which is no number",
+        "joint_compliance:joint2: compliance_rad_per_Nm: Expected `float`, got `bool` - at `$.value`",
     ),
     "an effect of another arm": (
         changed(
@@ -109,27 +108,21 @@ DAMAGE = {
         ),
         "joint_offset:joint9: is of an arm of 9 joints or more, and this one has 6",
     ),
-    "a motion of no kind": (changed("model", "motion", "fast"), "motion is 'fast', which is not one of static, traj"),
-    "a temperature in the sun": (changed("model", "reference_temperature_degC", 6e3), "is 6000, which is not between"),
+    "a motion of no kind": (changed("model", "motion", "fast"), "Invalid enum value 'fast' - at `$.model.motion`"),
+    "a temperature in the sun": (changed("model", "reference_temperature_degC", 6e3), "at `$.model.reference_temp"),
     "a negative variance": (changed("model", "uncertainty", "covariance", 5, -1.0), "a variance of its uncertainty is"),
-    "a negative deviation": (changed("model", "uncertainty", "left", "position_m", -1.0), "which is not 0 or more"),
-    "a place that is none": (changed("model", "uncertainty", "sites", 0, 2, True), "sites[0][2] is True"),
+    "a negative deviation": (changed("model", "uncertainty", "left", "position_m", -1.0), "Expected `float` >= 0.0"),
+    "a place that is none": (changed("model", "uncertainty", "sites", 0, 2, True), "got `bool` - at `$.model.un"),
     "a mass too few": (changed("model", "inertia", "mass", lambda m: m[1:]), "center_of_mass has the shape"),
-    "a verdict of no kind": (
-        changed("verdict", "fine"),
-        "verdict is 'fine', which is not one of consistent, explained",
-    ),
-    "a negative error": (changed("after", "heldout_position_rms_m", -1.0), "after.heldout_position_rms_m is -1"),
+    "a negative error": (changed("after", "heldout_position_rms_m", -1.0), "`float` >= 0.0 - at `$.after"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_diagnosis_is_refused(diagnosis, tmp_path, damage):
-    """The checks stand by themselves: the damaged file has a checksum that holds, where it can have one."""
     spoil, says = DAMAGE[damage]
     content = copy.deepcopy(diagnosis)
     spoil(content)
-    content["checksum"] = checksum_of(content)
     path = tmp_path / "d.json"
     path.write_text(json.dumps(content))
     said = refused(read_model, path)
@@ -150,27 +143,6 @@ def test_a_payload_lighter_than_declared_may_make_the_last_link_lighter_than_not
     content["model"]["inertia"]["mass"][5] = -0.1
     content["model"]["uncertainty"]["sites"] = [["payload", 0, 0]]
     assert read_model(write_document(content, tmp_path / "d.json")).inertia.mass[5] == -0.1
-
-
-def test_an_edited_diagnosis_is_used_with_a_warning(diagnosis, tmp_path):
-    path = write_document(diagnosis, tmp_path / "d.json")
-    content = json.loads(path.read_text())
-    content["model"]["kinematics"][0][2] += 1e-4
-    path.write_text(json.dumps(content))
-    with pytest.warns(InputWarning) as caught:
-        model = read_model(path)
-    assert [str(warning.message) for warning in caught] == [f"{path}: {EDITED}"]
-    assert model.model.geometry[2] == content["model"]["kinematics"][0][2]
-    del content["checksum"]
-    path.write_text(json.dumps(content))
-    with pytest.warns(InputWarning, match="has no checksum, so that it is not known whether it was edited"):
-        read_model(path)
-
-
-def test_a_key_given_twice_is_refused(diagnosis, tmp_path):
-    path = write_document(diagnosis, tmp_path / "d.json")
-    path.write_text(path.read_text().replace('"samples": 30', '"samples": 30, "samples": 31'))
-    assert refused(read_model, path) == f"{path}: the key samples is given twice; run `lite6jax diagnose` again"
 
 
 def test_an_edited_table_and_yaml_are_used_with_a_warning(tmp_path):
@@ -270,29 +242,14 @@ def mutated(data, content):
             return content[:at] + content[max(at - 20, 0) : at] + content[at:]
 
 
-def model_numbers(model):
-    leaves = [model.model.geometry, model.model.T_sensor_base, model.model.T_flange_tool, model.values]
-    leaves += [*model.inertia, model.joint_limits, model.uncertainty.covariance, model.uncertainty.recorded.positions]
-    rest = (
-        model.arm,
-        model.orientation,
-        model.motion,
-        model.heldout_rms,
-        model.reference_temperature,
-        model.accelerated,
-    )
-    return [np.asarray(leaf).tobytes() for leaf in leaves], rest, model.physics
-
-
 def arm_numbers(arm):
     fields = (arm.kinematics, arm.joint_limits, arm.T_joint_flange, arm.mass, arm.center_of_mass, arm.dh)
     return [np.asarray(field, float).tobytes() for field in fields], arm.name, arm.source
 
 
-def written_files(folder, diagnosis):
-    """Of every kind of JSON and YAML that is written: the file, what reads it, and its numbers."""
+def written_files(folder):
+    """Of every kind of file that is written with a checksum: the file, what reads it, and its numbers."""
     return {
-        "diagnosis": (write_document(diagnosis, folder / "d.json"), read_model, model_numbers),
         "table": (
             write_table(LITE6.form, LITE6.hayati, folder / "t.json"),
             read_table,
@@ -313,10 +270,10 @@ def silent(read, numbers, original, path):
     return found is not None and not found[1] and numbers(found[0]) != numbers(original)
 
 
-@pytest.mark.parametrize("kind", ["diagnosis", "table", "description", "factory"])
-def test_no_mutation_of_a_file_is_silent(tmp_path_factory, diagnosis, kind):
+@pytest.mark.parametrize("kind", ["table", "description", "factory"])
+def test_no_mutation_of_a_file_is_silent(tmp_path_factory, kind):
     folder = tmp_path_factory.mktemp(kind)
-    path, read, numbers = written_files(folder, diagnosis)[kind]
+    path, read, numbers = written_files(folder)[kind]
     content, original = path.read_bytes(), read(path)
     target = Path(folder) / f"mutated{path.suffix}"
 

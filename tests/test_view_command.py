@@ -168,7 +168,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     pytest.importorskip("viser", reason="viser (extra view) is not installed")
     recording = torques_recorded()
     path = write_recording(recording, tmp_path / "torques.csv")
-    found = torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))).document()
+    found = torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))).to_dict()
     document = {**statements.with_statements(found), "inputs": list_inputs(path)}
     file = write_document(document, tmp_path / "torques.json")
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")

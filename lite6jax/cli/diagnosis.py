@@ -23,7 +23,7 @@ with import_lazily():
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.fleet import schema as population_schema
-    from lite6jax.recordings import writing
+    from lite6jax.recordings import checksums, writing
     from lite6jax.report import (
         compensation,
         documents,
@@ -72,7 +72,6 @@ class Report:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
         check(document, self.diagnosis)
-        diagnosis_file.verify_checksum(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
@@ -81,6 +80,12 @@ class Report:
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
+                    itself = {
+                        "role": "diagnosis",
+                        "file": self.diagnosis.name,
+                        "sha256": checksums.table_checksum(self.diagnosis),
+                    }
+                    said["inputs"] = [*said.get("inputs", ()), itself]
                     written.append(pages.write_certificate(said, self.certificate, self.force))
         if self.json:
             print(diagnosis_file.document_text(document))
@@ -187,7 +192,6 @@ class Predict:
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
             motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, motors)
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
@@ -195,7 +199,6 @@ class Predict:
                 opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            diagnosis_file.verify_checksum(document, self.diagnosis)
             recording = pose_files.read_motion(self.motion, model)
             if self.register:
                 model, registered = registration.register_model(model, recording)
@@ -204,7 +207,7 @@ class Predict:
             if diagnosis_file.find_torques(document) is not None:
                 columns, said = self._add_torques(document, columns, recording, effects)
             if model.reference is not None:
-                opening.append(reference.origin_statement(model.reference))
+                opening.append(reference.model_statement(*model.reference))
             if registered is not None:
                 opening += compensation.registration_report(registered)
         table = pa.table(columns)
@@ -312,7 +315,7 @@ class Compensate:
             written = [write_atomically(self.out, lambda target: writing.write_table(columns, target), self.force)]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
-        origin = [] if model.reference is None else [reference.origin_statement(model.reference)]
+        origin = [] if model.reference is None else [reference.model_statement(*model.reference)]
         page = compensation.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)

@@ -11,7 +11,6 @@ from scipy.special import chdtrc
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording
-from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.diagnose import diagnose, diagnose_against
 from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, estimate_effect, side_entry
 from lite6jax.diagnosis.options import Options
@@ -93,15 +92,15 @@ class CombinedDiagnosis(PublicResult):
     refused: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The document: that of the poses, with that of the torques as `torques`, and a checksum.
+        """The document: that of the poses, with that of the torques as `torques`.
 
         Everything that reads a diagnosis of poses reads it as one.
         """
-        document = self.poses.document()
+        document = self.poses.to_dict()
         if self.torques is None:
-            return with_checksum(document | {"torques_refused": self.refused})
+            return document | {"torques_refused": self.refused}
         shared = [each.to_dict() for each in self.shared]
-        return with_checksum(document | {"torques": self.torques.document(), "shared": shared})
+        return document | {"torques": self.torques.to_dict(), "shared": shared}
 
 
 def diagnose_combined(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from lite6jax.calibration.quality import Quality, quality_of_poses
-from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
 from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
 from lite6jax.diagnosis.options import Options
@@ -300,11 +299,7 @@ class DomainDiagnosis(Generic[P]):
         return "explained" if found else "consistent"
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes, numbers in SI units, a checksum."""
-        return with_checksum(self.document())
-
-    def document(self) -> dict[str, Any]:
-        """The document without a checksum."""
+        """The document `lite6jax/diagnosis/2`: codes and numbers in SI units."""
         return self._own_parts() | ({} if self.against is None else {"against": self.against.to_dict()})
 
     @property
@@ -459,7 +454,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             motion=problem.recording.motion,
             accelerated=problem.motion.joint_acceleration is not None,
             heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
-            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"], ""),
+            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"]),
             sliding=problem.arm.sliding,
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)

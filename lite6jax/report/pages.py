@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lite6jax import storage
-from lite6jax.checksum import checksum_of
 from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -225,8 +224,6 @@ def certificate(document: Document) -> Figure:
     for entry in document.get("inputs", ()):
         page.text(f"{entry['role']}: {entry['file']}", size=7.5)
         page.text(entry["sha256"], size=7, family="monospace")
-    page.text("this diagnosis (checksum of its values)", size=7.5)
-    page.text(checksum_of(dict(document)), size=7, family="monospace")
     return page.figure
 
 

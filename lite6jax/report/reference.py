@@ -5,14 +5,11 @@ Each is made from the codes and numbers of the JSON document.
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lite6jax.errors import command_line
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, milli, number, quantity
-
-if TYPE_CHECKING:
-    from lite6jax.domains.pose.predict import ReferenceOrigin  # which takes JAX, and sentences do not
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -86,11 +83,6 @@ def torque_model_statement(file: str, by: str) -> str:
         f"Findings and model are the difference from {file}: effects that both recordings have are not in them, and "
         f"effects of {file} alone are in them with reversed sign."
     )
-
-
-def origin_statement(origin: "ReferenceOrigin") -> str:
-    """The same of a model that was read from a file; a file of version 1 has the sentence itself."""
-    return origin.statement if origin.rigid is None else model_statement(origin.file, origin.rigid)
 
 
 def _differences(entries: Sequence[Entry], file: str) -> Iterator[dict[str, Any]]:

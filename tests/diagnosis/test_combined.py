@@ -223,7 +223,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     write_document(document, out, overwrite=True)
     code, said, err = run(capsys, "report", out)
     assert (code, said) == (2, "")
-    assert "is damaged (model.links is" in err
+    assert "its model is damaged (Expected `array`, got `str` - at `$.model.links`)" in err
 
 
 def test_both_are_diagnosed_with_their_effects_and_references(recording, found, monkeypatch):

@@ -269,7 +269,7 @@ def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     assert unnamed
     assert diagnosis.verdict == "unnamed"
     for k in unnamed:
-        document = diagnosis.document()["findings"][k]
+        document = diagnosis.to_dict()["findings"][k]
         assert "measured position" in document["driver"]
         assert set(document["peak_to_peak"]) < {f"peak_to_peak_{of}" for of in ("m", "rad", "scale")}
 
@@ -280,7 +280,7 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     diagnosis = diagnose(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
     assert not diagnosis.findings
     assert diagnosis.left.acts_at.site == "joint5"
-    document = diagnosis.document()
+    document = diagnosis.to_dict()
     assert document["left"]["acts_at"]["share"] > 0.7
     removed = f"every row removes {100 * diagnosis.left.acts_at.share:.0f} % of their sum of squares"
     assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
@@ -326,7 +326,7 @@ def test_a_chain_whose_uncertainty_is_declared_needs_no_rows_of_its_own(tmp_path
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
     diagnosis = diagnose(arm.recording(static_motion(6, 12)))
     assert diagnosis.verdict == "undetermined"
-    assert diagnosis.document()["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
+    assert diagnosis.to_dict()["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
 
 
 @pytest.mark.long
@@ -362,7 +362,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
         effect, p_value = diagnosis.nearest
         assert effect.label == "joint_compliance:joint3"
         assert OPTIONS.engine.level < p_value < OPTIONS.nearly_significant
-        said = statements.verdict_statement(diagnosis.document())
+        said = statements.verdict_statement(diagnosis.to_dict())
         assert said == (
             "Undetermined: what is left, with the effects below, is noise, but joint compliance at joint3 is nearly "
             f"significant (family-wise p-value {p_value:.2g}). Record about {diagnosis.rows_needed - 200} more poses."
@@ -392,7 +392,7 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
     assert found.findings == ()
     assert found.withdrawn is not None
     assert [finding.effect.label for finding in found.withdrawn.findings] == ["joint_compliance:joint2"]
-    document = found.document()
+    document = found.to_dict()
     assert document["after"] == document["before"]
     assert document["verdict"] in ("unexplained", "undetermined")
     assert document["model"]["effects"] == []
@@ -409,7 +409,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     assert found.withdrawn is None
     assert np.linalg.norm(found.after) < 0.5 * np.linalg.norm(found.before)
-    document = found.document()
+    document = found.to_dict()
     assert document["heldout_blocks"] == 25
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
     said = statements.held_out_statement(document)
@@ -485,7 +485,7 @@ def test_a_gear_between_its_flanks_in_a_few_rows_has_play(tmp_path, trial, joint
     (finding,) = diagnosis.findings
     assert finding.effect.label == f"joint_backlash:joint{joint}"
     assert f"unnamed:joint{joint}" in [one.term.label for one in finding.alternatives if one.gap < 3]
-    document = diagnosis.document()
+    document = diagnosis.to_dict()
     assert document["left_out"] == left_out
     assert any("between its flanks in rows" in line for line in statements.assumptions(document))
 

@@ -64,7 +64,7 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     assert finding.effect == effects[1]
     (estimate,) = finding.parameters.values()
     assert abs(estimate.value - 0.5) < 4 * estimate.std < 0.2
-    document = json.loads(json.dumps(found.document()))
+    document = json.loads(json.dumps(found.to_dict()))
     with pytest.raises(InputError, match="effect 'air_drag': unknown"):
         torque_model_from_document(document)
     model = torque_model_from_document(document, effects)

@@ -130,8 +130,9 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     assert "--certificate: is of one recording, and" in flat(capsys.readouterr().err)
     (tmp_path / "damaged.json").write_text(json.dumps(document | {"effects": [{}]}))
     assert main(["report", str(tmp_path / "damaged.json")]) == 2
-    assert "fleet.effects[0] lacks the key 'effect'; run `lite6jax diagnose --fleet` again" in flat(
-        capsys.readouterr().err
+    assert (
+        "fleet: Object missing required field `effect` - at `$.effects[0]`; run `lite6jax diagnose --fleet` again"
+        in flat(capsys.readouterr().err)
     )
     assert main(["diagnose", "--fleet", str(folder), *options]) == 2
     assert "fleet.json: exists already" in flat(capsys.readouterr().err)

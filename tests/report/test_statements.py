@@ -5,6 +5,7 @@ import re
 import textwrap
 from dataclasses import replace
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
 
+DOCS = Path(__file__).resolve().parents[2] / "docs/reference"
+
 JUMP = {
     "row": 90, "part": "base", "translation_m": 3e-3, "rotation_rad": 1e-3, "twist": [3e-3, 0, 0, 1e-3, 0, 0],
     "displacement_rms_m": 3e-3, "p_value": 1e-9,
@@ -44,6 +47,18 @@ RULED_OUT = (
     DataFault("mirrored_joint", (), COLUMNS),
     DataFault("time_order", (), {"samples": 200, "timed": False}),
 )
+
+
+def test_the_keys_of_a_diagnosis_are_documented(found, motors):
+    of_poses = {*found.to_dict(), "inputs", "against", "torques", "torques_refused", "shared"}
+    of_torques = {*motors.to_dict(), "inputs", "against"} - {"schema", "domain"}
+    for page, title, keys in (
+        ("results", "The file of a diagnosis", of_poses),
+        ("torques", "The JSON file", of_torques),
+    ):
+        text = (DOCS / f"{page}.md").read_text().partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+        first = [row.split("|")[1] for row in text.partition("\n###")[0].splitlines() if row.startswith("| `")]
+        assert {key for cell in first for key in re.findall(r"`(\w+)`", cell)} == keys
 
 
 @pytest.fixture(scope="module")

@@ -172,7 +172,7 @@ def test_heights_show_a_compliance_and_predict_it(tmp_path):
 def test_clean_readings_have_no_finding(tmp_path, sensor):
     found = diagnose(recording_of(tmp_path, sensor, samples=80, seed=6), options=QUICK)
     assert not found.findings
-    assert found.document()["schema"]
+    assert found.to_dict()["schema"]
 
 
 @pytest.mark.long

@@ -48,7 +48,7 @@ def diagnosed():
 
 @pytest.fixture(scope="module")
 def model(diagnosed):
-    return torque_model_from_document(json.loads(json.dumps(diagnosed.document())))
+    return torque_model_from_document(json.loads(json.dumps(diagnosed.to_dict())))
 
 
 def unseen(seed, factor=1.0):
@@ -151,18 +151,18 @@ def test_variances_are_those_of_the_prediction(texts, inertial):
         (lambda u: u["covariance"].pop(), "covariance is not one of"),
         (lambda u: u.update(left_Nm=[0.1]), "not one of this arm"),
         (lambda u: u["recorded"].update(joint_range_rad=[[1, 0]] * 6), "ends before it begins"),
-        (lambda u: u.update(noise_Nm=[-1.0] * 6), "0 or more"),
+        (lambda u: u.update(noise_Nm=[-1.0] * 6), ">= 0.0"),
     ],
 )
 def test_damaged_bars_are_refused(diagnosed, damage, message):
-    document = json.loads(json.dumps(diagnosed.document()))
+    document = json.loads(json.dumps(diagnosed.to_dict()))
     damage(document["model"]["uncertainty"])
     with pytest.raises(InputError, match=message):
         torque_model_from_document(document)
 
 
 def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
-    document = diagnosed.document()
+    document = diagnosed.to_dict()
     path = write_document(document, tmp_path / "d.json")
     motion = write_recording(unseen(7)[2], tmp_path / "motion.csv")
     code, said, _ = run(capsys, "predict", path, motion, "--out", tmp_path / "p.csv")
