@@ -44,8 +44,6 @@ _CAPTIONS = {
     "not recorded or does not vary, or the function is confounded with the nuisance.",
     "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
     "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
-    "remaining": "Left, the residuals in units of the sensor's noise beside normal noise; right, their autocorrelation "
-    "in the order of the rows.",
 }
 _TORQUE_CAPTIONS = {
     "error_by_joint": "Held-out torque error of each joint, by the arm's model alone and with the findings. "

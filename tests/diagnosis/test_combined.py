@@ -165,7 +165,7 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
     monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
-    named = ["error_by_joint", "where", "orders", "remaining"]
+    named = ["error_by_joint", "where", "orders"]
     named += [f"torque_{name}" for name in ("error_by_joint", "over_time", "friction")]
     blank = {name: Figure((1, 1)) for name in named}
     monkeypatch.setattr("lite6jax.report.diagnosis_figures.drawings", lambda *_: blank.items())
