@@ -1,6 +1,6 @@
 """Types of values in JSON documents, and their check by msgspec, whose messages name the place: `$.model.arm`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -10,8 +10,6 @@ from lite6jax.errors import InputError
 
 Kind = TypeVar("Kind")
 Positive = Annotated[float, Meta(ge=0.0)]
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
-"""A share or a probability."""
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[int, Meta(ge=1)]
 """Of a row or a joint, which count from 1; or of samples."""
@@ -19,22 +17,6 @@ Number = Annotated[int, Meta(ge=1)]
 
 class Strict(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """An object with these keys and no others."""
-
-
-def record(required: Mapping[str, Any], further: Mapping[str, Any] | None = None) -> Any:
-    """The type of an object with all the required keys, some of the further ones, and no others.
-
-    Args:
-        required: types of values by key, in the order in which they are written.
-        further: likewise.
-    """
-    fields = [*required.items(), *((key, kind, msgspec.UNSET) for key, kind in (further or {}).items())]
-    return msgspec.defstruct("record", fields, forbid_unknown_fields=True)
-
-
-PLACE: dict[str, Any] = {"effect": str, "site": str, "driver": str}
-"""Keys of which effect, where it acts, and what it depends on."""
-ESTIMATE = record({"value": float, "std": Positive})
 
 
 class RepeatedKeyError(ValueError):

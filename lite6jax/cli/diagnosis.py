@@ -22,7 +22,6 @@ with import_lazily():
     from lite6jax.domains.pose import files as pose_files
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
-    from lite6jax.fleet import schema as population_schema
     from lite6jax.recordings import checksums, writing
     from lite6jax.report import (
         compensation,
@@ -67,11 +66,11 @@ class Report:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
         document, written = diagnosis_file.parse_document(self.diagnosis), []
-        of_fleet = population_schema.is_of_fleet(document)
+        of_fleet = fleets.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
-        check = population_schema.check_fleet_document if of_fleet else diagnosis_file.check_document
-        check(document, self.diagnosis)
+        if not of_fleet:
+            diagnosis_file.check_document(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))

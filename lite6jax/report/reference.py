@@ -223,8 +223,6 @@ def shared_statements(document: Document) -> list[str]:
 
 def shared_statement(entry: Entry) -> str:
     """What both say of one quantity."""
-    if entry["quantity"] == "load":
-        return _load(entry)
     name, remedy = _QUANTITIES[entry["quantity"]]
     poses, torques = (_numbers(entry[side]) for side in ("poses", "torques"))
     if entry["agree"] is None:
@@ -234,22 +232,6 @@ def shared_statement(entry: Entry) -> str:
     if entry["agree"]:
         return f"Of {name}, {said}: they agree, and it is one finding that both sensors see."
     return f"Of {name}, {said}: they disagree ({_chance(entry)}). {remedy}"
-
-
-def _load(entry: Entry) -> str:
-    joint, ratio = entry["joint"], entry["torques"]["parameters"]["load_ratio"]
-    compliance = entry["poses"]["parameters"]["compliance_rad_per_Nm"]
-    said = (
-        f"The compliance of joint {joint} rests on the loads of the declared arm; by the torques, joint {joint} "
-        f"carries {ratio['value']:.3f} ± {ratio['std']:.2g} times these"
-    )
-    if entry["agree"]:
-        return f"{said}, which is within the uncertainty of the masses."
-    corrected = {key: value / ratio["value"] for key, value in compliance.items()}
-    return (
-        f"{said}. They disagree ({_chance(entry)}): by the loads that the torques show, it is "
-        f"{quantity('compliance_rad_per_Nm', corrected)}. Correct payload_kg, or the masses of the arm's description."
-    )
 
 
 def _chance(entry: Entry) -> str:

@@ -73,8 +73,13 @@ def minutes(seconds: float) -> str:
 
 @contextmanager
 def repeated(line: Callable[[], str]) -> Iterator[None]:
-    """Prints a line on stderr every ten seconds, until the end of the context."""
+    """Shows a line on stderr until the end of the context: updated on a terminal, else printed every ten seconds."""
     screen, ended = console(stderr=True), threading.Event()
+    if screen.is_terminal:
+        drawn = lambda: Text(line(), overflow="ellipsis", no_wrap=True)  # noqa: E731
+        with Live(get_renderable=drawn, console=screen, transient=True, refresh_per_second=2):
+            yield
+        return
 
     def report() -> None:
         while not ended.wait(EVERY):
@@ -164,11 +169,5 @@ def stages() -> Iterator[Callable[[Stage], None]]:
         block = f", without block {stage.part} of {stage.parts - 1}" if 0 < stage.part < stage.parts else ""
         return f"{_STAGES[stage.code]}{block}: {so_far}"
 
-    screen = console(stderr=True)
-    if screen.is_terminal:
-        drawn = lambda: Text(line(), overflow="ellipsis", no_wrap=True)  # noqa: E731
-        with Live(get_renderable=drawn, console=screen, transient=True, refresh_per_second=2):
-            yield reached.append
-        return
     with repeated(line):
         yield reached.append

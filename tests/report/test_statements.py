@@ -21,7 +21,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, fleets, ranking, reference, remedies, statements, words
+from lite6jax.report import diagnosis_figures, ranking, reference, remedies, statements, words
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
@@ -526,12 +526,6 @@ def test_a_summary_is_sentences_of_a_few_lines(compliant):
     html = compliant._repr_html_()
     assert f"is significant: {size}; it moves" in html
     assert "<script" not in html
-
-
-@pytest.mark.parametrize(("p_value", "said"), [(1.0, "not significant"), (2e-9, "p = 2.0e-09")])
-def test_a_change_with_the_date_that_is_none_has_no_p_value(p_value, said):
-    effect = {"effect": "unnamed", "between_p_value": 1.0, "arms": [], "drift": {"p_value": p_value}, "rivals": []}
-    assert f"Its change with the date: {said}." in list(fleets.remarks(effect, over=True))
 
 
 def test_a_number_that_is_not_finite_is_unknown():
