@@ -1,4 +1,4 @@
-"""Concealed fleets by the command: effects that no recording shows, odd arms, drifts, and false alarms where none is.
+"""Concealed fleets by the command: effects that no recording shows, odd arms, and false alarms where none is.
 
 Every kind of fleet is drawn several times. Effects go round through the catalogue, and a fleet counts as found where an
 effect of the right name, site and order is in its document.
@@ -23,8 +23,6 @@ HALF = 0.5
 """Thresholds of one recording, of an effect that all arms have."""
 _ODD = 4.0
 """Thresholds of an effect that one arm has and the others have not."""
-_GROWN = 2.0
-"""Thresholds by which an effect grows over the recordings of one arm."""
 _MIDDLE = {1: 0.0, 2: 0.0, 3: 1.8, 4: 0.0, 5: 0.0}
 """rad, in the middle of what each joint does."""
 _WIDTH = 0.4
@@ -40,18 +38,18 @@ def fleet_diagnosis(
         fleets: of each kind with something hidden.
         clean: fleets with nothing hidden.
         arms: that have an effect at half the threshold.
-        fewer: arms of the other fleets, and recordings of one arm over time.
+        fewer: arms of the other fleets.
         rows: of each recording.
         seed: of all draws.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind, count in (("half", arms), ("outside", arms), ("odd", fewer), ("drift", fewer)):
+        for kind, count in (("half", arms), ("outside", arms), ("odd", fewer)):
             answers = []
             for number in range(fleets):
                 hidden = _hidden(kind, number, count, seed)
                 place = folder / f"{kind}{number}"
-                answers.append((hidden, _answer(place, seed + number, count, rows, (hidden,), kind == "drift")))
+                answers.append((hidden, _answer(place, seed + number, count, rows, (hidden,))))
             yield from _judged(kind, f"{count} recordings", answers)
         documents = [_answer(folder / f"clean{i}", seed + 1000 + i, fewer, rows, ()) for i in range(clean)]
         work = f"{fewer} clean arms"
@@ -82,20 +80,14 @@ def _hidden(kind: str, number: int, arms: int, seed: int) -> Shared:
         return Shared(Hidden("joint_bump", f"joint{joint}", (1.0,), {**fixed, "width": _WIDTH}), HALF)
     if kind == "half":
         return Shared(effect, HALF)
-    if kind == "odd":
-        return Shared(effect, 0.0, odd=((int(rng.integers(arms)), _ODD),))
-    # over time gears and phases stay as they are; what drifts is how far something gives way, or its play
-    drifting = effect if effect.name != "joint_harmonic" else effects[0]
-    return Shared(drifting, HALF, drift=_GROWN)
+    return Shared(effect, 0.0, odd=((int(rng.integers(arms)), _ODD),))
 
 
-def _answer(
-    folder: Path, seed: int, arms: int, rows: int, hidden: tuple[Shared, ...], over_time: bool = False
-) -> dict[str, Any]:
+def _answer(folder: Path, seed: int, arms: int, rows: int, hidden: tuple[Shared, ...]) -> dict[str, Any]:
     """The document that the command writes."""
-    write_fleet(folder, seed, arms, rows, hidden, over_time)
+    write_fleet(folder, seed, arms, rows, hidden)
     out = folder.with_name(f"{folder.name}_out")
-    given = ["diagnose", "--fleet", str(folder), "--out", str(out), "--quick", *(["--over", "date"] * over_time)]
+    given = ["diagnose", "--fleet", str(folder), "--out", str(out), "--quick"]
     done = subprocess.run([sys.executable, "-m", "lite6jax.cli", *given], cwd=ROOT, capture_output=True)
     if done.returncode:
         raise RuntimeError(done.stderr.decode())
@@ -108,7 +100,6 @@ def _judged(kind: str, work: str, answers: list[tuple[Shared, dict[str, Any]]]) 
         "half": "half-threshold effect in all",
         "outside": "half-threshold bump in all",
         "odd": "effect in one arm",
-        "drift": "growing effect",
     }
     subject = f"{names[kind]}, {work}"
     found = [_found(hidden, document) for hidden, document in answers]
@@ -132,10 +123,6 @@ def _judged(kind: str, work: str, answers: list[tuple[Shared, dict[str, Any]]]) 
     if kind == "odd":
         right = share(_outliers(document) == [f"arm{hidden.odd[0][0] + 1:02d}.csv"] for hidden, document in answers)
         yield _record(subject, "that arm named, and no other", right, "higher")
-    if kind == "drift":
-        pairs = zip(found, answers, strict=True)
-        drifting = share(one is not None and one["drift"]["p_value"] < said["level"] for one, (_, said) in pairs)
-        yield _record(subject, "drift found", drifting, "higher")
     further = share(
         len(document["effects"]) > (one is not None) for one, (_, document) in zip(found, answers, strict=True)
     )

@@ -362,7 +362,7 @@ def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
         assert f"{broken}: is damaged (it lacks '{lost}'); run `lite6jax diagnose` again" in err
     assert not pdf.exists()
     broken.write_text(json.dumps({**document, "schema": "lite6jax/diagnosis/1"}))
-    assert "is no diagnosis (lite6jax/diagnosis/2)" in refused(capsys, "report", broken)
+    assert "is no diagnosis (lite6jax/diagnosis/2 with a model)" in refused(capsys, "report", broken)
 
 
 def test_the_document_names_its_inputs(diagnosed, recorded):
@@ -386,7 +386,7 @@ def test_what_a_finding_moves_is_by_how_much_the_arm_was_bent(corpus, arm, diagn
 
 def test_a_diagnosis_plots_its_figures(corpus):
     figures = corpus["compliance"].diagnosis.plot()
-    assert list(figures) == ["ranking", "error_by_joint", "where", "orders", "findings", "remaining"]
+    assert list(figures) == ["ranking", "error_by_joint", "where", "orders", "findings"]
     (panel,) = figures["ranking"].axes
     document = corpus["compliance"].diagnosis.to_dict()
     assert [bar.get_width() for bar in panel.patches] == [1e3 * f["moves_rms_m"] for f in document["findings"]]

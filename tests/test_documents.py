@@ -69,19 +69,15 @@ def test_the_faults_of_poses_are_documented_in_their_order():
     assert set(documented) == set(FAULTS)
 
 
-def test_the_keys_and_verdicts_of_a_diagnosis_are_documented():
+def test_the_verdicts_of_a_diagnosis_and_the_keys_of_its_model_are_documented():
     from typing import get_args
 
-    from lite6jax.diagnosis.schema import POSE_DOCUMENT, POSE_MODEL, Verdict
+    from lite6jax.diagnosis.schema import PoseModel, Verdict
 
     text = (ROOT / "docs/reference/results.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in re.split("\n##+ ", text)[1:]}
-    keys = {
-        name: {key for row in sections[name] for key in row[0].replace("`", "").split(", ")}
-        for name in ("The file of a diagnosis", "The model in it")
-    }
-    assert keys["The file of a diagnosis"] == set(POSE_DOCUMENT.__struct_fields__)
-    assert keys["The model in it"] == set(POSE_MODEL.__struct_fields__) - {"prismatic_joints"}
+    keys = {key for row in sections["The model in it"] for key in row[0].replace("`", "").split(", ")}
+    assert keys == set(PoseModel.__struct_fields__) - {"prismatic_joints"}
     verdicts = {row[0].strip("*").replace(" ", "_") for row in sections["The verdicts"]}
     assert verdicts == set(get_args(Verdict))
 
@@ -117,8 +113,7 @@ def test_the_screens_are_documented_in_their_order():
     assert documented == [code for screen in SCREENS for code in screen.codes]
 
 
-def test_the_effects_faults_and_keys_of_torques_are_documented():
-    from lite6jax.diagnosis.schema import TORQUE_DOCUMENT
+def test_the_effects_and_faults_of_torques_are_documented():
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
     from lite6jax.report.torque_faults import FAULTS
 
@@ -126,8 +121,6 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
     assert {row[0] for row in sections["Data faults"]} == {*FAULTS, "joint_turns"}  # which poses name as well
-    documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
-    assert documented | {"schema", "domain"} == set(TORQUE_DOCUMENT.__struct_fields__)
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue

@@ -5,7 +5,6 @@ Made of the generator of the concealed trials, which shares no code with the lib
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,6 @@ from benchmarks.concealed.plans import SENSORS, Plan
 from benchmarks.concealed.recorded import PAYLOAD_CENTER, draw_motion, files_of, measure
 from benchmarks.concealed.view import Open, View, turned
 
-_FIRST = date(2024, 1, 15)
-_DAYS_APART = 30
-
 
 @dataclass(frozen=True)
 class Shared:
@@ -32,23 +28,19 @@ class Shared:
         thresholds: its mean size, in thresholds of one recording.
         spread: the relative standard deviation of its size between arms.
         odd: arms in which it has other sizes, in thresholds.
-        drift: thresholds by which it grows over the whole fleet, whose arms are then one arm over time.
     """
 
     effect: Hidden
     thresholds: float
     spread: float = 0.0
     odd: tuple[tuple[int, float], ...] = ()
-    drift: float = 0.0
 
-    def sized(self, arm: int, arms: int) -> float:
+    def sized(self, arm: int) -> float:
         """The size in one arm in thresholds, but for its spread."""
-        return dict(self.odd).get(arm, self.thresholds + self.drift * arm / max(arms - 1, 1))
+        return dict(self.odd).get(arm, self.thresholds)
 
 
-def write_fleet(
-    folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared], over_time: bool = False
-) -> None:
+def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared]) -> None:
     """Writes the recordings of a fleet: `armNN.csv` with sidecar and factory calibration.
 
     A threshold is that of the effect in the recording of the first arm, so that all arms share a physical size; of one
@@ -60,14 +52,12 @@ def write_fleet(
         arms: how many.
         rows: of each recording, at rest, by a laser tracker whose frame and target are unknown.
         hidden: what the arms have.
-        over_time: whether the recordings are of one arm, a month apart.
     """
     folder.mkdir()
     sizes: list[float] = []
-    made = chains.lite6().moved(np.random.default_rng([seed, 1]), *chains.MADE)
     for arm in range(arms):
         rng = np.random.default_rng([seed, 2, arm])
-        actual = made if over_time else chains.lite6().moved(rng, *chains.MADE)
+        actual = chains.lite6().moved(rng, *chains.MADE)
         plan = Plan(
             seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows
         )
@@ -82,7 +72,7 @@ def write_fleet(
             sizes = [threshold(view, (one.effect,), 0, each).size for one, each in zip(hidden, spans, strict=True)]
         there = []
         for one, size in zip(hidden, sizes, strict=True):
-            factor = one.sized(arm, arms) * (1 + one.spread * rng.normal()) * size
+            factor = one.sized(arm) * (1 + one.spread * rng.normal()) * size
             effect = one.effect
             if effect.name == "joint_harmonic":
                 phase = rng.uniform(-np.pi, np.pi)
@@ -94,8 +84,6 @@ def write_fleet(
         name = f"arm{arm + 1:02d}"
         said = yaml.safe_load(files["recording.yaml"])
         said["recording"]["factory_calibration"] = f"{name}_factory.yaml"
-        if over_time:
-            said["recording"]["date"] = (_FIRST + timedelta(_DAYS_APART * arm)).isoformat()
         (folder / f"{name}.csv").write_text(files["recording.csv"])
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(said, sort_keys=False))
         (folder / f"{name}_factory.yaml").write_text(files["factory.yaml"])

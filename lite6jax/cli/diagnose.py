@@ -98,8 +98,6 @@ class Diagnose:
     fleet: bool = False
     """Of a folder of recordings of many arms of one type: also pool them, to find what the type shares and no recording
     shows alone, and which arms differ. Writes fleet.json beside the table."""
-    over: Literal["date"] | None = None
-    """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
     processes: command.Processes = None
     """So many processes of this machine, each with one thread; one a core where not given. Of one recording they work
     on the held-out blocks, and are five at most; with --effects threads of one do."""
@@ -110,8 +108,6 @@ class Diagnose:
         """Reads, searches, writes, prints."""
         if self.poses and self.torques:
             raise InputError("--poses and --torques: give one of them, or none to diagnose both")
-        if self.over is not None and not self.fleet:
-            raise InputError("--over: is of recordings that are pooled; add --fleet")
         if _is_folder(self.source):
             if self.more:
                 raise InputError(f"{self.source}: is a folder; name a folder, or files of one arm")
@@ -167,19 +163,18 @@ class Diagnose:
             domain = "both"
         if domain != "torques":
             arm = arm or source.arm_of(recording)
-        other = source.load_recording(self.reference, arm, **assumed) if self.reference else None
-        given: dict[str, Any] = {"options": diagnosis_options.QUICK if self.quick else None}
-        if domain == "torques":
-            given |= {"effects": dynamic}
-            alone, against = torque_diagnosis.diagnose_torques, torque_diagnosis.diagnose_torques_against
-        else:
-            given |= {"effects": kinematic, "geometry": self.geometry}
-            alone, against = diagnose.diagnose, diagnose.diagnose_against
-        if domain == "both":
-            given |= {"effects": effects, "reference": other}
-            return recording, domain, partial(combined.diagnose_combined, recording, arm, **given)
-        compared = [] if other is None else [other]
-        return recording, domain, partial(against if compared else alone, recording, *compared, arm, **given)
+        given: dict[str, Any] = {
+            "options": diagnosis_options.QUICK if self.quick else None,
+            "reference": source.load_recording(self.reference, arm, **assumed) if self.reference else None,
+        }
+        if domain != "torques":
+            given["geometry"] = self.geometry
+        search, own = {
+            "poses": (diagnose.diagnose, kinematic),
+            "torques": (torque_diagnosis.diagnose_torques, dynamic),
+            "both": (combined.diagnose_combined, effects),
+        }[domain]
+        return recording, domain, partial(search, recording, arm, effects=own, **given)
 
     def _document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
@@ -263,7 +258,6 @@ class Diagnose:
                 str(self.source),
                 out,
                 terms.PoolingOptions(),
-                self.over,
                 self.scheduler,
                 self.processes,
                 lambda count: effects.__setitem__(0, count),

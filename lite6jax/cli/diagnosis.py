@@ -13,7 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.storage import exists, write_atomically
+from lite6jax.storage import exists, file_sha256, write_atomically
 
 with import_lazily():
     from lite6jax import recordings
@@ -22,7 +22,6 @@ with import_lazily():
     from lite6jax.domains.pose import files as pose_files
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
-    from lite6jax.fleet import population
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         compensation,
@@ -67,11 +66,11 @@ class Report:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
         document, written = diagnosis_file.parse_document(self.diagnosis), []
-        of_fleet = population.is_of_fleet(document)
+        of_fleet = fleets.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
-        check = population.check_fleet_document if of_fleet else diagnosis_file.check_document
-        check(document, self.diagnosis)
+        if not of_fleet:
+            diagnosis_file.check_document(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
                 page = list(fleets.population_report(document))
@@ -80,6 +79,12 @@ class Report:
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
+                    itself = {
+                        "role": "diagnosis",
+                        "file": self.diagnosis.name,
+                        "sha256": file_sha256(self.diagnosis),
+                    }
+                    said["inputs"] = [*said.get("inputs", ()), itself]
                     written.append(pages.write_certificate(said, self.certificate, self.force))
         if self.json:
             print(diagnosis_file.document_text(document))
@@ -201,7 +206,7 @@ class Predict:
             if diagnosis_file.find_torques(document) is not None:
                 columns, said = self._add_torques(document, columns, recording, effects)
             if model.reference is not None:
-                opening.append(reference.origin_statement(model.reference))
+                opening.append(reference.model_statement(*model.reference))
             if registered is not None:
                 opening += compensation.registration_report(registered)
         table = pa.table(columns)
@@ -311,7 +316,7 @@ class Compensate:
             ]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
-        origin = [] if model.reference is None else [reference.origin_statement(model.reference)]
+        origin = [] if model.reference is None else [reference.model_statement(*model.reference)]
         page = compensation.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)

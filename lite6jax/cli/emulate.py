@@ -24,7 +24,6 @@ with import_lazily():
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
 
 _MOST_ARMS = 32
 _REFRESH_S = 0.25
@@ -85,7 +84,6 @@ class Emulate:
 
     def run(self) -> int:
         """Serves until Ctrl-C."""
-        from rich.live import Live
         from rich.table import Table
 
         if self.faults:
@@ -96,19 +94,14 @@ class Emulate:
             return command.DONE
         faults = emulator.parse_faults(self.fault)
         command.check_duration(self.duration)
-        controllers, terminal = self._controllers(faults), screen.console()
+        controllers = self._controllers(faults)
         with ExitStack() as stack:
             for controller in controllers:
                 stack.enter_context(controller)
             screen.show(self._page(controllers))
-            live = None
-            if terminal.is_terminal:
-                live = stack.enter_context(Live(console=terminal, auto_refresh=False, transient=True))
-            terminal.file.flush()  # another program may wait for these lines
+            screen.console().file.flush()  # another program may wait for these lines
             for _ in command.repeat(self.duration, _REFRESH_S):
-                table = _status_table(controllers)
-                if live is not None:
-                    live.update(table, refresh=True)
+                pass
         return command.DONE
 
     def _controllers(self, faults: "emulator.Faults") -> "list[emulator.Controller]":
@@ -203,25 +196,3 @@ class Emulate:
                 overflow="ignore",
             )
         yield Text("Stop with Ctrl-C.")
-
-
-def _status_table(controllers: "Sequence[emulator.Controller]") -> "Table":
-    """One row per controller: clock, state, joints, connections and requests."""
-    from rich.table import Table
-
-    states = {1: "moving", 2: "ready", 3: "paused", 4: "stopped", 5: "reset"}
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for title in ("address", "clock", "state", "joints (deg)", "connected", "requests"):
-        table.add_column(title, no_wrap=title in ("address", "clock", "state"))
-    for controller in controllers:
-        seen = controller.snapshot()
-        connected = ", ".join(
-            f"{port}" + (f" x{count}" if count > 1 else "") for port, count in seen.connections.items() if count
-        )
-        error = f", error {seen.error}" if seen.error else ""
-        joints = " ".join(f"{math.degrees(angle):.1f}" for angle in seen.joints)
-        table.add_row(
-            controller.address, f"{seen.time:.0f} s", states.get(seen.state, str(seen.state)) + error, joints,
-            connected or "none", str(sum(seen.requests.values())),
-        )  # fmt: skip
-    return table

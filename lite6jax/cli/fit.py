@@ -121,13 +121,13 @@ class Fit:
         nominal = sources.load_nominal(self.arm)
         title = self.source.name if self.source else str(self.ip)
         stem = self.source.stem if self.source else title.replace(":", "_")
-        source, written, kinds = self._read(nominal), [], ["error_by_joint"]
-        if isinstance(source, recordings.Recording):
-            kinds.append("error_distribution")
-        elif self.save_calibration:  # at once: no failure below costs what was read
+        source, written = self._read(nominal), []
+        if (
+            isinstance(source, factory.FactoryCalibration) and self.save_calibration
+        ):  # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
         verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
-        names = [f"{stem}_{kind}" for kind in (*kinds, *(["controller"] if verified else []))]
+        names = [f"{stem}_{kind}" for kind in ("error_by_joint", *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
         if isinstance(source, recordings.Recording):
             found = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
@@ -150,8 +150,6 @@ class Fit:
 
         def draw():
             yield figures.error_by_joint(found, title)
-            if found.recording:
-                yield figures.error_distribution(found, found.recording, title)
             if verification:
                 yield figures.verification_figure(verification, title)
 

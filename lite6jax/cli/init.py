@@ -32,7 +32,7 @@ with import_lazily():
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
-    from lite6jax.report import data_faults, inspection, joining, screen
+    from lite6jax.report import data_faults, inspection, screen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -303,7 +303,7 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         place, columns, notes = (
             _name_table(first, "poses", overwrite),
             found.columns,
-            joining.describe_reflectors(found),
+            inspection.describe_reflectors(found),
         )
     else:
         if arm is None:
@@ -314,7 +314,7 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
             path, columns = _read_columns(source, arm)
             if (found := pose_joining.with_pose_of_reflectors(columns)) is not None:
                 columns = found.columns
-                notes += [f"{path.name}: {said}" for said in joining.describe_reflectors(found)]
+                notes += [f"{path.name}: {said}" for said in inspection.describe_reflectors(found)]
             own = {name: meaning for name, meaning in given.items() if name in columns}
             meanings = pose_inspection.inspect(list(columns.items()), arm, own, str(path))
             files.append(pose_joining.File(str(path), path.stem, columns, meanings))
@@ -324,10 +324,10 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         if joints.found.of("q") is None:
             moved = pose_joining.with_joints(joints, arm)
             joints = moved.file
-            notes += joining.describe_solved_joints(moved, arm.name)
+            notes += inspection.describe_solved_joints(moved, arm.name)
         place = _name_table(Path(files[0].source), files[1].stem, overwrite)
         whole = pose_joining.join_files(joints, poses, arm)
-        notes += joining.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
+        notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
         columns = whole.columns
     made = raw.of_arrays(columns)
     return _Table(place, made, list(made.numbers()), notes)

@@ -29,60 +29,6 @@ Known = Literal["known", "unknown"]
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The sensor's noise, and how it differs from the declared one."""
-
-    position_noise: Annotated[float | None, arg(metavar="MM")] = None
-    """One standard deviation per axis, mm, instead of the sensor's."""
-    orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
-    """One standard deviation per axis, degrees."""
-    joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
-    """One standard deviation of each joint's read-out, degrees."""
-    noise_factor: float = 1.0
-    """Undeclared: the poses' true noise over the declared one; 0 for none."""
-    noise_correlation: float = 0.0
-    """Undeclared: autocorrelation of the noise from one sample to the next."""
-    noise_growth: Annotated[float, arg(metavar="PER_M")] = 0.0
-    """Undeclared: relative growth of the noise per m of distance from the base."""
-    undeclared_joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
-    """Undeclared: noise of each joint's read-out, degrees."""
-    outliers: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Undeclared: share of the rows that are outliers, 0 to 1."""
-    outlier_size: Annotated[float, arg(metavar="MM")] = 5.0
-    """Displacement of an outlier, mm; each is 0.5 to 2 times this."""
-
-    def instrument(self, sensor: str) -> "simulation.Instrument":
-        """The sensor with the declared noise."""
-        position = None if self.position_noise is None else self.position_noise / 1e3
-        orientation = None if self.orientation_noise is None else math.radians(self.orientation_noise)
-        chosen = simulation.INSTRUMENTS[sensor]
-        noisy = chosen.sensor.with_noise(position, orientation, math.radians(self.joint_noise))
-        return chosen._replace(sensor=noisy)
-
-    def undeclared(self) -> "simulation.UndeclaredNoise":
-        """How the noise differs from the declared one."""
-        return simulation.UndeclaredNoise(
-            factor=self.noise_factor,
-            correlation=self.noise_correlation,
-            growth_per_m=self.noise_growth,
-            joint_noise=math.radians(self.undeclared_joint_noise),
-            outlier_share=self.outliers,
-            outlier_size=self.outlier_size / 1e3,
-        )
-
-    def describe_undeclared(self) -> str:
-        """The same as phrases; empty where it does not differ."""
-        parts = [
-            (self.noise_factor != 1, f"{self.noise_factor:g} times as large"),
-            (self.noise_correlation, f"with autocorrelation {self.noise_correlation:g} from row to row"),
-            (self.noise_growth, f"growing by {100 * self.noise_growth:g} % per m from the base"),
-            (self.undeclared_joint_noise, f"joints' read-outs {self.undeclared_joint_noise:g} deg"),
-            (self.outliers, f"{100 * self.outliers:g} % outliers"),
-        ]
-        return ", ".join(text for given, text in parts if given)
-
-
-@dataclass(frozen=True)
 class Simulate:
     """Write a recording of a simulated arm with chosen effects, and its sidecar.
 
@@ -148,7 +94,12 @@ class Simulate:
     """Whether the sidecar declares the measured point on the flange."""
     tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The measured point, mm in the flange's frame."""
-    noise: Noise = Noise()
+    position_noise: Annotated[float | None, arg(metavar="MM")] = None
+    """One standard deviation per axis, mm, instead of the sensor's."""
+    orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
+    """One standard deviation per axis, degrees."""
+    joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
+    """One standard deviation of each joint's read-out, degrees."""
     seed: int = 0
     """Of the random numbers."""
     force: command.Force = False
@@ -174,16 +125,16 @@ class Simulate:
             settings=self._settings(calibration),
             seed=self.seed,
         )
+        position_noise = None if self.position_noise is None else self.position_noise / 1e3
         measured = simulation.measure(
             motion,
             arm,
             physics,
             values,
             kinematics=kinematics,
-            sensor=self.sensor if self.sensor in readings.READERS else self.noise.instrument(self.sensor),
-            position_noise=None if self.noise.position_noise is None else self.noise.position_noise / 1e3,
-            joint_noise=math.radians(self.noise.joint_noise),
-            undeclared=self.noise.undeclared(),
+            sensor=self.sensor if self.sensor in readings.READERS else self._instrument(position_noise),
+            position_noise=position_noise,
+            joint_noise=math.radians(self.joint_noise),
             T_sensor_base=simulation.draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
             tool=[*command.metres(self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
             tool_known=self.tool == "known",
@@ -201,6 +152,13 @@ class Simulate:
         screen.show(self._page(arm, physics, values, measured))
         screen.written(written)
         return command.DONE
+
+    def _instrument(self, position_noise: float | None) -> "simulation.Instrument":
+        """The sensor with the noise given."""
+        orientation = None if self.orientation_noise is None else math.radians(self.orientation_noise)
+        chosen = simulation.INSTRUMENTS[self.sensor]
+        noisy = chosen.sensor.with_noise(position_noise, orientation, math.radians(self.joint_noise))
+        return chosen._replace(sensor=noisy)
 
     def _physics(self) -> "tuple[composition.Physics, np.ndarray]":
         kinds = catalogue.kinds_of(command.load_own_effects(self.effects))
@@ -282,10 +240,8 @@ class Simulate:
             said = [f"{noise:.3g} px" if pixels else f"{1e3 * noise:.3g} mm"]
         if settings.orientation_noise_rad is not None:
             said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
-        said += [f"joints {self.noise.joint_noise:.3g} deg"] if self.noise.joint_noise else []
+        said += [f"joints {self.joint_noise:.3g} deg"] if self.joint_noise else []
         yield Text(f"Noise, as declared: {', '.join(said)}.")
-        if hidden := self.noise.describe_undeclared():
-            yield Text(f"Noise, not declared: {hidden}.")
         yield from screen.notes(recording.notes)
         yield ""
         if not physics.effects:

@@ -268,7 +268,7 @@ class Identify:
     arm: command.ArmName = None
     """The nominal arm of a recording; from the sidecar where not given."""
     figures: command.Folder = None
-    """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
+    """Draw the standard deviations into this folder (PNG and SVG)."""
     force: command.Force = False
     json: command.Json = False
     assume_degrees: command.AssumeDegrees = False
@@ -277,7 +277,7 @@ class Identify:
     def run(self) -> int:
         """Computes, draws, prints."""
         command.check_seed(self.seed)
-        names = [f"{command.stem(self.source)}_{kind}" for kind in ("singular_values", "correlation", "deviations")]
+        names = [f"{command.stem(self.source)}_deviations"]
         command.check_figures(self.figures, names, self.force)
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:

@@ -5,23 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
-import numpy as np
-from scipy.special import chdtrc
-
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording
-from lite6jax.diagnosis.diagnose import diagnose, diagnose_against
+from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.estimates import DISAGREE, Known, difference_p_value, estimate_effect, side_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
-from lite6jax.diagnosis.torque_diagnosis import diagnose_torques, diagnose_torques_against
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadBody, PayloadTorque
+from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.effects.kinematic.joints import JointCompliance
+from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
 from lite6jax.effects.user_effects import by_domain, require_effects
@@ -30,7 +26,7 @@ from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
 
-Quantity = Literal["payload_mass", "gravity_direction", "clock_offset", "load"]
+Quantity = Literal["payload_mass", "gravity_direction", "clock_offset"]
 
 _PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
     ("payload_mass", PayloadError(), PayloadTorque(), 1.0),
@@ -39,8 +35,6 @@ _PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
     ("clock_offset", TimeOffset(), TorqueTimeOffset(), 1.0),
 )
 """The effects of both domains that are one quantity, and the sign of the second over the first."""
-_WEIGHTS = (LinkMass, LinkCom, PayloadTorque, PayloadBody, BaseTilt)
-"""Effects by which other loads act on the joints than those of the declared arm."""
 
 
 @final
@@ -51,16 +45,14 @@ class Shared:
     Attributes:
         quantity: which.
         poses: what the poses say; None where they do not show it.
-        torques: what the torques say; of a load, what the joint carries over what the declared arm would load it with.
+        torques: what the torques say.
         p_value: of a difference as large as theirs; None where one of them says nothing.
-        joint: of a load, counted from 1.
     """
 
     quantity: Quantity
     poses: Known | None
     torques: Known | None
     p_value: float | None
-    joint: int | None = None
 
     @property
     def agree(self) -> bool | None:
@@ -70,8 +62,7 @@ class Shared:
     def to_dict(self) -> dict[str, Any]:
         """Codes and numbers."""
         said: dict[str, Any] = {"quantity": self.quantity, "p_value": self.p_value, "agree": self.agree}
-        said |= {"poses": side_entry(self.poses), "torques": side_entry(self.torques)}
-        return said | ({} if self.joint is None else {"joint": self.joint})
+        return said | {"poses": side_entry(self.poses), "torques": side_entry(self.torques)}
 
 
 @final
@@ -140,17 +131,12 @@ def diagnose_combined(
     other = None if reference is None else load_recording(reference, arm)
     require_effects(effects)
     kinematic, dynamic = by_domain(effects)
-    of_poses: dict[str, Any] = {"geometry": geometry, "effects": kinematic, "options": options, "progress": progress}
-    of_torques: dict[str, Any] = {"effects": dynamic, "options": options, "progress": progress}
-    if other is None or other.position is None:
-        poses = diagnose(recording, arm, **of_poses)
-    else:
-        poses = diagnose_against(recording, other, arm, **of_poses)
+    given: dict[str, Any] = {"options": options, "progress": progress}
+    of_poses = other if other is not None and other.position is not None else None
+    of_torques = other if other is not None and other.has_torques else None
+    poses = diagnose(recording, arm, reference=of_poses, geometry=geometry, effects=kinematic, **given)
     try:
-        if other is None or not other.has_torques:
-            torques = diagnose_torques(recording, arm, **of_torques)
-        else:
-            torques = diagnose_torques_against(recording, other, arm, **of_torques)
+        torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **given)
     except InputError as error:
         return CombinedDiagnosis(poses, None, refused=str(error))
     return CombinedDiagnosis(poses, torques, compare_domains(poses, torques))
@@ -164,45 +150,8 @@ def compare_domains(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared,
             one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
             p = None if one is None or other is None else difference_p_value(one, other, sign)
             found.append(Shared(quantity, one, other, p))
-    # what the poses found of the loads themselves, the compliance rests on already
-    known_to_poses = tuple(dynamic for _, kinematic, dynamic, _ in _PAIRS if _has(poses, kinematic))
-    assumed = poses.problem.recording.settings.inertial_uncertainty  # which the intervals of the poses contain
-    for finding in poses.findings:
-        if isinstance(finding.effect, JointCompliance):
-            load = _load(torques, finding.effect.joint, known_to_poses)
-            if load is not None:
-                own = Known(True, finding.values, finding.covariance, finding.parameters)
-                std = float(np.hypot(np.sqrt(load.covariance[0, 0]), assumed))
-                z = (float(load.values[0]) - 1) / max(std, 1e-12)
-                found.append(Shared("load", own, load, float(chdtrc(1, z**2)), finding.effect.joint))
     return tuple(found)
 
 
 def _has(result: DomainDiagnosis[Any], effect: Effect) -> bool:
     return any(finding.effect == effect for finding in result.findings)
-
-
-def _load(torques: TorqueDiagnosis, joint: int, left_out: tuple[Effect, ...]) -> Known | None:
-    """The torque of the arm's weight and motion at a joint over that of the declared arm, as the torques show it.
-
-    None where the torques do not tell: no finding but those left out changes the loads, or the declared arm loads the
-    joint with nothing.
-    """
-    problem, at = torques.problem, torques.fit
-    declared = problem.data.bodies.dynamics(problem.data.bodies.links).torque[joint - 1]
-    changed = [
-        (effect, part)
-        for effect, part in zip(at.terms.terms, at.terms.slices, strict=True)
-        if isinstance(effect, _WEIGHTS) and effect not in left_out
-    ]
-    if not changed or not declared.any():
-        return None
-    numbers = np.concatenate([np.arange(part.start, part.stop) for _, part in changed])
-    units = np.concatenate(
-        [[effect.torque(unit, problem.dynamics)[joint - 1] for unit in np.eye(effect.size)] for effect, _ in changed]
-    )
-    slopes = units @ declared / (declared @ declared)
-    ratio = 1 + float(slopes @ at.values[numbers])
-    variance = float(slopes @ at.covariance[np.ix_(numbers, numbers)] @ slopes)
-    named = {"load_ratio": Estimate(ratio, float(np.sqrt(max(variance, 0.0))))}
-    return Known(True, np.array([ratio]), np.array([[variance]]), named)

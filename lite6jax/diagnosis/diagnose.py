@@ -39,6 +39,7 @@ def diagnose(
     recording: Recording | str | Path,
     arm: Arm | str | Path | None = None,
     *,
+    reference: Recording | str | Path | None = None,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
@@ -50,6 +51,8 @@ def diagnose(
     Args:
         recording: measured poses in SI units, or the path of their file.
         arm: the nominal arm, a bundled name or a file; from the sidecar, or recognised, where not given.
+        reference: poses at the same joint positions, or the path of their file. What the recording has beyond them is
+            then diagnosed; `against` of the result is the comparison.
         geometry: what is known of it, as in `fit`.
         effects: a user's own candidates, tested like the catalogue's.
         factory: the arm's calibration; from the sidecar where not given.
@@ -61,7 +64,7 @@ def diagnose(
     `withdrawn` of the result.
 
     Raises:
-        InputError: no measured poses, too few of them, or as `fit`.
+        InputError: no measured poses, too few of them, or as `fit` and `compare`.
     """
     arm = load_nominal(arm)
     recording = load_recording(recording, arm)
@@ -69,6 +72,11 @@ def diagnose(
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     if recording.position is None and recording.has_torques:
         raise InputError(f"{recording.source}: has torques and no poses; call lite6jax.diagnose_torques")
+    if reference is not None:
+        seen = compare(recording, load_recording(reference, arm), arm, geometry)
+        given: dict[str, Any] = {"geometry": seen.geometry, "factory": seen.factory, "effects": effects}
+        found = diagnose(seen.recording, arm, **given, options=options, progress=progress)
+        return replace(found, against=seen)
     options = options or Options()
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
@@ -116,29 +124,6 @@ def diagnose(
         separating=separating,
         turned=(errors.angle_before, errors.angle_after) if problem.rows == 6 else None,
     )
-
-
-def diagnose_against(
-    recording: Recording, reference: Recording, arm: Arm | None = None, *, geometry: Geometry = "declared", **given: Any
-) -> Diagnosis:
-    """Compares a recording with a reference, and diagnoses what the recording has beyond it.
-
-    Args:
-        recording: measured poses.
-        reference: poses at the same joint positions.
-        arm: the nominal arm; from the recording's settings where not given.
-        geometry: of the recording, as in `fit`.
-        given: further arguments of `diagnose`.
-
-    Returns:
-        the diagnosis, whose `against` is the comparison.
-
-    Raises:
-        InputError: as `compare` and `diagnose`.
-    """
-    seen = compare(recording, reference, arm, geometry)
-    found = diagnose(seen.recording, arm, geometry=seen.geometry, factory=seen.factory, **given)
-    return replace(found, against=seen)
 
 
 def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:

@@ -1,19 +1,29 @@
 """The JSON of a diagnosis: codes and plain numbers in SI units, of poses, of torques, or of both.
 
-`lite6jax/diagnosis/2` is written; of version 1 the model of poses is still read. Sentences are added by the report
-where a file is written.
+Sentences are added by the report where a file is written.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from msgspec.structs import asdict, astuple
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import DRIVE_FIELDS, Arm
-from lite6jax.diagnosis.schema import RANGES, TORQUE_DOCUMENT, check_effect, check_poses
+from lite6jax.diagnosis.schema import (
+    PoseDocument,
+    PoseUncertainty,
+    Recorded,
+    TorqueDocument,
+    TorqueUncertainty,
+    check_effect,
+    check_pose_model,
+)
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.torque.predict import DiagnosedMotors, link_sites, with_free_numbers
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
@@ -27,21 +37,19 @@ from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
 from lite6jax.recordings.files import recording_file
-from lite6jax.schema import RepeatedKeyError, check, unique_keys
+from lite6jax.schema import check
 from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
 SCHEMA = "lite6jax/diagnosis/2"
-SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
-"""Those that are read."""
 DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
 _ROUNDING = 1e-9
 """Of the largest covariance, by which rounding may make a variance of zero negative."""
 _AXES = ("position_m", "orientation_rad")
-_WRONG = (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
-"""What a damaged document leads to where it is read."""
+RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
+"""Of what was recorded; of poses the first alone."""
 
 
 def effect_entry(effect: Effect) -> dict[str, Any]:
@@ -152,7 +160,7 @@ def _recorded_entry(recorded: RecordedRange) -> dict[str, Any]:
 
 
 def model_from_document(document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis") -> DiagnosedArm:
-    """The model in a diagnosis of poses of version 1 or 2, as JSON holds it.
+    """The model in a diagnosis of poses, as JSON holds it.
 
     Args:
         document: all of it.
@@ -162,55 +170,38 @@ def model_from_document(document: Any, effects: Sequence[Effect] = (), source: s
     Raises:
         InputError: not a diagnosis, or something in it is missing or not possible.
     """
-    if not _has_model(document, SCHEMAS):
-        raise InputError(
-            f"{source}: is no diagnosis ({' or '.join(SCHEMAS)} with a model); give what `lite6jax diagnose --out` "
-            "wrote"
-        )
-    model: dict[str, Any] = document["model"]
-    try:
-        check_poses(document, whole=document["schema"] == SCHEMA)
-    except (InputError, *_WRONG) as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
-    try:
-        kinematics = np.asarray(model["kinematics"], float)
-        frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
-        joints, sliding = len(kinematics), tuple(joint - 1 for joint in model.get("prismatic_joints", ()))
-        found, numbers = _effects(model, kinds_of(effects), joints, sliding)
-        physics, masses = Physics(found), model["inertia"]
-        inertia = None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()})
-        if inertia is not None and len(inertia.mass) != joints:
-            raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
-        limits = model.get("joint_limits")
-        if limits is not None:
-            limits = np.asarray(limits, float)
-            if limits.shape != (joints, 2) or not (limits[:, 0] < limits[:, 1]).all():
-                raise ValueError("joint_limits are not the lower and the upper one of each joint")
-        rms = [document.get(stage, {}).get("heldout_position_rms_m") for stage in ("before", "after")]
-        against = document.get("against")
-        if against is not None:
-            file, said = (str(against.get(key, "")) for key in ("file", "statement"))
-            against = ReferenceOrigin(file, against.get("rigid"), said)
+    with _refuse_damage(source):
+        read = _poses_in(document)
+        model, rms = read.model, [stage.get("heldout_position_rms_m") for stage in (read.before, read.after)]
+        joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
+        found, numbers = _effects(model.effects, kinds_of(effects), joints, sliding)
+        physics, masses, limits, inertia = Physics(found), model.inertia, model.joint_limits, None
+        if masses is not None:
+            inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
+            if len(inertia.mass) != joints:
+                raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
+        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
+            raise ValueError("joint_limits are not the lower and the upper one of each joint")
         return DiagnosedArm(
-            arm=model["arm"],
-            model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
+            arm=model.arm,
+            model=ArmModel(
+                np.asarray(model.kinematics, float).ravel(),  # type: ignore[arg-type]
+                np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
+                np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
+            ),
             physics=physics,
             values=physics.join(numbers),
             inertia=inertia,
-            joint_limits=limits,
-            orientation=model["orientation"],
-            reference_temperature=float(model["reference_temperature_degC"]),
-            motion=model["motion"],
-            accelerated=model.get("accelerated", False),
-            heldout_rms=None if None in rms else (float(rms[0]), float(rms[1])),
-            reference=against,
-            uncertainty=_pose_uncertainty(model.get("uncertainty"), found, joints),
+            joint_limits=None if limits is None else np.asarray(limits, float),
+            orientation=model.orientation,
+            reference_temperature=model.reference_temperature_degC,
+            motion=model.motion,
+            accelerated=model.accelerated,
+            heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
+            reference=None if read.against is None else ReferenceOrigin(read.against.file, read.against.rigid),
+            uncertainty=_pose_uncertainty(model.uncertainty, found, joints),
             sliding=sliding,
         )
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from error
-    except _WRONG as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
 
 
 def torque_model_from_document(
@@ -221,106 +212,107 @@ def torque_model_from_document(
     Raises:
         InputError: not a diagnosis of torques, or something in it is missing or not possible.
     """
-    document = _torques_in(document, source)
-    model: Mapping[str, Any] = document["model"]
-    try:
-        check(document, TORQUE_DOCUMENT)
-        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.get("drives", {}).items()}
+    with _refuse_damage(source):
+        read = _torques_in(document)
+        model, against = read.model, read.against
+        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.drives.items()}
         arm = Arm(
-            model["arm"],
-            np.asarray(model["kinematics"], float),
-            joint_limits=np.asarray(model["joint_limits"], float),
-            T_joint_flange=np.asarray(model["T_joint_flange"], float),
-            sliding=tuple(joint - 1 for joint in model.get("prismatic_joints", ())),
+            model.arm,
+            np.asarray(model.kinematics, float),
+            joint_limits=np.asarray(model.joint_limits, float),
+            T_joint_flange=np.asarray(model.T_joint_flange, float),
+            sliding=tuple(joint - 1 for joint in model.prismatic_joints),
             **drives,
         )
-        links, against = np.asarray(model["links"], float), document.get("against", {})
+        links = np.asarray(model.links, float)
         if len(links) != arm.dof:
-            raise InputError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-        found, numbers = _effects(model, torque_kinds_of(effects), arm.dof, arm.sliding)
+            raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
+        found, numbers = _effects(model.effects, torque_kinds_of(effects), arm.dof, arm.sliding)
         terms, values = Terms(found), join(numbers)
         return DiagnosedMotors(
             arm=arm,
             links=links,
-            payload_center=np.asarray(model["payload_center"], float),
-            gravity=np.asarray(model["gravity"], float),
+            payload_center=np.asarray(model.payload_center, float),
+            gravity=np.asarray(model.gravity, float),
             terms=terms,
             values=values,
-            reference_temperature=float(model["reference_temperature_degC"]),
-            relative_to=against["file"] if against.get("by") == "rows" else None,
-            uncertainty=_torque_uncertainty(model.get("uncertainty"), terms, values, arm.dof),
+            reference_temperature=model.reference_temperature_degC,
+            relative_to=against.file if against is not None and against.by == "rows" else None,
+            uncertainty=_torque_uncertainty(model.uncertainty, terms, values, arm.dof),
         )
-    except (InputError, *_WRONG) as error:
+
+
+@contextmanager
+def _refuse_damage(source: str) -> Iterator[None]:
+    """Within, what is not possible in a document is an error of the input."""
+    try:
+        yield
+    except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        if isinstance(error, _NoDiagnosisError):
+            raise InputError(f"{source}: {error}") from error
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
 
 
 def _effects(
-    model: Mapping[str, Any], kinds: Mapping[str, type[Effect]], joints: int, sliding: tuple[int, ...]
+    entries: Sequence[Any], kinds: Mapping[str, type[Effect]], joints: int, sliding: tuple[int, ...]
 ) -> tuple[tuple[Effect, ...], list[Array]]:
     """The effects of a model of so many joints, and their numbers."""
-    pairs = [effect_from_dict(entry, kinds) for entry in model["effects"]]
+    pairs = [effect_from_dict(entry, kinds) for entry in entries]
     for effect, values in pairs:
         check_effect(effect, values, joints)
         require_kind(effect, sliding)
     return tuple(effect for effect, _ in pairs), [values for _, values in pairs]
 
 
-def _pose_uncertainty(entry: Any, effects: Sequence[Effect], joints: int) -> Uncertainty | None:
-    """The uncertainty of a model of poses, whose keys and types have been checked; None of a document without it."""
-    if entry is None:
+def _pose_uncertainty(known: PoseUncertainty | None, effects: Sequence[Effect], joints: int) -> Uncertainty | None:
+    """The uncertainty of a model of poses; None of a document without it."""
+    if known is None:
         return None
-    sites = tuple((name, j, k) for name, j, k in entry["sites"])
     sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
-    if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in sites):
+    if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in known.sites):
         raise ValueError("a site of its uncertainty is none of this arm")
-
-    def axes(part: Mapping[str, float] | None) -> Array | None:
-        return None if part is None else np.array([part[axis] for axis in _AXES], float)
-
-    left, unseen, noise = (
-        np.array([entry[name][axis] for axis in _AXES], float) for name in ("left", "unseen", "noise")
-    )
-    C = _covariance(entry["covariance"], len(sites) + sum(freed(effect).size for effect in effects))
-    recorded, typical = _recorded(entry["recorded"], joints), axes(entry.get("typical"))
-    return Uncertainty(sites, C, left, unseen, noise, recorded, typical)
+    C = _covariance(known.covariance, len(known.sites) + sum(freed(effect).size for effect in effects))
+    left, unseen, noise = (np.array(astuple(part)) for part in (known.left, known.unseen, known.noise))
+    typical = None if known.typical is None else np.array(astuple(known.typical))
+    return Uncertainty(tuple(known.sites), C, left, unseen, noise, _recorded(known.recorded, joints), typical)
 
 
-def _torque_uncertainty(entry: Any, terms: Terms, values: Array, joints: int) -> Uncertainty | None:
+def _torque_uncertainty(
+    known: TorqueUncertainty | None, terms: Terms, values: Array, joints: int
+) -> Uncertainty | None:
     """As `_pose_uncertainty`, of a model of torques."""
-    if entry is None:
+    if known is None:
         return None
-    sites = link_sites(joints) if entry["inertial"] else ()
-    left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
+    sites = link_sites(joints) if known.inertial else ()
+    left, unseen, noise = (np.asarray(part, float) for part in (known.left_Nm, known.unseen_Nm, known.noise_Nm))
     if any(part.shape != (joints,) for part in (left, unseen, noise)):
         raise ValueError("its uncertainty is not one of this arm")
-    C = _covariance(entry["covariance"], len(sites) + with_free_numbers(terms, values)[0].size)
-    return Uncertainty(sites, C, left, unseen, noise, _recorded(entry["recorded"], joints))
+    C = _covariance(known.covariance, len(sites) + with_free_numbers(terms, values)[0].size)
+    return Uncertainty(sites, C, left, unseen, noise, _recorded(known.recorded, joints))
 
 
-def _covariance(triangle: Any, size: int) -> Array:
+def _covariance(triangle: Sequence[float], size: int) -> Array:
     """The covariance `(size, size)` of its lower triangle, row by row."""
-    triangle = np.asarray(triangle, float)
-    if triangle.shape != (size * (size + 1) // 2,):
+    if len(triangle) != size * (size + 1) // 2:
         raise ValueError(f"its covariance is not one of {size} numbers")
     C = np.zeros((size, size))
     C[np.tril_indices(size)] = triangle
-    if (np.diagonal(C) < -_ROUNDING * np.abs(triangle).max(initial=0.0)).any():
+    if (np.diagonal(C) < -_ROUNDING * np.abs(C).max(initial=0.0)).any():
         raise ValueError("a variance of its uncertainty is negative")
     return C + np.tril(C, -1).T
 
 
-def _recorded(entry: Mapping[str, Any], joints: int) -> RecordedRange:
+def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
-    ranges = [np.asarray(entry[name], float) for name in RANGES if name in entry]
-    positions = np.asarray(entry["joint_position_rad"], float)
-    if any(limits.shape != (joints, 2) for limits in ranges) or positions.shape != (len(positions) or 1, joints):
+    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in RANGES)]
+    there, positions = [part for part in ranges if part is not None], np.asarray(entry.joint_position_rad, float)
+    if any(part.shape != (joints, 2) for part in there) or positions.shape != (len(positions) or 1, joints):
         raise ValueError("its recorded range is not one of this arm")
-    drivers = {phrase: (float(lower), float(upper)) for phrase, (lower, upper) in entry["drivers"].items()}
-    if any((part[:, 0] > part[:, 1]).any() for part in ranges) or any(
-        lower > upper for lower, upper in drivers.values()
-    ):
+    ends = [*(tuple(pair) for part in there for pair in part), *entry.drivers.values()]
+    if any(lower > upper for lower, upper in ends):
         raise ValueError("a recorded range of its uncertainty ends before it begins")
-    return RecordedRange(ranges[0], positions, float(entry["spacing_rad"]), drivers, *ranges[1:])
+    assert ranges[0] is not None
+    return RecordedRange(ranges[0], positions, entry.spacing_rad, entry.drivers, *ranges[1:])
 
 
 # ------------------------------------------------------------------ files
@@ -335,27 +327,22 @@ def write_document(document: Mapping[str, Any], path: str | Path, overwrite: boo
     return write_atomically(path, document_text(document), overwrite)
 
 
-def document_text(document: Mapping[str, Any]) -> str:
-    """The text of a diagnosis file."""
-    return _laid_out(dict(document), "\n")
-
-
-def _laid_out(value: Any, line: str) -> str:
-    """A value of JSON, with a line for each entry of objects and lists, but one line for a list of numbers.
+def document_text(document: Any, line: str = "\n") -> str:
+    """The text of a diagnosis file, with a line for each entry of objects and lists, but one for a list of numbers.
 
     A covariance is then a line for each of its rows, where `json` with an indent takes one for each of its numbers.
 
     Args:
-        value: what `json` can write.
+        document: what `json` can write.
         line: what begins a line of the surrounding object or list.
     """
-    if isinstance(value, dict) and value:
-        entries = [f"{json.dumps(name)}: {_laid_out(entry, line + ' ')}" for name, entry in value.items()]
-    elif isinstance(value, list | tuple) and any(isinstance(entry, dict | list | tuple) for entry in value):
-        entries = [_laid_out(entry, line + " ") for entry in value]
+    if isinstance(document, dict) and document:
+        entries = [f"{json.dumps(name)}: {document_text(entry, line + ' ')}" for name, entry in document.items()]
+    elif isinstance(document, list | tuple) and any(isinstance(entry, dict | list | tuple) for entry in document):
+        entries = [document_text(entry, line + " ") for entry in document]
     else:
-        return json.dumps(value, allow_nan=False)
-    first, last = "{}" if isinstance(value, dict) else "[]"
+        return json.dumps(document, allow_nan=False)
+    first, last = "{}" if isinstance(document, dict) else "[]"
     return first + ",".join(f"{line} {entry}" for entry in entries) + line + last
 
 
@@ -370,8 +357,7 @@ def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm
         InputError: no such file, not a diagnosis, or something in it is missing or not possible.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
-    document = parse_document(path)
-    return model_from_document(document, effects, str(path))
+    return model_from_document(parse_document(path), effects, str(path))
 
 
 def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
@@ -380,8 +366,7 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
     Raises:
         InputError: as `read_model`; a diagnosis of poses alone.
     """
-    document = parse_document(path)
-    return torque_model_from_document(document, effects, str(path))
+    return torque_model_from_document(parse_document(path), effects, str(path))
 
 
 def parse_document(path: str | Path) -> Any:
@@ -393,41 +378,33 @@ def parse_document(path: str | Path) -> Any:
     if recording_file(path) is not None and exists(path):
         made = command_line("diagnose", path, "--out", Path(path).with_suffix(".json"))
         raise InputError(f"{path}: is a recording and no diagnosis; give what `{made}` writes")
+    text = read_text(path, _SIZE_LIMIT)
     try:
-        return json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
-    except InputError:
-        raise
-    except RepeatedKeyError as error:
-        raise InputError(f"{path}: the key {error} is given twice; {DAMAGED}") from error
-    except (ValueError, RecursionError) as error:
+        return msgspec.json.decode(text)
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
 
 
 def check_document(document: Any, path: str | Path) -> None:
-    """Refuses what is no whole diagnosis of this version, for a report; effects of a user's own are not needed.
+    """Refuses what is no diagnosis or has no whole model, for a report; effects of a user's own are not needed.
 
     Args:
         document: of poses, of torques or of both, as JSON holds it.
         path: what messages begin with.
 
     Raises:
-        InputError: not a diagnosis of this version, or something in it is missing or not possible.
+        InputError: not a diagnosis, or something in a model is missing or not possible.
     """
-    torques = find_torques(document)
-    if not _has_model(document, (SCHEMA,)):
-        raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
-    try:
-        if torques is not document:
-            check_poses(document)
-        if torques is not None or "torques" in document:
-            check(_torques_in(document, str(path)), TORQUE_DOCUMENT)
-    except InputError as error:
-        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
+    with _refuse_damage(str(path)):
+        if not is_of_torques(document):
+            _poses_in(document)
+        if is_of_torques(document) or "torques" in document:
+            _torques_in(document)
 
 
 def is_of_torques(document: Any) -> bool:
     """Whether a document is a diagnosis of torques alone."""
-    return _has_model(document, (SCHEMA,)) and document.get("domain") == "torque"
+    return _has_model(document) and document.get("domain") == "torque"
 
 
 def find_torques(document: Any) -> dict[str, Any] | None:
@@ -438,12 +415,24 @@ def find_torques(document: Any) -> dict[str, Any] | None:
     return inside if is_of_torques(inside) else None
 
 
-def _has_model(document: Any, schemas: Sequence[str]) -> bool:
-    return isinstance(document, dict) and document.get("schema") in schemas and isinstance(document.get("model"), dict)
+class _NoDiagnosisError(InputError):
+    """What is no diagnosis at all."""
 
 
-def _torques_in(document: Any, source: str) -> dict[str, Any]:
+def _has_model(document: Any) -> bool:
+    return isinstance(document, dict) and document.get("schema") == SCHEMA and isinstance(document.get("model"), dict)
+
+
+def _poses_in(document: Any) -> PoseDocument:
+    if not _has_model(document):
+        raise _NoDiagnosisError(f"is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
+    read = check(document, PoseDocument)
+    check_pose_model(read.model)
+    return read
+
+
+def _torques_in(document: Any) -> TorqueDocument:
     torques = find_torques(document)
     if torques is None:
-        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
-    return torques
+        raise _NoDiagnosisError("is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    return check(torques, TorqueDocument)

@@ -1,5 +1,5 @@
-"""What figures show of a diagnosis, as tables: of poses explained shares of variance, spectra of orders and remaining
-residuals; of torques their course over time, friction over velocity, and power spectra.
+"""What figures show of a diagnosis, as tables: of poses explained shares of variance and spectra of orders; of
+torques their course over time, friction over velocity, and power spectra.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,6 @@ from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.evidence import Marginal, of_process
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import log_orders
-from lite6jax.estimation.noise import autocorrelation
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.scan import Scan
@@ -57,15 +56,11 @@ _COLUMNS = (
 )
 _AT_ONCE = 32
 """Orders whose gains are computed in one call, which bounds the memory."""
-_LAGS = 40
-"""Largest lag of the autocorrelation, in samples."""
 _LONGEST = 400
 """Samples of a run that are shown over time: more are not legible."""
 _POINTS = 400
 """Of a curve of friction."""
 _FRICTION = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature)
-_RANGE = 5.0
-"""Standard deviations to either side that the histogram covers."""
 
 
 class ExplainedShares(NamedTuple):
@@ -118,24 +113,6 @@ class JointSpectra(NamedTuple):
     harmonics: tuple[float, ...]
     spectra: tuple[tuple[float, float], ...]
     observed: bool
-
-
-class Remaining(NamedTuple):
-    """The residuals of a fit, outliers excluded.
-
-    Attributes:
-        rms: over the declared noise, or over the estimated one where none is declared.
-        edges: `(bin + 1,)`, of the histogram, in the same unit.
-        density: `(bin,)`, per unit.
-        correlation: `(lag,)`, at lags 1, 2 … in samples.
-        bound: what 95 % of the correlations of white noise are within.
-    """
-
-    rms: float
-    edges: Array
-    density: Array
-    correlation: Array
-    bound: float
 
 
 def stages(found: Diagnosis) -> list[tuple[PoseProblem, Fit]]:
@@ -254,20 +231,6 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
             )
         )
     return spectra
-
-
-def remaining_residuals(found: Diagnosis) -> list[Remaining]:
-    """The residuals before and, where there are findings, after."""
-    kept, remaining = ~found.outliers, []
-    unit = 1.0 if found.problem.declared else found.fit.scale[found.problem.groups, None]
-    edges = np.linspace(-_RANGE, _RANGE, 61)
-    for _, fitted in stages(found):
-        rows = (fitted.residuals.rows / unit)[:, kept]
-        density = np.histogram(rows, edges)[0] / max(rows.size, 1) / (edges[1] - edges[0])
-        rms = float(np.sqrt(np.mean(rows**2))) if rows.size else 0.0
-        correlation = autocorrelation(rows, max(1, min(_LAGS, rows.shape[1] // 4)))[1:]
-        remaining.append(Remaining(rms, edges, density, correlation, 2 / np.sqrt(max(rows.size, 1))))
-    return remaining
 
 
 def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Spectrum:

@@ -14,7 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.diagnosis.document import (
-    SCHEMAS,
+    SCHEMA,
     find_torques,
     is_of_torques,
     model_from_document,
@@ -51,7 +51,7 @@ def is_diagnosis(path: str | Path) -> bool:
     if Path(path).suffix.lower() != ".json":
         return False
     document = parse_document(path)
-    return isinstance(document, dict) and document.get("schema") in SCHEMAS
+    return isinstance(document, dict) and document.get("schema") == SCHEMA
 
 
 def read_diagnosed_arm(

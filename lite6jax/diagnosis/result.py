@@ -299,7 +299,7 @@ class DomainDiagnosis(Generic[P]):
         return "explained" if found else "consistent"
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes, and numbers in SI units."""
+        """The document `lite6jax/diagnosis/2`: codes and numbers in SI units."""
         return self._own_parts() | ({} if self.against is None else {"against": self.against.to_dict()})
 
     @property
@@ -454,7 +454,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             motion=problem.recording.motion,
             accelerated=problem.motion.joint_acceleration is not None,
             heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
-            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"], ""),
+            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"]),
             sliding=problem.arm.sliding,
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)

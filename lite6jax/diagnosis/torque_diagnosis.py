@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -51,11 +52,11 @@ _VISIBLE = 1e-3
 show it."""
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_torques(
     recording: Recording | str | Path,
     arm: Arm | str | Path | None = None,
     *,
+    reference: Recording | str | Path | None = None,
     effects: Sequence[TorqueEffect] = (),
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
@@ -68,6 +69,9 @@ def diagnose_torques(
             payload, tilt.
         arm: the declared arm, a bundled name or a file; from the sidecar where not given. Its chain is that of the
             factory calibration, where the sidecar declares one.
+        reference: torques of the same arm, or of a simulator, or the path of their file. Of the same motion the
+            difference is diagnosed; otherwise what either shows is compared, with the uncertainty of both. `against` of
+            the result is the comparison.
         effects: a user's own candidates, tested like the catalogue's.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
@@ -76,13 +80,29 @@ def diagnose_torques(
     which they are fitted again: they are in `withdrawn` of the result.
 
     Raises:
-        InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit.
+        InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit;
+            or as `compare_rows`.
     """
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     options = options or Options()
     arm = load_nominal(arm)
     recording = load_recording(recording, arm)
+    alone = partial(_diagnose_alone, effects=effects, options=options, progress=progress)
+    if reference is None:
+        return alone(recording, arm)
+    return _diagnose_against(recording, load_recording(reference, arm), arm or declared_arm_of(recording), alone)
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def _diagnose_alone(
+    recording: Recording,
+    arm: Arm | None,
+    effects: Sequence[TorqueEffect],
+    options: Options,
+    progress: Callable[[Stage], object] | None,
+) -> TorqueDiagnosis:
+    """Without a reference; arguments as of `diagnose_torques`."""
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 1 + options.folds):
@@ -259,33 +279,21 @@ class TorqueComparison:
         }
 
 
-def diagnose_torques_against(
-    recording: Recording, reference: Recording, arm: Arm | None = None, **given: Any
+def _diagnose_against(
+    recording: Recording, reference: Recording, arm: Arm, alone: Callable[[Recording, Arm], TorqueDiagnosis]
 ) -> TorqueDiagnosis:
-    """Compares the torques of a recording with those of a reference, and diagnoses what the recording has beyond it.
-
-    Where both hold the same motion, their difference is diagnosed. Otherwise each is diagnosed on its own, and what
-    either shows is compared, with the uncertainty of both.
+    """The difference of two recordings of the same motion, diagnosed; else each alone, and what either shows compared.
 
     Args:
         recording: with torques.
         reference: torques of the same arm, or of a simulator.
-        arm: the declared arm; from the recording's sidecar where not given.
-        given: further arguments of `diagnose_torques`.
-
-    Returns:
-        the diagnosis, whose `against` is the comparison.
-
-    Raises:
-        InputError: as `compare_rows` and `diagnose_torques`.
+        arm: the declared arm.
+        alone: the diagnosis of one.
     """
-    arm = arm or declared_arm_of(recording)
     by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
     if by_rows is not None:
-        return replace(
-            diagnose_torques(by_rows.recording, arm, **given), against=TorqueComparison(by_rows.file, by_rows)
-        )
-    found, other = (diagnose_torques(side, arm, **given) for side in (recording, reference))
+        return replace(alone(by_rows.recording, arm), against=TorqueComparison(by_rows.file, by_rows))
+    found, other = alone(recording, arm), alone(reference, arm)
     shown: dict[tuple[object, ...], TorqueEffect] = {}
     for finding in (*found.findings, *other.findings):
         assert isinstance(finding.effect, TorqueEffect)

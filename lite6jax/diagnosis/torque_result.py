@@ -1,8 +1,7 @@
 """The result of a diagnosis of torques: what it has in another form than that of poses."""
 
 from functools import cached_property
-from itertools import combinations
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
 from lite6jax.effects.dynamic.catalogue import torque_catalogue
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, slides
 from lite6jax.results import PublicResult
@@ -24,8 +22,6 @@ Array = NDArray[np.floating]
 
 _NORMAL = 1.4826
 """Standard deviation over median magnitude of a normal distribution."""
-_DESCRIBES, _WORTH_ANOTHER = 0.8, 0.01
-"""Share of a curve's mean square from which named effects are said to describe it, and that a second one must add."""
 
 
 @final
@@ -123,13 +119,6 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         size: dict[str, Any] = {}
         if isinstance(effect, UnnamedTorque):
             size[effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
-            description = described(problem, effect.joint, moved)
-            if description is not None:
-                named = [
-                    {**effect_entry(other), "parameters": {other.coordinates[0].name: float(value)}}
-                    for other, value in zip(description.effects, description.values, strict=True)
-                ]
-                size["described_by"] = {"share": description.share, "effects": named}
         contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], sliding[where], STATISTICS["rms"])
         contribution["joints"] = (1 + np.flatnonzero(acts)).tolist()
         others = [one for one in finding.alternatives if one.term not in fit.terms.terms]
@@ -143,43 +132,3 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         known = {key: value for key, value in numbers.items() if value is not None}
         status = "rejected" if one.gap >= self.options.engine.close else "undecided"
         return {**effect_entry(one.term), **known, "log_likelihood_gap": one.gap, "status": status}
-
-
-class Description(NamedTuple):
-    """Named effects that together come near to a curve.
-
-    Attributes:
-        share: of the curve's mean square that they give, from 0 to 1.
-        effects: one or two of its joint.
-        values: `(effect,)`, their numbers in SI units.
-    """
-
-    share: float
-    effects: tuple[TorqueEffect, ...]
-    values: Array
-
-
-def described(problem: TorqueProblem, joint: int, moved: Array) -> Description | None:
-    """The one or two named effects of a joint that come nearest to what a curve adds to it, by least squares.
-
-    A curve takes the place of names where these do not explain all of it. What they do explain is what a reader looks
-    for first: how much of it is viscous friction, and how much Coulomb friction. None where they give too little of it.
-
-    Args:
-        problem: the data.
-        joint: from 1.
-        moved: `(joint, sample)` Nm, or N at a prismatic joint, by the curve.
-    """
-    there = [effect for effect in problem.simple if effect.site == f"joint{joint}"]
-    target = moved[joint - 1, problem.valid]
-    units = (problem.columns(there) * problem.sigma)[:, joint - 1, problem.valid]
-    best = Description(0.0, (), np.zeros(0))
-    for which in (*combinations(range(len(there)), 1), *combinations(range(len(there)), 2)):
-        effects, columns = tuple(there[k] for k in which), units[list(which)]
-        values = np.linalg.lstsq(columns.T, target, rcond=1e-9)[0]
-        share = 1 - float(np.sum((target - values @ columns) ** 2) / max(np.sum(target**2), 1e-300))
-        limits = [problem.limits(effect)[0] for effect in effects]
-        possible = all(lower <= value <= upper for (lower, upper), value in zip(limits, values, strict=True))
-        if possible and share > best.share + (_WORTH_ANOTHER if len(effects) > len(best.effects) else 0.0):
-            best = Description(share, effects, values)
-    return best if best.share >= _DESCRIBES else None

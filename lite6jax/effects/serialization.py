@@ -14,7 +14,7 @@ from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.friction import SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.schema import Positive, check, record, require_finite
+from lite6jax.schema import Positive, Strict, check
 
 _TYPES = {
     int: "a whole number",
@@ -23,12 +23,17 @@ _TYPES = {
     bool: "true or false",
     tuple: "a list of numbers",
 }
-_ESTIMATE = record({}, {"value": float, "std": Positive})
-"""A parameter in the JSON form of an effect."""
 _TRANSITION = "transition_rad_per_s"
 """The field of Coulomb friction that says nothing where it is sharp."""
 _OF_SLIDE = "of_slide"
 """The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
+
+
+class _Estimate(Strict):
+    """A parameter in the JSON form of an effect."""
+
+    value: float
+    std: Positive = 0.0
 
 
 def _written(effect: Effect | type[Effect]) -> list[Field[Any]]:
@@ -189,15 +194,13 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
-    require_finite(where, f"{kind.name}: where")
     effect = _build(kind, where)
     if document.get("site", effect.site) != effect.site:
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
     numbers = {}
     for name, value in parameters.items():
         if isinstance(value, Mapping):
-            check(value, _ESTIMATE, f"{effect.label}: {name}")
-            value = value.get("value")
+            value = check(value, _Estimate, f"{effect.label}: {name}").value
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{effect.label}: {name} is {value!r}; give a number")
         numbers[name] = float(value)

@@ -1,9 +1,8 @@
 """The recordings of a folder diagnosed: a document for each and a row a recording; and pooled over many arms."""
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pyarrow as pa
 
@@ -47,8 +46,8 @@ REDUCED = pa.schema({"reduced": pa.string()})
 """What the table of a fleet has besides: the file of each reduced recording."""
 _CONTENT = {"document": "document_content", "reduced": "reduced_content"}
 """The columns of what these files hold, on its way from where it was made."""
-_FEWEST, _FEWEST_DATES = 2, 4
-"""Recordings that are pooled at least; of a slope, so that its interval is finite and arms can vary about it."""
+_FEWEST = 2
+"""Recordings that are pooled at least."""
 
 
 def diagnose_folder(
@@ -181,25 +180,22 @@ def pool_folder(
     folder: str,
     out: Path,
     thresholds: "terms.PoolingOptions",
-    over: Literal["date"] | None = None,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,
 ) -> "population.Population":
-    """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type, or of one over time.
+    """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type.
 
     Args:
         folder: of the recordings, as it was given: what messages name.
         out: the folder of results, with the table and the reduced recordings.
         thresholds: of the tests.
-        over: "date" where the recordings are of one arm, whose effects may drift with the dates of their sidecars.
         scheduler, processes: as `run_batches`.
         progress: called with the number of effects at each round of the search.
 
     Raises:
-        InputError: too few of the recordings can be pooled, or have different dates; or as `read_heading`.
+        InputError: too few of the recordings can be pooled, or as `read_heading`.
     """
-    import numpy as np
     import pyarrow.parquet as pq
 
     rows = pq.read_table(out / TABLE).to_pylist()
@@ -216,7 +212,7 @@ def pool_folder(
         if heading is None or row["result"] != DIAGNOSED:
             about, found, unused = {}, (), row["message"] or "was not diagnosed"
         else:
-            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm, over)
+            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm)
         members.append(population.Member(row["file"], about, found, unused))
     used = [i for i, member in enumerate(members) if not member.unused]
     if len(used) < _FEWEST:
@@ -225,19 +221,11 @@ def pool_folder(
             f"{folder}: {len(used)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
             "recordings of this type of arm"
         )
-    dates = None
-    if over is not None:
-        dates = np.array([float(date.fromisoformat(members[i].about["date"]).toordinal()) for i in used])
-        if len(set(dates)) < _FEWEST_DATES:
-            raise InputError(
-                f"{folder}: its recordings have {len(set(dates))} different dates, and --over date takes "
-                f"{_FEWEST_DATES} or more; write `date: YYYY-MM-DD` into their sidecars"
-            )
     files = [members[i].file for i in used]
     tried = terms.Tried([headings[file] for file in files], thresholds.engine)
     with Workers(scheduler, processes, len(used)) as workers:
         recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
-        return population.diagnose_population(arm[0], members, used, tried, recordings, dates, progress)
+        return population.diagnose_population(arm[0], members, used, tried, recordings, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
@@ -258,13 +246,11 @@ def _kind(heading: "reduced.Heading") -> tuple[str, int, str]:
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
-def _reason_unused(heading: "reduced.Heading", arm: tuple[str, int, str], over: str | None) -> str:
+def _reason_unused(heading: "reduced.Heading", arm: tuple[str, int, str]) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
     own = heading.about
     if _kind(heading)[:2] != arm[:2]:
         return f"is of the arm {own['arm']} with {own['joints']} joints, and most are of {arm[0]} with {arm[1]}"
     if _kind(heading) != arm:
         return f"has {own['what']}, and most have {arm[2]}; give --torques where all have torques"
-    if over is not None and own["date"] is None:
-        return "has no date; write `date: YYYY-MM-DD` into its sidecar"
     return ""

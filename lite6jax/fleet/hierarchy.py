@@ -1,11 +1,11 @@
 """The hierarchical model of one effect over arms: a mean of the type, arms that vary about it, and measurements.
 
-The numbers of arm a are βₐ = μ + s·xₐ + bₐ with bₐ ~ N(0, τ²D²): D holds the typical size of each number, and x is a
-covariate such as the date. What the recording of an arm says of βₐ is a normal likelihood, which need not determine all
-of its numbers, so that everything is written with its information Λₐ. τ is estimated by restricted maximum likelihood
-(D. Harville, Journal of the American Statistical Association 72, 1977), the estimates of arms are those of empirical
-Bayes (C. Morris, ibid. 78, 1983), and intervals of μ and s are those of J. Hartung and G. Knapp (Statistics in Medicine
-20, 2001), never narrower than without their scale (C. Röver et al., BMC Medical Research Methodology 15, 2015).
+The numbers of arm a are βₐ = μ + bₐ with bₐ ~ N(0, τ²D²): D holds the typical size of each number. What the recording
+of an arm says of βₐ is a normal likelihood, which need not determine all of its numbers, so that everything is written
+with its information Λₐ. τ is estimated by restricted maximum likelihood (D. Harville, Journal of the American
+Statistical Association 72, 1977), the estimates of arms are those of empirical Bayes (C. Morris, ibid. 78, 1983), and
+intervals of μ are those of J. Hartung and G. Knapp (Statistics in Medicine 20, 2001), never narrower than without their
+scale (C. Röver et al., BMC Medical Research Methodology 15, 2015).
 """
 
 from dataclasses import dataclass, replace
@@ -39,20 +39,18 @@ class ArmLikelihoods:
         score: `(arm, number)`, of the log-likelihood at zero.
         information: `(arm, number, number)`; zero of an arm that does not show the effect.
         typical: `(number,)`, common sizes: D.
-        design: `(arm, covariate)`; the first column is 1, and a second is what arms may drift with.
         variance: of the mean's prior, as of the coefficients of a process; infinite of what is not known beforehand.
     """
 
     score: Array
     information: Array
     typical: Array
-    design: Array
     variance: float = np.inf
 
     def without(self, arm: int) -> "ArmLikelihoods":
         """Those of all arms but one."""
         kept = np.arange(len(self.score)) != arm
-        return replace(self, score=self.score[kept], information=self.information[kept], design=self.design[kept])
+        return replace(self, score=self.score[kept], information=self.information[kept])
 
     @cached_property
     def eigen(self) -> tuple[Array, Array, Array]:
@@ -64,29 +62,25 @@ class ArmLikelihoods:
         return values, U, np.where(values > 0, along, 0.0)
 
     def solved(self, tau: float) -> tuple[Array, Array, float, float]:
-        """At one τ: the coefficients `(covariate · number,)` in typical sizes, their information, and log-likelihoods.
+        """At one τ: the means `(number,)` in typical sizes, their information, and log-likelihoods.
 
         Returns:
-            coefficients, information, the log-likelihood with the coefficients at their best, less that of no effect in
-            any arm, and what is maximised over τ, the restricted log-likelihood.
+            means, information, the log-likelihood with the means at their best, less that of no effect in any arm, and
+            what is maximised over τ, the restricted log-likelihood.
         """
         values, U, along = self.eigen
         shrunk = 1 / (1 + tau**2 * values)
-        W = np.einsum("aij,aj,akj->aik", U, values * shrunk, U)
-        w = np.einsum("aij,aj->ai", U, shrunk * along)
-        X, size = self.design, self.design.shape[1] * len(self.typical)
-        M = np.einsum("ac,ad,aij->cidj", X, X, W).reshape(size, size)
-        M[np.diag_indices(len(self.typical))] += self.typical**2 / self.variance
-        v = np.einsum("ac,ai->ci", X, w).ravel()
+        M = np.einsum("aij,aj,akj->ik", U, values * shrunk, U) + np.diag(self.typical**2 / self.variance)
+        v = np.einsum("aij,aj->i", U, shrunk * along)
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
         kept = scaled > _RANK
         inverse = (V[:, kept] / scaled[kept]) @ V[:, kept].T / np.outer(root, root)
-        coefficients = inverse @ v
+        mean = inverse @ v
         without_mean = 0.5 * float(np.sum(tau**2 * shrunk * along**2) + np.sum(np.log(shrunk)))
-        likely = without_mean + 0.5 * float(v @ coefficients)
+        likely = without_mean + 0.5 * float(v @ mean)
         volume = float(np.sum(np.log(scaled[kept])) + 2 * np.sum(np.log(root[np.diagonal(M) > 0])))
-        return coefficients, M, likely, likely - 0.5 * volume
+        return mean, M, likely, likely - 0.5 * volume
 
 
 @final
@@ -97,15 +91,15 @@ class Hierarchy:
     Attributes:
         arms: what it was fitted to.
         tau: between-arm standard deviation in typical sizes.
-        coefficients: `(covariate, number)`: the means, and the change with a covariate.
-        covariance: `(covariate · number, …)` of these.
-        freedom: degrees of freedom of their intervals.
+        mean: `(number,)`.
+        covariance: `(number, number)`, of the mean.
+        freedom: degrees of freedom of its intervals.
         gain: log-likelihood over that of no effect in any arm.
     """
 
     arms: ArmLikelihoods
     tau: float
-    coefficients: Array
+    mean: Array
     covariance: Array
     freedom: float
     gain: float
@@ -117,17 +111,17 @@ class Hierarchy:
 
     @property
     def std(self) -> Array:
-        """`(covariate, number)`, of the coefficients."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(self.coefficients.shape)
+        """`(number,)`, of the mean."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     @property
     def half_width(self) -> Array:
-        """`(covariate, number)`, half of the 95 % interval of each coefficient."""
+        """`(number,)`, half of the 95 % interval of the mean."""
         return float(stdtrit(self.freedom, 0.5 + _LEVEL / 2)) * self.std
 
     @property
     def determined(self) -> int:
-        """How many of the coefficients the recordings determine."""
+        """How many numbers of the mean the recordings determine."""
         M = replace(self.arms, variance=np.inf).solved(0.0)[1]
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         return int(np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True))
@@ -135,24 +129,18 @@ class Hierarchy:
     def shrunken(self) -> tuple[Array, Array]:
         """The estimate of each arm `(arm, number)` and its covariance `(arm, number, number)`, by empirical Bayes.
 
-        The covariance contains the uncertainty of the coefficients, and not that of τ.
+        The covariance contains the uncertainty of the mean, and not that of τ.
         """
         values, U, along = self.arms.eigen
-        D, X = self.arms.typical, self.arms.design
-        prior = X @ (self.coefficients / D)
-        left = along - values * np.einsum("aji,aj->ai", U, prior)
+        D = self.arms.typical
+        prior = self.mean / D
+        left = along - values * (prior @ U)
         variance = self.tau**2 / (1 + self.tau**2 * values)
         estimates = prior + np.einsum("aij,aj->ai", U, variance * left)
         own = np.einsum("aij,aj,akj->aik", U, variance, U)
         keeps = np.einsum("aij,aj,akj->aik", U, 1 / (1 + self.tau**2 * values), U)
-        of_mean = np.einsum("aij,ajk,alk->ail", keeps, self._of_prediction / np.outer(D, D), keeps)
+        of_mean = keeps @ (self.covariance / np.outer(D, D)) @ keeps.swapaxes(1, 2)
         return estimates * D, (own + of_mean) * np.outer(D, D)
-
-    @cached_property
-    def _of_prediction(self) -> Array:
-        """`(arm, number, number)`, the covariance of each arm's predicted mean."""
-        X, (c, k) = self.arms.design, self.coefficients.shape
-        return np.einsum("ac,cidj,ad->aij", X, self.covariance.reshape(c, k, c, k), X)
 
     def outlier_p_value(self, arm: int) -> float:
         """Of an arm as far from what the others predict: a model of those is fitted without it.
@@ -166,10 +154,9 @@ class Hierarchy:
         seen = values > 0
         if not seen.any() or rest is None:
             return 1.0
-        D, x = self.arms.typical, self.arms.design[arm]
-        c, k = rest.coefficients.shape
-        of_mean = np.einsum("c,cidj,d->ij", x, rest.covariance.reshape(c, k, c, k), x) / np.outer(D, D)
-        off = along[seen] / values[seen] - U[:, seen].T @ (x @ rest.coefficients / D)
+        D = self.arms.typical
+        of_mean = rest.covariance / np.outer(D, D)
+        off = along[seen] / values[seen] - U[:, seen].T @ (rest.mean / D)
         between = rest.tau**2 * np.eye(int(seen.sum())) + U[:, seen].T @ of_mean @ U[:, seen]
         whole = between + np.diag(1 / values[seen])
         count = len(off)
@@ -181,8 +168,7 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
     """The hierarchical model by restricted maximum likelihood; None where no arm shows the effect, or too few do."""
     values, U, along = arms.eigen
     shown = int(np.sum((values > 0).any(1)))
-    covariates, size = arms.design.shape[1], len(arms.typical)
-    if shown < covariates + 1:
+    if shown < 2:
         return None
     unit = 1 / np.sqrt(np.median(values[values > 0]))
     grid = unit * np.geomspace(1 / _RANGE, _RANGE, _STEPS)
@@ -193,13 +179,10 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
         lambda log: -arms.solved(float(np.exp(log)))[3], bounds=tuple(near), method="bounded", options={"xatol": 1e-6}
     )
     tau = float(np.exp(refined.x)) if -refined.fun > arms.solved(0.0)[3] + 1e-9 else 0.0
-    coefficients, M, likely, _ = arms.solved(tau)
-    D = np.tile(arms.typical, covariates)
-    prior = arms.design @ coefficients.reshape(covariates, size)
-    left = along - values * np.einsum("aji,aj->ai", U, prior)
+    mean, M, likely, _ = arms.solved(tau)
+    D = arms.typical
+    left = along - values * (mean @ U)
     spread = np.sum(left[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
-    freedom = max(int(np.sum(values > 0)) - covariates * size, 1)
+    freedom = max(int(np.sum(values > 0)) - len(D), 1)
     covariance = scaled_inverse(M, _RANK) * max(1.0, float(spread) / freedom) * np.outer(D, D)
-    return Hierarchy(
-        arms, tau, coefficients.reshape(covariates, size) * arms.typical, covariance, float(shown - covariates), likely
-    )
+    return Hierarchy(arms, tau, mean * D, covariance, float(shown - 1), likely)

@@ -1,14 +1,13 @@
 """The evidence of many recordings for one effect, and what workers compute for it.
 
 No effect in any arm is the hypothesis of all. What an arm says of the numbers β of an effect beside others is a
-likelihood of score b and information G. There are four ways for arms to have an effect:
+likelihood of score b and information G. There are three ways for arms to have an effect:
 
 | way | score and information | cost |
 |---|---|---|
 | mean: all share its numbers | Σ b, Σ G | |
 | any: those of each arm are drawn from one prior | of each arm, with one variance | |
 | one: an arm alone has it | of that arm | ln of the arms |
-| drift: its numbers change with a covariate x | of the slope beside the mean | |
 
 The evidence is that of `estimation.evidence`: of processes with one variance of all coefficients, of names with all
 directions equally determined. Numbers of names have no prior: with T the χ² statistic and K directions, the likeliest
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Array = NDArray[np.floating]
-Way = Literal["mean", "any", "one", "drift"]
+Way = Literal["mean", "any", "one"]
 Asked = tuple[Tested, tuple[Tested, ...]]
 """A term, and those beside which it is measured."""
 
@@ -92,26 +91,23 @@ class Weighed:
         """A bound on the probability that chance alone makes anything so likely: that of an evidence is one over it."""
         return float(min(np.exp(-self.sure), 1.0))
 
-    def likelihoods(self, typical: Sequence[float], covariate: Array | None) -> ArmLikelihoods:
+    def likelihoods(self, typical: Sequence[float]) -> ArmLikelihoods:
         """What the arms say, for a hierarchical model; nothing where there is no evidence.
 
         Args:
             typical: sizes of its numbers.
-            covariate: `(arm,)`, or None.
         """
         size, arms = len(typical), len(self.evidence)
         score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
         for i, one in enumerate(self.evidence):
             if one is not None:
                 score[i], information[i] = one.score, one.information
-        design = np.stack([np.ones(arms), *([] if covariate is None else [covariate])], 1)
-        return ArmLikelihoods(score, information, np.array(typical, float), design, self.variance)
+        return ArmLikelihoods(score, information, np.array(typical, float), self.variance)
 
 
 def weigh(
     term: Tested,
     evidence: Sequence[Evidence | None],
-    covariate: Array | None,
     confounded: float,
     cost: float = 0.0,
 ) -> Weighed:
@@ -120,13 +116,11 @@ def weigh(
     Args:
         term: which.
         evidence: of each arm; None of an arm that does not show it.
-        covariate: `(arm,)`, what effects may drift with, or None.
         confounded: eigenvalue over the largest below which a direction is in the model's span.
         cost: −ln of its prior probability.
     """
-    at = [arm for arm, one in enumerate(evidence) if one is not None]
     shown = [one for one in evidence if one is not None]
-    if len(shown) < (2 if covariate is None else 3):  # which a hierarchical model takes
+    if len(shown) < 2:  # which a hierarchical model takes
         return Weighed(term, tuple(evidence), cost)
     b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
     spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
@@ -153,9 +147,6 @@ def weigh(
     ]
     gain, likelihood, variance = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
     ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
-    if covariate is not None:
-        own = _slope(b, G, covariate[at])
-        ways.append((of(own[0][None], own[1][None], S, v), "drift"))
     (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
     return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, way, variance)
 
@@ -178,16 +169,6 @@ def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedo
 def _log(explained: ArrayLike, left: float, freedom: float) -> Array:
     """The gain in log-likelihood where so much of a sum of squares is explained."""
     return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / left, 1 - 1e-12))
-
-
-def _slope(b: Array, G: Array, x: Array) -> tuple[Array, Array]:
-    """Score and information of a slope over a covariate `(arm,)`, beside the mean."""
-    whole, first, second = (np.tensordot(x**k, G, 1) for k in range(3))
-    centre = first @ np.linalg.pinv(whole, hermitian=True)
-    own = second - centre @ first
-    # what one arm alone shows has no slope
-    own[np.abs(own) < _ROUNDING * np.abs(second).max(initial=0.0)] = 0.0
-    return x @ b - centre @ b.sum(0), own
 
 
 # ------------------------------------------------------------------ a search's scan

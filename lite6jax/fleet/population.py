@@ -1,86 +1,26 @@
-"""The result: effects of a type with mean and spread, each arm's numbers, outliers, drifts; codes and numbers."""
+"""The result: effects of a type with mean and spread, each arm's numbers, outliers; codes and numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
-from pathlib import Path
-from typing import Annotated, Any, Literal, final
+from typing import Any, final
 
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
 from lite6jax.effects.drivers import driver_of
-from lite6jax.errors import InputError
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import Reduced, Weighed
 from lite6jax.fleet.reduced import Found
 from lite6jax.fleet.select import Search
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
-from lite6jax.schema import ESTIMATE, PLACE, Positive, Share, check, record
 
 Array = NDArray[np.floating]
 
 SCHEMA = "lite6jax/fleet_diagnosis/1"
 POINTS = 41
 """Of the curve of a function of one driver."""
-
-_INTERVAL = tuple[float, float]
-_CURVE = Annotated[list[float], Meta(min_length=POINTS, max_length=POINTS)]
-_DEVIATIONS = Annotated[list[Positive], Meta(min_length=POINTS, max_length=POINTS)]
-_CHOSEN: dict[str, Any] = {
-    "order": Positive,
-    "source_joint": Annotated[float, Meta(ge=1.0)],
-    "component": str,
-    "kernel": str,
-}
-_PARAMETER = record({"mean": float, "std": Positive, "interval_95": _INTERVAL, "between_std": Positive})
-_SLOPE = record({"value": float, "std": Positive, "interval_95": _INTERVAL})
-_ARM = record({"file": str, "parameters": dict[str, ESTIMATE], "outlier_p_value": Share | None})
-_RIVAL = record(PLACE | {"log_likelihood_gap": float}, _CHOSEN)
-_EFFECT = record(
-    {
-        **PLACE,
-        "found_by": Literal["mean", "any", "one", "drift"],
-        "p_value": Share,
-        "parameters": dict[str, _PARAMETER],
-        "between_p_value": Share,
-        "arms": list[_ARM],
-        "rivals": list[_RIVAL],
-    },
-    {
-        **_CHOSEN,
-        **dict.fromkeys(("amplitude_rms_rad", "amplitude_rms_Nm"), Positive),
-        "curve": record({"name": str, "driver": _CURVE, "mean": _CURVE, "std": _DEVIATIONS}),
-        "nearest": record(PLACE | {"share": Share}, _CHOSEN),
-        "drift": record({"p_value": Share, "per_day": dict[str, _SLOPE]}),
-    },
-)
-_FOUND_ALONE, _OUTLIER = record({"label": str, "p_value": Share}), record(PLACE, _CHOSEN)
-_RECORDING = record(
-    {
-        "file": str,
-        "used": bool,
-        "reason": str | None,
-        "date": str | None,
-        "verdict": str | None,
-        "found_alone": list[_FOUND_ALONE],
-        "outlier_in": list[_OUTLIER],
-    }
-)
-_DOCUMENT = record(
-    {
-        "schema": Literal[SCHEMA],
-        "arm": str,
-        "over": Literal["date"] | None,
-        "mean_date": str | None,
-        "level": Share,
-        "recordings": list[_RECORDING],
-        "effects": list[_EFFECT],
-    },
-)
 
 
 @final
@@ -113,8 +53,6 @@ class TypeEffect:
         outliers: p-values of the arms that differ from the others, family-wise over arms and effects, by arm.
         between_p_value: of estimates that vary as much if all arms but the outliers are alike (W. Cochran, Biometrics
             10, 1954).
-        drift_p_value: of as large a slope, family-wise over effects, in a model whose arms vary about a line; None
-            where there is no covariate.
     """
 
     selected: Weighed
@@ -122,7 +60,6 @@ class TypeEffect:
     hierarchy: Hierarchy
     outliers: Mapping[int, float]
     between_p_value: float
-    drift_p_value: float | None
 
     def estimates(self) -> list[tuple[Array, Array] | None]:
         """Of each arm the numbers and their standard deviations; None of an arm that does not show the effect.
@@ -154,8 +91,6 @@ class Population:
         used: the places of those that were pooled, in `members`.
         effects: in the order in which they were found.
         tried: all that the recordings were tested for.
-        dates: `(used,)`, days as ordinals, where recordings are of one arm over time; else None. Means are those at
-            their mean.
         options: thresholds.
     """
 
@@ -164,19 +99,13 @@ class Population:
     used: tuple[int, ...]
     effects: tuple[TypeEffect, ...]
     tried: Tried
-    dates: Array | None
     options: PoolingOptions
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/fleet_diagnosis/1`: codes, and numbers in SI units."""
-        over, mean = None, None
-        if self.dates is not None:
-            over, mean = "date", date.fromordinal(round(float(self.dates.mean()))).isoformat()
         return {
             "schema": SCHEMA,
             "arm": self.arm,
-            "over": over,
-            "mean_date": mean,
             "level": self.options.engine.level,
             "recordings": [self._member(i) for i in range(len(self.members))],
             "effects": [self._effect(effect) for effect in self.effects],
@@ -207,13 +136,13 @@ class Population:
 
     def _effect(self, effect: TypeEffect) -> dict[str, Any]:
         selected, hierarchy, names = effect.selected, effect.hierarchy, effect.candidate.names
-        mean = hierarchy.coefficients[0]
+        mean = hierarchy.mean
         document = {
             **self._named(selected.term),
             "found_by": selected.way,
             "p_value": selected.p_value,
             "parameters": {
-                name: _interval("mean", hierarchy, 0, i) | {"between_std": float(hierarchy.between[i])}
+                name: _interval(hierarchy, i) | {"between_std": float(hierarchy.between[i])}
                 for i, name in enumerate(names)
             },
             "between_p_value": effect.between_p_value,
@@ -225,9 +154,6 @@ class Population:
             document[f"amplitude_rms_{unit}"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
         if selected.nearest is not None:
             document["nearest"] = {**self._named(selected.nearest[0]), "share": selected.nearest[1]}
-        if effect.drift_p_value is not None:
-            slopes = {name: _interval("value", hierarchy, 1, i) for i, name in enumerate(names)}
-            document["drift"] = {"p_value": effect.drift_p_value, "per_day": slopes}
         document["arms"] = [
             {
                 "file": self.members[self.used[arm]].file,
@@ -243,12 +169,10 @@ class Population:
         return document
 
 
-def _interval(name: str, hierarchy: Hierarchy, covariate: int, number: int) -> dict[str, Any]:
-    """A coefficient with its standard deviation and its 95 % interval."""
-    value, std, half = (
-        float(each[covariate, number]) for each in (hierarchy.coefficients, hierarchy.std, hierarchy.half_width)
-    )
-    return {name: value, "std": std, "interval_95": [value - half, value + half]}
+def _interval(hierarchy: Hierarchy, number: int) -> dict[str, Any]:
+    """A mean with its standard deviation and its 95 % interval."""
+    value, std, half = (float(each[number]) for each in (hierarchy.mean, hierarchy.std, hierarchy.half_width))
+    return {"mean": value, "std": std, "interval_95": [value - half, value + half]}
 
 
 def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
@@ -260,9 +184,8 @@ def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
     at = np.linspace(low, high, POINTS)
     values = np.stack([at, *(np.full(POINTS, upper) for upper in others[1::2])])
     B = process.functions(values)
-    covariance = hierarchy.covariance[: len(B), : len(B)]
-    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0))
-    mean = hierarchy.coefficients[0] @ B
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, hierarchy.covariance, B), 0.0))
+    mean = hierarchy.mean @ B
     name = f"curve_{process.unit}"
     return {"curve": {"name": name, "driver": at.tolist(), "mean": mean.tolist(), "std": std.tolist()}}
 
@@ -273,7 +196,6 @@ def diagnose_population(
     used: Sequence[int],
     tried: Tried,
     reduced: Reduced,
-    dates: Array | None = None,
     progress: Callable[[int], object] = lambda effects: None,
 ) -> Population:
     """Finds what the arms of a type share, and which of them differ.
@@ -284,22 +206,18 @@ def diagnose_population(
         used: places of those in `reduced`, in its order.
         tried: all that they are tested for.
         reduced: the recordings.
-        dates: `(used,)`, days as ordinals, where recordings are of one arm over time.
         progress: called with the number of effects at each round of the search.
     """
-    covariate = None if dates is None else dates - dates.mean()
-    found = Search(reduced, tried, covariate, progress).selected()
-    effects = [_effect(one, tried.candidate(one.term), covariate, len(found), reduced.options) for one in found]
-    return Population(arm, tuple(members), tuple(used), tuple(effects), tried, dates, reduced.options)
+    found = Search(reduced, tried, progress).selected()
+    effects = [_effect(one, tried.candidate(one.term), len(found), reduced.options) for one in found]
+    return Population(arm, tuple(members), tuple(used), tuple(effects), tried, reduced.options)
 
 
-def _effect(
-    selected: Weighed, candidate: Candidate, covariate: Array | None, effects: int, options: PoolingOptions
-) -> TypeEffect:
+def _effect(selected: Weighed, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
     evidence = selected.evidence
     kept, outliers = list(range(len(evidence))), dict[int, float]()
-    hierarchy = fitted(selected.likelihoods(candidate.typical, covariate))
+    hierarchy = fitted(selected.likelihoods(candidate.typical))
     assert hierarchy is not None, "an effect was selected that too few arms show"
     shown = sum(one is not None for one in evidence)
     while shown - len(outliers) >= options.fewest_arms:
@@ -312,45 +230,15 @@ def _effect(
         rest = fitted(hierarchy.arms.without(most))
         assert rest is not None
         hierarchy = rest
-    drift = None if covariate is None else _drift_p_value(hierarchy, effects)
-    return TypeEffect(selected, candidate, hierarchy, outliers, _between_p_value(hierarchy), drift)
+    return TypeEffect(selected, candidate, hierarchy, outliers, _between_p_value(hierarchy))
 
 
 def _between_p_value(hierarchy: Hierarchy) -> float:
     """Cochran's test that all arms are alike."""
     arms = replace(hierarchy.arms, variance=np.inf)
     values, _, along = arms.eigen
-    coefficients, M, *_ = arms.solved(0.0)
+    mean, M, *_ = arms.solved(0.0)
     shown = values > 0
     each = float(np.sum(along[shown] ** 2 / values[shown]))
     freedom = int(shown.sum()) - hierarchy.determined
-    return float(chdtrc(freedom, max(each - float(coefficients @ M @ coefficients), 0.0))) if freedom > 0 else 1.0
-
-
-def _drift_p_value(hierarchy: Hierarchy, effects: int) -> float:
-    """Of a slope as large, by F with the degrees of freedom of its interval."""
-    size = hierarchy.coefficients.shape[1]
-    slope, covariance = hierarchy.coefficients[1], hierarchy.covariance[size:, size:]
-    root = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
-    squared = float((slope / root) @ np.linalg.pinv(covariance / np.outer(root, root), hermitian=True) @ (slope / root))
-    return min(float(fdtrc(size, hierarchy.freedom, squared / size)) * effects, 1.0)
-
-
-# ------------------------------------------------------------------ a document that is shown again
-
-
-def is_of_fleet(document: Any) -> bool:
-    """Whether a document says that it is that of a fleet."""
-    return isinstance(document, dict) and document.get("schema") == SCHEMA
-
-
-def check_fleet_document(document: Any, path: str | Path) -> None:
-    """Refuses what is no whole document of a fleet.
-
-    Raises:
-        InputError: with the path, the place, and the remedy.
-    """
-    try:
-        check(document, _DOCUMENT, "fleet")
-    except InputError as error:
-        raise InputError(f"{path}: {error}; run `lite6jax diagnose --fleet` again") from error
+    return float(chdtrc(freedom, max(each - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0

@@ -31,7 +31,6 @@ class Search:
         self,
         reduced: Reduced,
         tried: Tried,
-        covariate: Array | None = None,
         progress: Callable[[int], object] = lambda effects: None,
     ) -> None:
         """Computes nothing.
@@ -39,10 +38,9 @@ class Search:
         Args:
             reduced: the recordings.
             tried: all that they are tested for.
-            covariate: `(arm,)`, what effects may drift with, or None.
             progress: called with the number of effects at each round.
         """
-        self._reduced, self._tried, self._covariate, self._progress = reduced, tried, covariate, progress
+        self._reduced, self._tried, self._progress = reduced, tried, progress
         self._options, self._least = reduced.options, -float(np.log(reduced.options.engine.level))
         self._known: dict[frozenset[Tested], list[Weighed]] = {}
 
@@ -152,7 +150,7 @@ class Search:
         return [self._weighed(term, column) for (term, _), column in zip(asked, columns, strict=True)]
 
     def _weighed(self, term: Tested, evidence: Sequence[Evidence | None]) -> Weighed:
-        return weigh(term, evidence, self._covariate, self._options.engine.confounded, self._tried.cost(term))
+        return weigh(term, evidence, self._options.engine.confounded, self._tried.cost(term))
 
     def _is_possible(self, one: Weighed) -> bool:
         """Whether the mean is not far outside what the named effect can be, as far as that matters."""
@@ -160,10 +158,10 @@ class Search:
         lower, upper = np.array(candidate.lower), np.array(candidate.upper)
         if one.net < 0 or np.isinf([lower, upper]).all():
             return True
-        hierarchy = fitted(one.likelihoods(candidate.typical, self._covariate))
+        hierarchy = fitted(one.likelihoods(candidate.typical))
         assert hierarchy is not None  # what too few arms show has no evidence
-        limit = self._options.engine.impossible * np.hypot(hierarchy.std[0], hierarchy.between)
-        mean = hierarchy.coefficients[0]
+        limit = self._options.engine.impossible * np.hypot(hierarchy.std, hierarchy.between)
+        mean = hierarchy.mean
         return bool(((mean > lower - limit) & (mean < upper + limit)).all())
 
 

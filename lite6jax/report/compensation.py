@@ -208,3 +208,5 @@ def registration_report(found: Registration) -> Iterator[RenderableType]:
     yield table
     if found.turned is None:
         yield Text("Positions do not determine the tool's rotation: only its offset is fitted.")
+    if not found.determined:
+        yield Text("These poses do not determine every number of the two frames.")

@@ -43,7 +43,7 @@ Array = NDArray[np.floating]
 
 PREFIX = "torque_"
 """Of the names of the figures of torques, beside those of poses."""
-_POSES = ("error_by_joint", "where", "orders", "findings", "remaining")
+_POSES = ("error_by_joint", "where", "orders", "findings")
 _TORQUES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
 NAMES = {"poses": _POSES, "torques": _TORQUES, "both": (*_POSES, *(PREFIX + name for name in _TORQUES))}
 """The figures that `drawings` may give of a diagnosis of poses, of torques or of both."""
@@ -96,8 +96,6 @@ def drawings(
         yield "orders", order_spectrum(found, title)
     if found.findings:
         yield "findings", finding_figure(found, title, order=order)
-    if isinstance(found, Diagnosis):
-        yield "remaining", remaining(found, title)
 
 
 # ------------------------------------------------------------------ of poses
@@ -213,33 +211,6 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.set_xlim(1, np.ceil(at[-1]))
     label_first_column(panel, "explained variance (%)")
-
-
-@rc_context(STYLE)
-def remaining(found: Diagnosis, title: str) -> Figure:
-    """The residuals against the sensor's noise: their size, and the correlation of neighbouring rows."""
-    residuals = evidence_map.remaining_residuals(found)
-    unit = "declared" if found.problem.declared else "estimated"
-    figure = blank(12.0, 5.0)
-    left, right = figure.subplots(1, 2)
-    for (name, colour), part in zip(_STAGES, residuals, strict=False):
-        left.stairs(part.density, part.edges, color=colour, linewidth=2, label=f"{name}: {part.rms:.3g} RMS")
-        lags = np.arange(1, len(part.correlation) + 1)
-        right.plot(lags, part.correlation, "-o", color=colour, markersize=5, linewidth=1.5)
-    edges, bound = residuals[-1].edges, residuals[-1].bound
-    at = np.linspace(edges[0], edges[-1], 201)
-    left.plot(at, np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi), "--", color="black", linewidth=2, label="normal noise")
-    left.set(xlabel=f"residual over the {unit} noise", ylabel="density", xlim=(edges[0], edges[-1]))
-    left.set_ylim(0, 1.5 * left.get_ylim()[1])
-    left.legend(frameon=False, loc="upper right")
-    right.axhspan(-bound, bound, color="black", alpha=0.15, linewidth=0)
-    right.axhline(0, color="black", linewidth=1)
-    right.plot([], [], color="black", alpha=0.15, linewidth=9, label="white noise, 95 %")
-    right.set(xlabel="lag (rows)", ylabel="autocorrelation of the residuals")
-    low, high = right.get_ylim()
-    right.set_ylim(min(low, -0.3), min(max(high, 0.3) + 0.1, 1.1))
-    right.legend(frameon=False, loc="upper right")
-    return titled(figure, f"{title}: remaining residuals")
 
 
 # ------------------------------------------------------------------ of torques

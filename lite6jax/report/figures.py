@@ -11,7 +11,6 @@ from matplotlib.ticker import MaxNLocator
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.sdk import GATE_M, Verification
-from lite6jax.recordings import Recording
 from lite6jax.report.canvas import (
     AFTER,
     BEFORE,
@@ -38,7 +37,6 @@ if TYPE_CHECKING:  # what studies take, and fits do not
 
 _MOST_NAMED = 12
 _MOST_CURVES = 5
-_ROUNDING = 1e-16
 
 
 # ------------------------------------------------------------------ fits and comparisons
@@ -62,27 +60,6 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
     panels[0].set_ylim(0, _upper(before, after))
     figure.suptitle(title, fontsize=15)
     _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
-    return figure
-
-
-@rc_context(STYLE)
-def error_distribution(solution: Solution, recording: Recording, title: str) -> Figure:
-    """The distribution of the position errors, and the errors along the recording."""
-    before, after = solution.nominal_errors, solution.checked
-    figure = blank(12.0, 4.6)
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    top = _upper(before, after)
-    bins = np.linspace(0, top, 41)
-    for errors, colour in ((before, BEFORE), (after, AFTER)):
-        millimetres = np.minimum(1e3 * errors.position, top)  # larger errors are counted in the last bin
-        left.hist(millimetres, bins, color=colour, alpha=0.45)
-        left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
-        dots(right, recording.row, 1e3 * errors.position, colour)
-    left.set(xlabel="position error (mm)", ylabel="samples", xlim=(0, top))
-    right.set(xlabel="row of the recording", ylabel="position error (mm)")
-    right.set_ylim(bottom=0)
-    figure.suptitle(title, fontsize=15)
-    _legend(figure, before, after, "on held-out blocks")
     return figure
 
 
@@ -177,49 +154,6 @@ def verification_figure(verification: Verification, title: str) -> Figure:
 
 
 # ------------------------------------------------------------------ studies and designs
-
-
-@rc_context(STYLE)
-def singular_values(found: "Identification", title: str) -> Figure:
-    """Singular values of the scaled Jacobian, falling, with the line under which nothing is determined."""
-    d = found.determination
-    values = np.maximum(d.singular_values, _ROUNDING * d.singular_values[0])
-    at = np.arange(1, d.size + 1)
-    figure = blank(9.0, 5.2)
-    panel = figure.subplots()
-    panel.axhline(1, color="black", linewidth=1, linestyle="--")
-    panel.text(d.size + 0.6, 1, " noise as large\n as a tolerance", va="center", fontsize=11)
-    determined = at <= d.rank
-    panel.plot(at[determined], values[determined], "o", color=AFTER, markersize=8, label=f"determined: {d.rank}")
-    if not determined.all():
-        rounding = values[~determined]
-        panel.plot(at[~determined], rounding, "X", color=BEFORE, markersize=9, label=f"rounding: {len(rounding)}")
-    panel.set_yscale("log")
-    panel.set(
-        xlabel="direction of the parameters, best determined first",
-        ylabel="singular value\n(standard deviations per tolerance)",
-        xlim=(0.2, d.size + 0.8),
-    )
-    panel.legend(loc="best", frameon=False)
-    return titled(figure, f"{title}: {d.rank} of {d.size} determined by {d.samples} poses")
-
-
-@rc_context(FRAMED)
-def correlation(found: "Identification", title: str) -> Figure:
-    """The correlations of the estimates, without those of parameters that are held."""
-    d = found.determination
-    free = np.flatnonzero(d.free)
-    names = [d.names[i] for i in free]
-    side = max(6.5, 0.26 * len(free) + 2.5)
-    figure = blank(side + 1.2, side)
-    panel = figure.subplots()
-    image = panel.imshow(d.correlation[np.ix_(free, free)], cmap="PuOr", vmin=-1, vmax=1)
-    panel.set_xticks(range(len(free)), names, rotation=90, fontsize=10)
-    panel.set_yticks(range(len(free)), names, fontsize=10)
-    held = d.size - len(free)
-    figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
-    rest = f" ({held} held, not shown)" if held else ""
-    return titled(figure, f"{title}: correlations of the estimates{rest}")
 
 
 @rc_context(STYLE)

@@ -12,8 +12,9 @@ from rich.text import Text
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
+from lite6jax.fleet.population import SCHEMA
 from lite6jax.report.screen import headed, indented
-from lite6jax.report.words import Quantity, counted, listing, number, quantity
+from lite6jax.report.words import counted, listing, number, quantity
 
 Document = Mapping[str, Any]
 
@@ -22,13 +23,8 @@ _DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_ver
 _FOUND_BY = {
     "mean": "by the mean over all recordings",
     "any": "by the sum of what each recording shows",
-    "drift": "by its change with the date",
     "one": "in one recording alone",
 }
-_DAYS = 365.25
-"""In a year: what an arm loses in a day has no digit on the screen."""
-_CHANCE = 0.05
-"""Family-wise p-value from which a change is not significant."""
 _NEAR = 6.0
 """Log-likelihood within which effects are not distinguished."""
 
@@ -118,13 +114,16 @@ def _with_file(file: str, message: str) -> str:
 # ------------------------------------------------------------------ fleets
 
 
+def is_of_fleet(document: Any) -> bool:
+    """Whether a document says that it is that of a fleet."""
+    return isinstance(document, dict) and document.get("schema") == SCHEMA
+
+
 def population_report(document: Document) -> Iterator[RenderableType]:
     """The screen report of a fleet's document."""
     members, effects = document["recordings"], document["effects"]
     pooled = [member for member in members if member["used"]]
-    over = document["over"] is not None
-    what = f"recordings of one {document['arm']}" if over else f"recordings of {document['arm']} arms"
-    yield Text(f"{len(pooled)} {what} were pooled.")
+    yield Text(f"{len(pooled)} recordings of {document['arm']} arms were pooled.")
     yield Text(_headline(document))
     for k, effect in enumerate(effects, 1):
         yield ""
@@ -139,7 +138,7 @@ def population_report(document: Document) -> Iterator[RenderableType]:
                 low, high, between = (other.value for other in others)
                 table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
             yield Padding(table, (0, 0, 0, 3))
-        yield from (indented(line, 3) for line in remarks(effect, over))
+        yield from (indented(line, 3) for line in remarks(effect))
     own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
     alone = [
         f"{member['file']}: {', '.join(labels)}"
@@ -162,8 +161,7 @@ def _headline(document: Document) -> str:
     said = f"{counted(len(effects), 'effect')} found."
     if outlying:
         said += f" {', '.join(outlying)} {'differs' if len(outlying) == 1 else 'differ'} from the others."
-    drifting = [e for e in effects if "drift" in e and e["drift"]["p_value"] < document["level"]]
-    return f"{said} {'; '.join(map(title, drifting))}: drifts with the date." if drifting else said
+    return said
 
 
 def title(effect: Document) -> str:
@@ -178,7 +176,7 @@ def title(effect: Document) -> str:
     return f"{name}, {effect['site']}"
 
 
-def remarks(effect: Document, over: bool) -> Iterator[str]:
+def remarks(effect: Document) -> Iterator[str]:
     """What is said of an effect below its numbers."""
     if effect["effect"] == "unnamed":
         nearest = ""
@@ -193,38 +191,17 @@ def remarks(effect: Document, over: bool) -> Iterator[str]:
         if name in effect:
             size = {"value": effect[name], "std": 0.0}
             yield f"Root mean square of its amplitude over the arms: {_shown(name, size)}."
-    recordings = "recordings" if over else "arms"
     if effect["between_p_value"] < 0.01:
         p = effect["between_p_value"]
-        yield f"The {recordings} differ from each other by more than their uncertainty (p = {p:.1e})."
+        yield f"The arms differ from each other by more than their uncertainty (p = {p:.1e})."
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
             own = ", ".join(str(quantity(name, each)) for name, each in arm["parameters"].items())
             said = "" if effect["effect"] == "unnamed" else f": {own}"
             yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
-    if "drift" in effect and effect["effect"] == "unnamed":
-        yield f"Its change with the date: {_chance(effect['drift']['p_value'])}."
-    elif "drift" in effect:
-        drift = effect["drift"]
-        for name, each in drift["per_day"].items():
-            low, high = (_of_a_year(name, each, bound) for bound in each["interval_95"])
-            shown = _of_a_year(name, each, each["value"])
-            yield (
-                f"Drift of {shown.name} in a year: {shown.value} {shown.unit}, 95 % interval {low.value} to"
-                f" {high.value} ({_chance(drift['p_value'])})."
-            )
     near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]
     if near:
         yield f"Not distinguished from {', '.join(title(rival) for rival in near)}."
-
-
-def _chance(p: float) -> str:
-    """A p-value; one that is no sign of anything is not printed."""
-    return f"p = {p:.1e}" if p < _CHANCE else "not significant"
-
-
-def _of_a_year(name: str, estimate: Mapping[str, float], value: float) -> Quantity:
-    return quantity(name, {"value": _DAYS * value, "std": _DAYS * estimate["std"]})
 
 
 def _shown(name: str, estimate: Mapping[str, float]) -> str:

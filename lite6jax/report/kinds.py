@@ -72,10 +72,7 @@ def _recording(recording: Recording, title: str) -> Figures:
 def _solution(solution: Solution, title: str) -> Figures:
     recording = solution.recording
     title = title or (solution.arm.name if recording is None else Path(recording.source).name)
-    drawn = {"error_by_joint": figures.error_by_joint(solution, title)}
-    if recording is not None:
-        drawn["error_distribution"] = figures.error_distribution(solution, recording, title)
-    return Figures(drawn)
+    return Figures({"error_by_joint": figures.error_by_joint(solution, title)})
 
 
 @draw.register
@@ -100,8 +97,7 @@ def _comparison(found: Comparison, title: str) -> Figures:
 @draw.register
 def _identification(found: Identification, title: str) -> Figures:
     title = title or found.experiment.arm.name
-    drawn = (figures.singular_values, figures.correlation, figures.deviations)
-    return Figures({each.__name__: each(found, title) for each in drawn})
+    return Figures({"deviations": figures.deviations(found, title)})
 
 
 @draw.register(Plan)

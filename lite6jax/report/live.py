@@ -6,7 +6,6 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import RenderableType
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -142,20 +141,10 @@ def _offset(offset: Array) -> str:
 
 @contextmanager
 def recording_progress() -> Iterator[Callable[[Progress], None]]:
-    """The progress of a recording on stderr: one line that is updated on a terminal, else a line every ten seconds."""
-    console = screen.console(stderr=True)
-    if not console.is_terminal:
-        last = [0.0]
-
-        def report(progress: Progress) -> None:
-            if progress.time - last[0] >= 10 or (progress.trouble and last[0] != progress.time):
-                last[0] = progress.time
-                console.print(_progress_line(progress), soft_wrap=True)
-
-        yield report
-        return
-    with Live(console=console, transient=True, refresh_per_second=5) as live:
-        yield lambda progress: live.update(Text(_progress_line(progress), overflow="fold"))
+    """The progress of a recording on stderr, from what the yielded function is called with."""
+    reached = list[Progress]()
+    with screen.repeated(lambda: _progress_line(reached[-1]) if reached else "no row yet"):
+        yield lambda progress: reached.__setitem__(slice(None), [progress])
 
 
 def _progress_line(progress: Progress) -> str:

@@ -4,7 +4,6 @@ The same diagnosis gives the same bytes: no clock and no file name beside those 
 """
 
 import base64
-import hashlib
 import textwrap
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -20,7 +19,6 @@ from matplotlib.lines import Line2D
 
 from lite6jax import storage
 from lite6jax.diagnosis.combined import CombinedDiagnosis
-from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import ranking, reference, statements
@@ -46,8 +44,6 @@ _CAPTIONS = {
     "not recorded or does not vary, or the function is confounded with the nuisance.",
     "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
     "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
-    "remaining": "Left, the residuals in units of the sensor's noise beside normal noise; right, their autocorrelation "
-    "in the order of the rows.",
 }
 _TORQUE_CAPTIONS = {
     "error_by_joint": "Held-out torque error of each joint, by the arm's model alone and with the findings. "
@@ -226,8 +222,6 @@ def certificate(document: Document) -> Figure:
     for entry in document.get("inputs", ()):
         page.text(f"{entry['role']}: {entry['file']}", size=7.5)
         page.text(entry["sha256"], size=7, family="monospace")
-    page.text("this diagnosis", size=7.5)
-    page.text(hashlib.sha256(document_text(document).encode()).hexdigest(), size=7, family="monospace")
     return page.figure
 
 

@@ -5,14 +5,11 @@ Each is made from the codes and numbers of the JSON document.
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lite6jax.errors import command_line
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.words import OF_TORQUES, capital, each_with_unit, joined, milli, number, quantity
-
-if TYPE_CHECKING:
-    from lite6jax.domains.pose.predict import ReferenceOrigin  # which takes JAX, and sentences do not
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -86,11 +83,6 @@ def torque_model_statement(file: str, by: str) -> str:
         f"Findings and model are the difference from {file}: effects that both recordings have are not in them, and "
         f"effects of {file} alone are in them with reversed sign."
     )
-
-
-def origin_statement(origin: "ReferenceOrigin") -> str:
-    """The same of a model that was read from a file; a file of version 1 has the sentence itself."""
-    return origin.statement if origin.rigid is None else model_statement(origin.file, origin.rigid)
 
 
 def _differences(entries: Sequence[Entry], file: str) -> Iterator[dict[str, Any]]:
@@ -231,8 +223,6 @@ def shared_statements(document: Document) -> list[str]:
 
 def shared_statement(entry: Entry) -> str:
     """What both say of one quantity."""
-    if entry["quantity"] == "load":
-        return _load(entry)
     name, remedy = _QUANTITIES[entry["quantity"]]
     poses, torques = (_numbers(entry[side]) for side in ("poses", "torques"))
     if entry["agree"] is None:
@@ -242,22 +232,6 @@ def shared_statement(entry: Entry) -> str:
     if entry["agree"]:
         return f"Of {name}, {said}: they agree, and it is one finding that both sensors see."
     return f"Of {name}, {said}: they disagree ({_chance(entry)}). {remedy}"
-
-
-def _load(entry: Entry) -> str:
-    joint, ratio = entry["joint"], entry["torques"]["parameters"]["load_ratio"]
-    compliance = entry["poses"]["parameters"]["compliance_rad_per_Nm"]
-    said = (
-        f"The compliance of joint {joint} rests on the loads of the declared arm; by the torques, joint {joint} "
-        f"carries {ratio['value']:.3f} ± {ratio['std']:.2g} times these"
-    )
-    if entry["agree"]:
-        return f"{said}, which is within the uncertainty of the masses."
-    corrected = {key: value / ratio["value"] for key, value in compliance.items()}
-    return (
-        f"{said}. They disagree ({_chance(entry)}): by the loads that the torques show, it is "
-        f"{quantity('compliance_rad_per_Nm', corrected)}. Correct payload_kg, or the masses of the arm's description."
-    )
 
 
 def _chance(entry: Entry) -> str:

@@ -218,12 +218,6 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
 
 def cause_of(entry: Entry, torques: bool = False) -> str:
     """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
-    if "described_by" in entry:
-        described = entry["described_by"]
-        names = [effect_name(effect["effect"]) for effect in described["effects"]]
-        verb = "describe" if len(names) > 1 else "describes"
-        share = f"{100 * described['share']:.0f} %"
-        return f"{place_of(entry['site'])} has a {_exerted(entry)} that {' and '.join(names)} {verb} to {share}"
     parameters = entry.get("parameters", {})
     if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
         mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import final
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -74,8 +73,13 @@ def minutes(seconds: float) -> str:
 
 @contextmanager
 def repeated(line: Callable[[], str]) -> Iterator[None]:
-    """Prints a line on stderr every ten seconds, until the end of the context."""
+    """Shows a line on stderr until the end of the context: updated on a terminal, else printed every ten seconds."""
     screen, ended = console(stderr=True), threading.Event()
+    if screen.is_terminal:
+        drawn = lambda: Text(line(), overflow="ellipsis", no_wrap=True)  # noqa: E731
+        with Live(get_renderable=drawn, console=screen, transient=True, refresh_per_second=2):
+            yield
+        return
 
     def report() -> None:
         while not ended.wait(EVERY):
@@ -150,63 +154,20 @@ _STAGES: dict[Code, str] = {
     "estimating": "computing the final estimates",
     "planning": "choosing poses that separate the alternatives",
 }
-_SHARE = 0.5
-"""Of the time for all rows, what a held-out block takes, as long as none has been measured."""
-
-
-@final
-class Clock:
-    """Where a computation is and how long it still takes, from the times of its parts so far.
-
-    The functions take the present time in seconds.
-    """
-
-    def __init__(self, now: float) -> None:
-        self.stage: Stage | None = None
-        self._began = [now]
-
-    def entered(self, stage: Stage, now: float) -> None:
-        """A stage begins."""
-        self.stage = stage
-        while len(self._began) <= stage.part:
-            self._began.append(now)
-
-    def to_go(self, now: float) -> float | None:
-        """Seconds to go; None as long as all rows are searched, which takes a time that nothing measured tells."""
-        if self.stage is None or self.stage.part == 0:
-            return None
-        began, part, left = self._began, self.stage.part, self.stage.parts - self.stage.part
-        if left == 0:
-            return 0.0
-        block = (began[part] - began[1]) / (part - 1) if part > 1 else _SHARE * (began[1] - began[0])
-        return max(block - (now - began[part]), 0.0) + (left - 1) * block
-
-    def line(self, now: float) -> str:
-        """The stage, the time since the beginning and the time to go, in words."""
-        if self.stage is None:
-            return f"reading rows, {minutes(now - self._began[0])} so far"
-        block = f", without block {self.stage.part} of {self.stage.parts - 1}" if self.stage.part > 0 else ""
-        block = block if self.stage.part < self.stage.parts else ""
-        to_go = self.to_go(now)
-        if to_go is None:  # the held-out blocks take at least this, were all rows searched now
-            ahead = f"more than {minutes(_SHARE * (self.stage.parts - 1) * (now - self._began[0]))} to go"
-        else:
-            ahead = f"about {minutes(to_go)} to go"
-        return f"{_STAGES[self.stage.code]}{block}: {minutes(now - self._began[0])} so far, {ahead}"
 
 
 @contextmanager
 def stages() -> Iterator[Callable[[Stage], None]]:
     """Shows the stages that the yielded function is called with, until the end of the context."""
-    clock, screen = Clock(time.monotonic()), console(stderr=True)
+    began, reached = time.monotonic(), list[Stage]()
 
-    def follow(stage: Stage) -> None:
-        clock.entered(stage, time.monotonic())
+    def line() -> str:
+        so_far = f"{minutes(time.monotonic() - began)} so far"
+        if not reached:
+            return f"reading rows, {so_far}"
+        stage = reached[-1]
+        block = f", without block {stage.part} of {stage.parts - 1}" if 0 < stage.part < stage.parts else ""
+        return f"{_STAGES[stage.code]}{block}: {so_far}"
 
-    if screen.is_terminal:
-        line = lambda: Text(clock.line(time.monotonic()), overflow="ellipsis", no_wrap=True)  # noqa: E731
-        with Live(get_renderable=line, console=screen, transient=True, refresh_per_second=2):
-            yield follow
-        return
-    with repeated(lambda: clock.line(time.monotonic())):
-        yield follow
+    with repeated(line):
+        yield reached.append

@@ -443,7 +443,7 @@ HEADER: tuple[Section, ...] = (Against(), Cause())
 SECTIONS: tuple[Section, ...] = (
     *(Ranking(), Errors(), Faults(), Findings(), Actions(), Assumptions()),
     Drawn("Explained variance by site, driver and order", "where", "orders"),
-    *(Drawn("Remaining residuals", "remaining"), Drawn("Friction", "friction"), Drawn("Filter", "spectra")),
+    *(Drawn("Friction", "friction"), Drawn("Filter", "spectra")),
     *(ToRecord(), Tested()),
 )
 

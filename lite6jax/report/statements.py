@@ -443,21 +443,13 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
 
 def _unnamed_torque(finding: Entry, adds: str) -> str:
     """A curve of torques: its drivers, its contribution, and which named effects come nearest to it."""
-    where, near, said = finding["where"], "", "explains"
+    where, near = finding["where"], ""
     what = "force" if where.get("of_slide") else "torque"
-    if "described_by" in finding:
-        said, shown = "alone explains", []
-        for effect in finding["described_by"]["effects"]:
-            ((name, value),) = effect["parameters"].items()
-            size = _chosen(name, value)
-            shown.append(f"{effect_name(effect['effect'])} of {size.value} {size.unit}".strip())
-        share = 100 * finding["described_by"]["share"]
-        near = f" {capital(' and '.join(shown))} would give {share:.0f} % of its mean square."
-    elif "nearest" in finding:
+    if "nearest" in finding:
         share = 100 * finding["nearest"]["share"]
         near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
     return (
-        f"No effect of the catalogue {said} a {what} at {finding['site']} that is a function of the "
+        f"No effect of the catalogue explains a {what} at {finding['site']} that is a function of the "
         f"{with_articles(finding['driver'])}: it contributes {adds}.{near}"
     )
 

@@ -222,8 +222,8 @@ def sensitivity_report(found: Sensitivity, source: str) -> Iterator[RenderableTy
         table.add_row(found.names[i], f"{1e3 * found.per_unit[i] / scale:.3g} /{unit}", f"{100 * found.share[i]:.1f} %")
     yield table
     yield Text(
-        f"share: of the mean squared error, to first order; even shares would be {100 / len(found.names):.1f} % each"
-        f" (the largest is {100 * found.share.max():.1f} %)."
+        f"Shares are of the mean squared error, to first order; even shares would be {100 / len(found.names):.1f} %"
+        f" each (the largest is {100 * found.share.max():.1f} %)."
     )
 
 
@@ -251,7 +251,7 @@ def design_report(
     sensor = described(found.experiment.sensor)
     what = f"{found.count} poses of {len(drawn.joint_position)} candidates{why}; a sensor of {sensor}."
     yield from _beginning(source, what, disabled)
-    yield from _plan_report(found, accuracy) if isinstance(found, Plan) else _discrimination_report(found)
+    yield from plan_report(found, accuracy) if isinstance(found, Plan) else discrimination_report(found)
     yield ""
     if any(driver.discrete for e in found.experiment.physics.effects for driver in e.drivers):
         yield Text("For effects of the direction of motion, come to each pose from where all joints are at zero.")
@@ -281,7 +281,8 @@ def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterato
     yield listing("", "x", "y", "z", "touches", rows=rows)
 
 
-def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType]:
+def plan_report(found: Plan, accuracy: float | None = None) -> Iterator[RenderableType]:
+    """What designed poses are worth, beside random ones; `accuracy` as of `design_report`."""
     reached, random = found.accuracy[-1], found.random_accuracy[:, found.count - 1]
     if np.isfinite(reached):
         middle = float(np.quantile(random, 0.5, method="nearest"))
@@ -331,7 +332,8 @@ def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType
             yield Text("Most random selections of as many poses do not determine all that these do.")
 
 
-def _discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
+def discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
+    """How far apart two effects are at designed poses, and at random ones."""
     reached, random = found.distance[-1], float(np.median(np.nan_to_num(found.random_distance)))
     ratio = f" (ratio {reached / random:.2f})" if random > 0 else ""
     one, other = found.rivals

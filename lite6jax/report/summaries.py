@@ -3,8 +3,12 @@
 To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `describe` here.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import RenderableType
+from rich.text import Text
 
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
@@ -20,14 +24,13 @@ from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.recordings import Recording
-from lite6jax.report import ranking, reference, statements
-from lite6jax.report.compensation import outside_sentence
+from lite6jax.report import fits, ranking, reference, statements, study
+from lite6jax.report.compensation import outside_sentence, registration_report
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
 from lite6jax.results import Description, describe
 
 _MOST_FINDINGS = 4
-_MOST_NAMED = 3
 
 
 @describe.register
@@ -104,84 +107,36 @@ def _fleet(fleet: FleetSolution) -> Description:
     return Description("Fits of a fleet", tuple(sentences))
 
 
+def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Description:
+    """The sentences of a terminal's report, without its tables and headings; its notes apart."""
+    said = [str(part) for part in report if isinstance(part, Text) and str(part).endswith(".")]
+    notes = [line.removeprefix("Note: ") for line in said if line.startswith("Note: ")]
+    return Description(title, (*before, *(line for line in said if not line.startswith("Note: "))), tuple(notes))
+
+
 @describe.register
 def _identification(found: Identification) -> Description:
-    d, accuracy = found.determination, found.accuracy
-    sentences = [
-        f"{counted(d.samples, 'pose')} of a {found.experiment.arm.name} determine{'s' * (d.samples == 1)} {d.rank} of "
-        f"{counted(d.size, 'unknown parameter')}."
-    ]
-    if found.missed:
-        sentences.append(f"Other poses within the joint limits determine {found.possible.rank}.")
-    if accuracy.position_determined:
-        sentences.append(
-            f"The fitted model predicts positions over the workspace with a standard deviation of "
-            f"{_mm(accuracy.position_rms)} mm."
-        )
-    else:
-        sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
-    if weak := d.weak():
-        sentences.append(f"No more precise than the assembly tolerance {be(len(weak))}: {', '.join(weak)}.")
-    return Description(f"Identifiability, {found.experiment.arm.name}", tuple(sentences), found.notes)
+    name = found.experiment.arm.name
+    return _as_shown(f"Identifiability, {name}", study.identification_report(found, name, drawn=False))
 
 
-@describe.register
-def _plan(plan: Plan) -> Description:
-    reached = float(plan.accuracy[-1])
-    sentences = [
-        f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} for a "
-        f"{plan.experiment.arm.name} {be(plan.count)} chosen by the criterion {plan.criterion}."
-    ]
-    if np.isfinite(reached):
-        random = float(np.median(plan.random_accuracy[:, plan.count - 1]))
-        beside = f"{_mm(random)} mm" if np.isfinite(random) else "no finite accuracy"
-        sentences.append(
-            f"A fit to them predicts positions over the workspace with a standard deviation of "
-            f"{_mm(reached)} mm; as many random poses reach {beside} in the median."
-        )
-    else:
-        sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
-    if plan.worth is not None:
-        sentences.append(f"They are as accurate as {plan.worth} random poses.")
-    if plan.needed is not None:
-        sentences.append(f"{counted(plan.needed, 'pose')} {be(plan.needed)} needed for the accuracy given.")
-    return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences))
-
-
-@describe.register
-def _discrimination(plan: DiscriminationPlan) -> Description:
-    one, other = plan.rivals
-    reached, random = float(plan.distance[-1]), float(np.nanmedian(plan.random_distance))
-    sentences = (
-        f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} {be(plan.count)} chosen to "
-        f"discriminate between {one} and {other}.",
-        f"Their readings differ by {reached:.1f} standard deviations, those at as many random poses by {random:.1f}.",
-    )
-    return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences)
+@describe.register(Plan)
+@describe.register(DiscriminationPlan)
+def _plan(plan: Plan | DiscriminationPlan) -> Description:
+    chosen = f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} {be(plan.count)} chosen."
+    report = study.plan_report(plan) if isinstance(plan, Plan) else study.discrimination_report(plan)
+    return _as_shown(f"Poses to record, {plan.experiment.arm.name}", report, chosen)
 
 
 @describe.register
 def _comparison(found: Comparison) -> Description:
-    arms = len(found.names)
-    between, nominal = _mm(float(found.between.max())), _mm(float(found.from_nominal.max()))
-    sentences = (
-        f"The flanges of {arms} arms of type {found.arm.name} are up to {between} mm apart at equal joint positions.",
-        f"The one furthest from the nominal geometry is {nominal} mm from it.",
-    )
-    return Description(f"Comparison of {arms} arms, {found.arm.name}", sentences)
+    report = fits.comparison_report(found, width=80)
+    return _as_shown(f"Comparison of {len(found.names)} arms, {found.arm.name}", report)
 
 
 @describe.register
 def _sensitivity(found: Sensitivity) -> Description:
-    expected = _mm(_rms(found.expected_error))
-    order = np.argsort(-found.share, kind="stable")[:_MOST_NAMED]
-    shares = [f"{found.names[i]} {100 * found.share[i]:.0f} %" for i in order]
-    sentences = (
-        f"An arm assembled within the tolerances is {expected} mm RMS from nominal, over "
-        f"{counted(len(found.joint_position), 'pose')}.",
-        f"Of the mean squared error most is caused by {', '.join(shares)}.",
-    )
-    return Description("Sensitivity of the flange to the tolerances", sentences)
+    return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, ""))
 
 
 @describe.register
@@ -236,15 +191,7 @@ def _compensation(found: Compensation) -> Description:
 
 @describe.register
 def _registration(found: Registration) -> Description:
-    samples, outliers = len(found.weight), int(np.sum(~found.kept))
-    rms, noise = _mm(found.rms), _mm(found.noise[0])
-    sentences = [
-        f"Sensor frame and tool are fitted to {counted(samples, 'pose')}, {counted(outliers, 'outlier')} among them.",
-        f"The others are {rms} mm RMS from the arm as modelled, {noise} mm per axis.",
-    ]
-    if not found.determined:
-        sentences.append("These poses do not determine every number of the two frames.")
-    return Description("Registration of sensor and tool", tuple(sentences))
+    return _as_shown("Registration of sensor and tool", registration_report(found))
 
 
 @describe.register(Diagnosis)

@@ -101,7 +101,7 @@ def test_theory_counts_what_random_arms_show(dof, quantity):
                 values = values + rng.normal(0, 0.05, values.shape)
             setup = replace(setup, model=setup.model._replace(geometry=values))
             found = determine(setup, q)
-            assert found.rank == found.theory, (chain, frame, tool, off)
+            assert found.rank == found.theory, (chain, frame, tool)
             if chain == "hayati" or tool:
                 assert found.theory == count(setup.form, quantity)
 

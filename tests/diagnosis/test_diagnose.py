@@ -369,7 +369,7 @@ def test_one_frame_that_is_off_is_physics(tmp_path):
     assert not seen.faults
 
 
-def test_a_result_gives_its_model(soft, still):
+def test_a_result_gives_its_document_and_its_model(soft, still):
     poses = np.asarray(soft.model.pose(still["joint_position"], payload=still["payload"]))
     errors = np.linalg.norm(poses[:, :3, 3] - soft.problem.measured.position.T, axis=1)
     assert rms(errors[~soft.outliers]) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)

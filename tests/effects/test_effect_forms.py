@@ -228,7 +228,7 @@ def test_text_that_is_no_effect(text, message):
         ),
         (
             {"effect": "joint_offset", "where": {"joint": 1}, "parameters": {"offset_rad": {"std": 1}}},
-            "joint_offset:joint1: offset_rad is None; give a number",
+            "joint_offset:joint1: offset_rad: Object missing required field `value`",
         ),
         (
             {

@@ -88,9 +88,9 @@ def tried(arms, options=OPTIONS):
     return Tried([one.heading for one in arms], options.engine)
 
 
-def population(folder, arms, dates=None, processes=0, options=OPTIONS):
+def population(folder, arms, processes=0, options=OPTIONS):
     """The result for some arms."""
     members = [Member(f"arm{i}.csv", one.heading.about, one.heading.found) for i, one in enumerate(arms)]
     with Workers(processes=processes) as workers:
         recordings = Reduced(stored(folder, arms), options, workers)
-        return diagnose_population("none", members, range(len(arms)), tried(arms, options), recordings, dates)
+        return diagnose_population("none", members, range(len(arms)), tried(arms, options), recordings)

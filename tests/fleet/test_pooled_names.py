@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
-from lite6jax.fleet.population import check_fleet_document
 from lite6jax.fleet.terms import PooledTerm, Process
 from lite6jax.report.fleets import population_report, title
 
@@ -51,7 +50,6 @@ def test_what_is_outside_the_catalogue_has_no_name_and_its_site(tmp_path):
     found = population(tmp_path, fleet(1, bump))
     assert names(found) == [("joint3", (POSITION.phrase,))]
     document = found.to_dict()
-    check_fleet_document(document, "fleet.json")
     (effect,) = document["effects"]
     assert (effect["effect"], effect["site"], effect["driver"]) == ("unnamed", "joint3", POSITION.phrase)
     assert (effect["nearest"]["effect"], effect["nearest"]["order"]) == ("joint_harmonic", 1.0)

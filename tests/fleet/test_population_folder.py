@@ -34,8 +34,8 @@ def results(tmp_path):
     return make
 
 
-def pooled(out, over=None):
-    return pool_folder("arms", out, OPTIONS, over, processes=0)
+def pooled(out):
+    return pool_folder("arms", out, OPTIONS, processes=0)
 
 
 def test_those_of_the_most_common_type_are_pooled_and_the_others_say_why_not(results):
@@ -48,26 +48,16 @@ def test_those_of_the_most_common_type_are_pooled_and_the_others_say_why_not(res
     assert (said["a0.csv"]["reason"], said["a0.csv"]["used"]) == (None, True)
 
 
-def test_a_recording_without_a_date_is_left_out_of_a_drift(results):
-    found = pooled(results({}, *({"date": f"2024-0{i}-01"} for i in range(1, 6))), "date")
-    assert found.used == (1, 2, 3, 4, 5)
-    said = found.to_dict()
-    assert said["recordings"][0]["reason"] == "has no date; write `date: YYYY-MM-DD` into its sidecar"
-    assert (said["over"], said["mean_date"]) == ("date", "2024-03-02")
-
-
 @pytest.mark.parametrize(
-    ("abouts", "over", "said"),
+    ("abouts", "said"),
     [
-        ([None], None, "^arms: none of its recordings could be diagnosed: a0.csv: no$"),
-        ([{}, None], None, r"^arms: 1 recording can be pooled, and --fleet takes 2 or more \(a1\.csv: no\); add"),
-        ([{}, {}], "date", r"^arms: 0 recording.*\(has no date; write `date: YYYY-MM-DD` into its sidecar\); add"),
-        ([{"date": "2024-01-01"}] * 5, "date", "^arms: its recordings have 1 different dates, and --over date takes 4"),
+        ([None], "^arms: none of its recordings could be diagnosed: a0.csv: no$"),
+        ([{}, None], r"^arms: 1 recording can be pooled, and --fleet takes 2 or more \(a1\.csv: no\); add"),
     ],
 )
-def test_too_few_recordings_are_refused_with_the_remedy(results, abouts, over, said):
+def test_too_few_recordings_are_refused_with_the_remedy(results, abouts, said):
     with pytest.raises(InputError, match=said):
-        pooled(results(*abouts), over)
+        pooled(results(*abouts))
 
 
 def test_the_document_has_a_name_of_its_own(tmp_path):
@@ -87,7 +77,6 @@ def test_what_a_fleet_does_not_take_is_one_line(tmp_path, capsys):
     file, out = tmp_path / "a.csv", tmp_path / "results"
     file.write_text("q1_rad\n")
     assert "--fleet: is for a folder of recordings;" in refused(file, "--fleet")
-    assert "--over: is of recordings that are pooled; add --fleet" in refused(tmp_path, "--over", "date", "--out", out)
     assert "add --out DIR for the documents of its recordings" in refused(tmp_path, "--fleet")
     assert "--report: is of one recording, and --fleet" in refused(
         tmp_path, "--fleet", "--out", out, "--report", tmp_path / "r.html"
@@ -130,8 +119,6 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     assert "--certificate: is of one recording, and" in flat(capsys.readouterr().err)
     (tmp_path / "damaged.json").write_text(json.dumps(document | {"effects": [{}]}))
     assert main(["report", str(tmp_path / "damaged.json")]) == 2
-    assert "fleet.effects[0] lacks the key 'effect'; run `lite6jax diagnose --fleet` again" in flat(
-        capsys.readouterr().err
-    )
+    assert "is damaged (it lacks '" in flat(capsys.readouterr().err)
     assert main(["diagnose", "--fleet", str(folder), *options]) == 2
     assert "fleet.json: exists already" in flat(capsys.readouterr().err)

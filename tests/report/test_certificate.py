@@ -113,4 +113,4 @@ def test_an_effect_on_torques_of_ones_own_is_reported_without_its_file(of_motors
     document["model"]["links"] = "none"
     code, said, err = run(capsys, "report", write_document(document, path, overwrite=True))
     assert (code, said) == (2, "")
-    assert f"{path}: is damaged (model.links" in err
+    assert f"{path}: its model is damaged (Expected `array`, got `str` - at `$.model.links`)" in err

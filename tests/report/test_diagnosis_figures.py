@@ -286,20 +286,6 @@ def test_orders_are_drawn_where_nothing_is_left(compliant, monkeypatch):
     figure.savefig(io.BytesIO())
 
 
-def test_the_residual_left_is_the_noise(found, drawn):
-    sizes, alike = drawn["remaining"].axes
-    assert sizes.get_xlabel() == "residual over the declared noise"
-    assert alike.get_xlabel() == "lag (rows)"
-    labels = [text.get_text() for text in sizes.get_legend().get_texts()]
-    rows = found.fit.residuals.rows[:, ~found.outliers]
-    assert labels[1] == f"after: {np.sqrt(np.mean(rows**2)):.3g} RMS"
-    rows = rows - rows.mean(1, keepdims=True)
-    after = alike.lines[1].get_ydata()
-    for lag in (1, 7):
-        plain = np.sum(rows[:, lag:] * rows[:, :-lag]) / np.sum(rows**2)
-        assert after[lag - 1] == pytest.approx(plain)
-
-
 # ------------------------------------------------------------------ torques
 
 

@@ -9,7 +9,6 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.fleet import compare
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.report import canvas, figures
 from tests.oracles.arms import perturbed
 
@@ -48,22 +47,6 @@ def test_a_panel_for_each_joint(solution):
         x, y = medians.get_xdata(), medians.get_ydata()
         near = np.abs(dots.get_xdata() - x[7]) < (x[1] - x[0]) / 2
         assert y[7] == pytest.approx(np.median(dots.get_ydata()[near]))
-
-
-def test_the_errors_of_a_recording(solution):
-    samples = len(solution.checked.position)
-    recording = Recording.assembled(
-        solution.checked.joint_position,
-        position=np.zeros((samples, 3)),
-        row=np.arange(100, 100 + samples),
-        settings=RecordingSettings(motion="static"),
-    )
-    figure = figures.error_distribution(solution, recording, "run.csv")
-    counts, rows = figure.axes
-    assert (counts.get_xlabel(), counts.get_ylabel()) == ("position error (mm)", "samples")
-    assert rows.get_xlabel() == "row of the recording"
-    assert rows.lines[0].get_xdata()[0] == 100
-    assert sum(bar.get_height() for bar in counts.patches if hasattr(bar, "get_height")) == 2 * samples
 
 
 def test_the_differences_of_arms(comparison):

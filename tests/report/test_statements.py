@@ -5,6 +5,7 @@ import re
 import textwrap
 from dataclasses import replace
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, fleets, ranking, reference, remedies, statements, words
+from lite6jax.report import diagnosis_figures, ranking, reference, remedies, statements, words
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
@@ -28,6 +29,8 @@ from lite6jax.report.words import listed, quantity, rounded
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
+
+DOCS = Path(__file__).resolve().parents[2] / "docs/reference"
 
 JUMP = {
     "row": 90, "part": "base", "translation_m": 3e-3, "rotation_rad": 1e-3, "twist": [3e-3, 0, 0, 1e-3, 0, 0],
@@ -44,6 +47,18 @@ RULED_OUT = (
     DataFault("mirrored_joint", (), COLUMNS),
     DataFault("time_order", (), {"samples": 200, "timed": False}),
 )
+
+
+def test_the_keys_of_a_diagnosis_are_documented(found, motors):
+    of_poses = {*found.to_dict(), "inputs", "against", "torques", "torques_refused", "shared"}
+    of_torques = {*motors.to_dict(), "inputs", "against"} - {"schema", "domain"}
+    for page, title, keys in (
+        ("results", "The file of a diagnosis", of_poses),
+        ("torques", "The JSON file", of_torques),
+    ):
+        text = (DOCS / f"{page}.md").read_text().partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+        first = [row.split("|")[1] for row in text.partition("\n###")[0].splitlines() if row.startswith("| `")]
+        assert {key for cell in first for key in re.findall(r"`(\w+)`", cell)} == keys
 
 
 @pytest.fixture(scope="module")
@@ -511,12 +526,6 @@ def test_a_summary_is_sentences_of_a_few_lines(compliant):
     html = compliant._repr_html_()
     assert f"is significant: {size}; it moves" in html
     assert "<script" not in html
-
-
-@pytest.mark.parametrize(("p_value", "said"), [(1.0, "not significant"), (2e-9, "p = 2.0e-09")])
-def test_a_change_with_the_date_that_is_none_has_no_p_value(p_value, said):
-    effect = {"effect": "unnamed", "between_p_value": 1.0, "arms": [], "drift": {"p_value": p_value}, "rivals": []}
-    assert f"Its change with the date: {said}." in list(fleets.remarks(effect, over=True))
 
 
 def test_a_number_that_is_not_finite_is_unknown():

@@ -1,7 +1,7 @@
 """One table of what stands in several places: joints and poses in two files, reflectors in place of a pose.
 
 What is joined keeps its names and units, so that it is looked at as any table is. Codes and numbers only: the words are
-those of `report.joining`.
+those of `report.inspection`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -71,13 +71,11 @@ class ReferenceOrigin(NamedTuple):
 
     Attributes:
         file: the recording's name.
-        rigid: whether it has no effects beyond a rigid arm; None where the diagnosis does not say.
-        statement: what the diagnosis says of the model.
+        rigid: whether it has no effects beyond a rigid arm.
     """
 
     file: str
-    rigid: bool | None
-    statement: str
+    rigid: bool
 
 
 _LEAVES = ("model", "values", "inertia", "joint_limits")

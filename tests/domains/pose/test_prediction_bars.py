@@ -348,9 +348,9 @@ def test_a_document_without_it_is_read(arm):
         (lambda entry: entry["recorded"]["joint_range_rad"].pop(), "its recorded range is not one of this arm"),
         (
             lambda entry: entry["left"].update(position_m=float("nan")),
-            "model.uncertainty.left.position_m is nan, which is not finite",
+            "Expected `float`, got `null` - at `$.model.uncertainty.left.position_m`",
         ),
-        (lambda entry: entry.pop("left"), "'left'"),
+        (lambda entry: entry.pop("left"), "`left`"),
     ],
 )
 def test_what_is_damaged_is_refused(content, damage, says):

@@ -27,8 +27,8 @@ EARLIER = (
 WORN = (*EARLIER[:1], hidden("coulomb_friction", "joint3", coulomb_Nm=0.9))
 
 
-def diagnose_torques_against(*sides, **given):
-    found = torque_diagnosis.diagnose_torques_against(*sides, **given)
+def diagnose_torques_against(recording, reference, arm, **given):
+    found = torque_diagnosis.diagnose_torques(recording, arm, reference=reference, **given)
     return found, found.against
 
 
@@ -119,7 +119,7 @@ def test_functions_without_a_name_are_compared_where_both_recordings_have_them(m
         curve = next(curve for side, curve in sides if side is recording)
         return diagnosed(recording, (curve,), arm=arm)
 
-    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.diagnose_torques", searched)
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis._diagnose_alone", searched)
     _, seen = diagnose_torques_against(sides[0][0], sides[1][0], setup_of(1)[1])
     (difference,) = seen.effects
     assert difference.p_value < 1e-6 if differs else difference.p_value > 0.0027
@@ -136,7 +136,7 @@ def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     cold = cold.select(np.arange(cold.samples) > 200)  # another motion
     curve = UnnamedTorque(2, "temperature of joint 2", 20.0, 60.0, "cubic", spread=5.0)
     monkeypatch.setattr(
-        "lite6jax.diagnosis.torque_diagnosis.diagnose_torques",
+        "lite6jax.diagnosis.torque_diagnosis._diagnose_alone",
         lambda recording, arm, **given: diagnosed(recording, (curve,) if recording is warm else (), arm=arm),
     )
     _, seen = diagnose_torques_against(warm, cold, arm)
