@@ -60,6 +60,8 @@ class Measured(NamedTuple):
         """With its unknowns moved by `numbers`."""
         return self._replace(at=self.at + numbers) if self.numbers else self
 
+    displaced = moved
+
     def select(self, samples: Any) -> "Measured":
         """Some of the samples."""
         whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]

@@ -86,6 +86,10 @@ class Sensor(ABC):
         """`readings` of tools `(sample, 4, 4)`."""
         return np.asarray(_readings(self, host_frame(tool)))
 
+    def displaced(self, numbers: Array) -> Self:
+        """`moved`, compiled."""
+        return jax.tree.map(np.asarray, _moved(self, numbers))
+
     def slopes(self, tool: Array) -> Array:
         """How readings `(row, 6, sample)` change with a shift and a turn of the tool, in the base's axes."""
         return np.asarray(_slopes(self, host_frame(tool)))
@@ -112,6 +116,11 @@ def host_frame(tool: Array) -> Frame:
 @jax.jit
 def _readings(sensor: Sensor, tool: Frame) -> jax.Array:
     return sensor.readings(tool)
+
+
+@jax.jit
+def _moved(sensor: Sensor, numbers: Any) -> Sensor:
+    return sensor.moved(numbers)
 
 
 @jax.jit

@@ -332,7 +332,7 @@ class PoseProblem:
     def relinearised(self, nuisance: Array) -> "PoseProblem":
         """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
         own = self._own(nuisance)
-        measured = self.measured.moved(own) if len(own) else self.measured
+        measured = self.measured.displaced(own) if len(own) else self.measured
         return replace(self, start=self.displaced(nuisance), measured=measured, offset=self.offset + nuisance)
 
     def displaced(self, nuisance: Array) -> ArmModel:

@@ -232,7 +232,7 @@ class RigidArm(NuisanceProblem):
         """The arm with the unknowns `(unknown,)` displaced."""
         touch = self.touch
         if touch is not None and touch.numbers:
-            touch = touch.moved(nuisance[len(nuisance) - touch.numbers :])
+            touch = touch.displaced(nuisance[len(nuisance) - touch.numbers :])
         start = displaced(self.start, self.unknown, nuisance)
         return replace(self, start=start, touch=touch, offset=self.offset + nuisance)
 
@@ -258,6 +258,10 @@ class RigidArm(NuisanceProblem):
 
 LEAST_KNOWN = {"m": 0.1, "rad": 0.5}
 """One sigma of a number beyond which readings say nothing of it: no sensor stands so far off unnoticed."""
+_FEWEST_READINGS = 5
+"""A fifth of them is held back."""
+_DIRECTION_KNOWN = 0.01
+"""rad, the same of a plane's normal or an axis: where a plane is touched at one place, noise passes for its normal."""
 _REMEDIES = {
     "contact": "touch each socket at ten or more wrist orientations, and more than one socket",
     "plane": "touch each plane at three or more places far apart, at several wrist orientations",
@@ -279,13 +283,15 @@ def require_determined(arm: RigidArm) -> None:
     readings = arm.recording.readings
     if readings is None:
         return
+    if arm.samples < _FEWEST_READINGS:
+        raise InputError(f"{arm.recording.source}: its {arm.samples} readings are too few; {_REMEDIES[readings.kind]}")
     own = iter(arm.sensor.own)
     numbers = []
     for k, (name, _, axis) in enumerate(arm.unknown):
         if name == "reading":
             one = next(own)
             if not one.precision:
-                numbers.append((k, one.name, LEAST_KNOWN[one.unit]))
+                numbers.append((k, one.name, LEAST_KNOWN["m"] if one.unit == "m" else _DIRECTION_KNOWN))
         elif name == "tool" or (name == "base" and arm.form.frame):
             what = "the tool" if name == "tool" else "the sensor's frame"
             numbers.append((k, what, LEAST_KNOWN["m" if axis < 3 else "rad"]))
@@ -296,7 +302,7 @@ def require_determined(arm: RigidArm) -> None:
     eigenvalues, V = np.linalg.eigh(J @ J.T)
     if eigenvalues[0] >= 1.0:
         return
-    strong = [names[k] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3]
+    strong = [names[k] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3 * np.abs(V[:, 0]).max()]
     raise InputError(
         f"{arm.recording.source}: its {arm.samples} readings say nothing of {' and '.join(dict.fromkeys(strong))}; "
         f"{_REMEDIES[readings.kind]}"

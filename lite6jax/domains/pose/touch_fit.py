@@ -94,7 +94,7 @@ def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
     kind = type(sensor).__name__.lower()
     kind = {"distance": "anchor"}.get(kind, kind)
     found = []
-    moved = [sensor.moved(_STEP * one) for one in np.eye(sensor.numbers)]
+    moved = [sensor.displaced(_STEP * one) for one in np.eye(sensor.numbers)]
     for k, name in enumerate(sensor.names):  # type: ignore[attr-defined]
         values, std = sensor.place(k), {}
         for key, at in values.items():

@@ -237,7 +237,7 @@ def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bo
         scaled = H / np.outer(lengths, lengths) + (damping + 1e-12) * np.eye(len(H))
         step = -np.linalg.solve(scaled, g / lengths) / lengths
         n = 3 * tool_free
-        trial = sensor.moved(step[n:]), point + (step[:n] if tool_free else 0.0)
+        trial = sensor.displaced(step[n:]), point + (step[:n] if tool_free else 0.0)
         H_, g_, size_, cost_ = look(*trial)
         if cost_ <= cost and np.isfinite(cost_):
             done = cost - cost_ < 1e-9 * cost

@@ -139,6 +139,25 @@ def test_a_plane_touched_at_one_place_is_refused(tmp_path):
     assert "three or more places" in refused(dataclasses.replace(same, joint_position=q))
 
 
+def test_a_plate_that_every_touch_found_at_one_point_is_refused(tmp_path):
+    """The noise of the touches is no normal."""
+    recording = recording_of(tmp_path, "contact", samples=80)
+    readings = dataclasses.replace(recording.readings, kind="plane")
+    settings = dataclasses.replace(recording.settings, plane_noise_m=2e-5, contact_distances=())
+    assert "three or more places" in refused(dataclasses.replace(recording, readings=readings, settings=settings))
+
+
+@pytest.mark.parametrize("task", [fit_recording, diagnose])
+def test_a_few_touches_and_touches_of_as_many_places_are_refused(tmp_path, task):
+    recording = recording_of(tmp_path, "contact", samples=40)
+    with pytest.raises(InputError, match="its 3 readings are too few; touch each socket at ten or more"):
+        task(recording.select(np.arange(3)))
+    names = tuple(f"p{k}" for k in range(40))
+    readings = dataclasses.replace(recording.readings, names=names, group=np.arange(recording.samples))
+    with pytest.raises(InputError, match=r"say nothing of .*contact p"):
+        task(dataclasses.replace(recording, readings=readings))
+
+
 def test_images_without_rotation_are_refused(tmp_path):
     recording = recording_of(tmp_path, "fixed_camera", samples=12)
     assert "wrist orientations" in refused(recording.select(np.zeros(10, int)))
