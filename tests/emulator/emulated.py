@@ -31,7 +31,7 @@ def read_reports(controller, port, count, chunk=1 << 16):
     return np.frombuffer(b"".join(reports[:count]), protocol.report_layout(port))
 
 
-def until(condition, seconds=10.0):
+def until(condition, seconds=60.0):
     """Waits for something to become true."""
     end = time.monotonic() + seconds
     while not condition():
