@@ -13,6 +13,8 @@ Positive = Annotated[float, Meta(ge=0.0)]
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[int, Meta(ge=1)]
 """Of a row or a joint, which count from 1; or of samples."""
+FLEET = "lite6jax/fleet_diagnosis/1"
+"""The key `schema` of the document of a fleet."""
 
 
 class Strict(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

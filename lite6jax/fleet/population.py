@@ -15,10 +15,10 @@ from lite6jax.fleet.pooling import Reduced, Weighed
 from lite6jax.fleet.reduced import Found
 from lite6jax.fleet.select import Search
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
+from lite6jax.schema import FLEET
 
 Array = NDArray[np.floating]
 
-SCHEMA = "lite6jax/fleet_diagnosis/1"
 POINTS = 41
 """Of the curve of a function of one driver."""
 
@@ -104,7 +104,7 @@ class Population:
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/fleet_diagnosis/1`: codes, and numbers in SI units."""
         return {
-            "schema": SCHEMA,
+            "schema": FLEET,
             "arm": self.arm,
             "level": self.options.engine.level,
             "recordings": [self._member(i) for i in range(len(self.members))],

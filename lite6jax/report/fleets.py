@@ -12,9 +12,9 @@ from rich.text import Text
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
-from lite6jax.fleet.population import SCHEMA
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import counted, listing, number, quantity
+from lite6jax.schema import FLEET
 
 Document = Mapping[str, Any]
 
@@ -116,7 +116,7 @@ def _with_file(file: str, message: str) -> str:
 
 def is_of_fleet(document: Any) -> bool:
     """Whether a document says that it is that of a fleet."""
-    return isinstance(document, dict) and document.get("schema") == SCHEMA
+    return isinstance(document, dict) and document.get("schema") == FLEET
 
 
 def population_report(document: Document) -> Iterator[RenderableType]:
