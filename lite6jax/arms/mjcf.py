@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax import storage
 from lite6jax.arms import frames
@@ -161,10 +160,10 @@ def _compiled(path: str | Path) -> Any:
 
 
 def _pose(position: Array, quaternion: Array) -> Array:
-    """(4, 4) of a position, and a unit quaternion whose scalar is first."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    T[:3, 3] = position
+    """(4, 4) of a position, and a quaternion whose scalar is first."""
+    T, R = np.eye(4), np.empty(9)
+    import_module("mujoco").mju_quat2Mat(R, quaternion / np.linalg.norm(quaternion))
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), position
     return T
 
 
