@@ -60,6 +60,15 @@ def gain_p_value(gain: float, size: int, time: float) -> float:
     return float(chdtrc(size, 2 * max(gain, 0.0) / max(time, 1.0)))
 
 
+class Spanned(NamedTuple):
+    """The columns of nuisance and model, attributes as of `ScoreTest`."""
+
+    span: Array
+    coordinates: Array
+    owners: NDArray[np.integer]
+    acting: NDArray[np.bool_]
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class ScoreTest:
@@ -130,19 +139,27 @@ class ScoreTest:
             added = np.tensordot(values, self.problem.columns(more.terms, values, (f.terms, f.values)), 1)[None]
             residual = residual.copy()
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
-        # numbers in the order of the terms that are left
-        place = np.append(np.cumsum(kept) - 1, -1)
-        stay = np.append(kept, True)[self.owners]
-        span, coordinates = part_of_span(self.span, self.coordinates, stay, self.options.rounding)
-        return replace(
-            self,
-            fit=f.part(kept),
-            residual=residual,
-            span=span,
-            coordinates=coordinates,
-            owners=place[self.owners[stay]],
-            acting=self.acting[stay],
-        )
+        part = f.part(kept)
+        if self._alike(part):
+            stay, place = np.append(kept, True)[self.owners], np.append(np.cumsum(kept) - 1, -1)
+            span, coordinates = part_of_span(self.span, self.coordinates, stay, self.options.rounding)
+            spanned = Spanned(span, coordinates, place[self.owners[stay]], self.acting[stay])
+        else:
+            spanned = _spanned(self.problem, part, self.scale, self.options)
+        return replace(self, fit=part, residual=residual, **spanned._asdict())
+
+    def _alike(self, part: Fit) -> bool:
+        """Whether the columns of a part of the model are the same as in the whole: masses act through what gives way.
+
+        Those of processes always are.
+        """
+        columns = []
+        for f in (self.fit, part):
+            kept = [not term.nonparametric and term in part.terms.terms for term in f.terms.terms]
+            named, values = f.terms.part(f.values, kept)
+            own = self.problem.columns(named.terms, values, (f.terms, f.values))
+            columns.append(np.concatenate([self.problem.nuisance_columns(f.terms, f.values), own]))
+        return np.array_equal(*columns)
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
@@ -427,14 +444,33 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions, time: float |
         more, values = fit.terms.part(fit.values, apart)
         added = np.tensordot(values, problem.columns(more.terms, values, (fit.terms, fit.values)), 1)[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
-    columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale).reshape(-1, training.size)
-    acting = np.any(columns.reshape(len(columns), problem.rows, problem.samples), 2)
-    acting = acting @ (np.arange(len(fit.scale)) == problem.groups[:, None])
-    precision = np.concatenate([problem.precision, fit.terms.precision])
-    given = precision > 0
-    informative = np.concatenate([problem.informative, np.zeros(fit.terms.size, bool)])
-    stated = np.flatnonzero(given & informative)
-    known = np.concatenate([stated, np.flatnonzero(given & ~informative)])
+    stated = _stated(problem)
+    off = np.sqrt(problem.precision[stated]) * (problem.offset + fit.nuisance)[stated]
+    residual = np.concatenate([residual, off])
+    blocks = _blocks(problem.samples, time, options)
+    spanned = _spanned(problem, fit, scale, options)
+    return ScoreTest(problem, fit, options, residual, blocks, n - fit.parameters, time, scale, *spanned)
+
+
+def _stated(problem: Problem) -> NDArray[np.integer]:
+    """The numbers of the nuisance whose prior is a reading."""
+    return np.flatnonzero((problem.precision > 0) & problem.informative)
+
+
+def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -> Spanned:
+    """The columns of a model, with the readings of priors after those of the measurements: those that are stated first.
+
+    Args:
+        problem: the data.
+        fit: of the model.
+        scale: `(group,)`, of the noise.
+        options: thresholds.
+    """
+    columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale)
+    acting = np.any(columns, 2) @ (np.arange(len(scale)) == problem.groups[:, None])
+    columns = columns.reshape(len(columns), problem.rows * problem.samples)
+    precision, stated = np.concatenate([problem.precision, fit.terms.precision]), _stated(problem)
+    known = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
     prior = np.zeros((len(columns), len(known)))
     prior[known, np.arange(len(known))] = np.sqrt(precision[known]) * fit.scale[0]
     seen = np.any(columns, 1)
@@ -442,26 +478,9 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions, time: float |
     del columns  # with hundreds of terms these are half a gigabyte each
     rows = unit_rows(rows if seen.all() else rows[seen])
     span = orthonormal(rows, options.rounding)
-    off = np.sqrt(problem.precision[stated]) * (problem.offset + fit.nuisance)[stated]
-    residual = np.concatenate([residual, off])
-    owners = np.repeat(
-        np.arange(-1, len(fit.terms.terms)), [len(problem.precision), *(term.size for term in fit.terms.terms)]
-    )
-    blocks = _blocks(problem.samples, time, options)
-    return ScoreTest(
-        problem,
-        fit,
-        options,
-        residual,
-        blocks,
-        n - fit.parameters,
-        time,
-        scale,
-        span,
-        rows @ span.T,
-        owners[seen],
-        acting[seen],
-    )
+    sizes = [len(problem.precision), *(term.size for term in fit.terms.terms)]
+    owners = np.repeat(np.arange(-1, len(fit.terms.terms)), sizes)
+    return Spanned(span, rows @ span.T, owners[seen], acting[seen])
 
 
 def _has_prior(term: Term) -> bool:
