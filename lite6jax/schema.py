@@ -1,6 +1,5 @@
 """Types of values in JSON documents, and their check by msgspec, whose messages name the place: `$.model.arm`."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -19,24 +18,6 @@ FLEET = "lite6jax/fleet_diagnosis/1"
 
 class Strict(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """An object with these keys and no others."""
-
-
-class RepeatedKeyError(ValueError):
-    """A key that an object has twice; the argument is the key."""
-
-
-def unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """The `object_pairs_hook` of `json.loads` that refuses an object with a key twice, of which it would drop one.
-
-    Raises:
-        RepeatedKeyError: as said.
-    """
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise RepeatedKeyError(key)
-        found[key] = value
-    return found
 
 
 def check(value: Any, kind: type[Kind], place: str = "") -> Kind:

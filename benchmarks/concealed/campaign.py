@@ -296,10 +296,10 @@ def _campaign(
     )
 
 
-POSES = _campaign(
-    *(1000, KINDS, ROUNDS, draw, goals),
-    {name: _campaign(200, READ_KINDS, READ_ROUNDS, partial(draw_reading, name), reading_goals, {}) for name in READERS},
-)
+_READ = {
+    name: _campaign(200, READ_KINDS, READ_ROUNDS, partial(draw_reading, name), reading_goals, {}) for name in READERS
+}
+POSES = _campaign(1000, KINDS, ROUNDS, draw, goals, _READ)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
@@ -22,7 +22,6 @@ from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
-from lite6jax.schema import RepeatedKeyError, unique_keys
 
 Array = NDArray[np.floating]
 Irregular = list[tuple[NDArray[np.bool_], str]]
@@ -393,12 +392,30 @@ def _plain(value: Decimal) -> str:
     return f"{mantissa}e{power}" if power else mantissa
 
 
+class _RepeatedKeyError(ValueError):
+    """A key that an object has twice; the argument is the key."""
+
+
+def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """The `object_pairs_hook` of `json.loads` that refuses an object with a key twice, of which it would drop one.
+
+    Raises:
+        _RepeatedKeyError: as said.
+    """
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _RepeatedKeyError(key)
+        found[key] = value
+    return found
+
+
 def _parse(text: str, path: str | Path) -> dict[str, Any]:
     try:
         content = json.loads(
-            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=unique_keys
+            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=_unique_keys
         )
-    except RepeatedKeyError as error:
+    except _RepeatedKeyError as error:
         raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: line {error.lineno}: not valid JSON ({error.msg}); correct the file") from error

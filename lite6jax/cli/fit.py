@@ -122,9 +122,8 @@ class Fit:
         title = self.source.name if self.source else str(self.ip)
         stem = self.source.stem if self.source else title.replace(":", "_")
         source, written = self._read(nominal), []
-        if (
-            isinstance(source, factory.FactoryCalibration) and self.save_calibration
-        ):  # at once: no failure below costs what was read
+        if self.save_calibration and isinstance(source, factory.FactoryCalibration):
+            # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
         verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
         names = [f"{stem}_{kind}" for kind in ("error_by_joint", *(["controller"] if verified else []))]

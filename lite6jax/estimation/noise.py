@@ -194,11 +194,9 @@ def _autocorrelation(
     if not before.share or before.coefficient not in tried:
         best = max(product(tried[1::3], _SHARES[1::3]), key=likelihood)
     while best != climbed:
-        climbed = best
-        coefficient, share = best
-        near = [(one, share) for one in _near(tried, coefficient)] + [
-            (coefficient, one) for one in _near(_SHARES, share)
-        ]
+        climbed = coefficient, share = best
+        near = [(one, share) for one in _near(tried, coefficient)]
+        near += [(coefficient, one) for one in _near(_SHARES, share)]
         best = max(near, key=likelihood)
     return Autocorrelation(*best) if likelihood(best) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
 

@@ -78,14 +78,13 @@ class ScoreTest:
         problem: the data.
         fit: the model that candidates are added to.
         options: thresholds.
-        basis: orthonormal `(k, reading)`, the span of nuisance and model. Readings are the rows of all samples after
-            whitening, and then one reading for each number of the nuisance that has a prior.
-        residual: `(reading,)` white, of unit noise, winsorised.
+        residual: `(reading,)` white, of unit noise, winsorised. Readings are the rows of all samples after whitening,
+            and then one for each number of the nuisance that has a prior.
         blocks: the first sample of each block of neighbouring samples.
         freedom: residual degrees of freedom.
         time: autocorrelation time of the residual, in samples; 1 where it is white.
         scale: `(group,)`, of the noise over the declared one.
-        span: orthonormal `(k, reading)`, as `basis`, with further readings: one for each number that has a prior.
+        span: orthonormal `(k, reading)`, of nuisance and model, with further readings of the other numbers' priors.
         coordinates: `(number, k)`, the columns of nuisance and model in `span`, of unit length.
         owners: `(number,)` int, the place of the term that each is of; -1 of the nuisance.
         acting: `(number, group)`, whether it acts on a group of noise.
@@ -106,7 +105,7 @@ class ScoreTest:
 
     @property
     def basis(self) -> Array:
-        """`(k, reading)`, what of `span` is in the readings."""
+        """`(k, reading)`, the span in the readings of the residual."""
         return self.span[:, : len(self.residual)]
 
     @cached_property
@@ -321,10 +320,6 @@ class ScoreTest:
         rows, samples = self.problem.rows, self.problem.samples
         return self.left[: rows * samples].reshape(rows, samples)
 
-    def with_time(self, time: float) -> "ScoreTest":
-        """The same test in noise of another autocorrelation time, in samples, by which its blocks are chosen."""
-        return replace(self, time=time, blocks=_blocks(self.problem.samples, time, self.options))
-
     def whitened(self, columns: Array, rows: NDArray[np.integer] | None = None) -> Array:
         """Columns `(…, row, sample)` of some rows, whitened, of training samples, over the first group's noise."""
         return _white(self.fit, columns, self.scale, rows)
@@ -414,14 +409,13 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
     return centred @ centred.T * per_block.shape[1] / (per_block.shape[1] - 1)
 
 
-def score_test(problem: Problem, fit: Fit, options: EngineOptions, time: float | None = None) -> ScoreTest:
+def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     """The score test against a fitted model.
 
     Args:
         problem: the data.
         fit: the model.
         options: thresholds.
-        time: autocorrelation time in samples; from the residual where not given.
     """
     training = np.tile(fit.training, problem.rows).astype(float)
     n = float(training.sum())
@@ -437,7 +431,7 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions, time: float |
     scale = rms * fit.scale
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
-    time = float(_times(winsorised, problem.groups).max()) if time is None else time
+    time = float(_times(winsorised, problem.groups).max())
     # the model is integrated over: what it explains under a prior is a part of what is to be explained
     apart = [_has_prior(term) for term in fit.terms.terms]
     if any(apart):

@@ -393,7 +393,7 @@ def _parts(feature: Mapping[str, Any], size: int) -> list[str]:
 
 
 def _units(feature: Mapping[str, Any], size: int) -> list[str]:
-    """The units of a feature's numbers as they stand behind names, ` [degrees]`; empty where unstated."""
+    """The suffix of a feature's names with their unit, ` [degrees]`; empty where none is stated."""
     info = feature.get("info")
     stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]
     units = next((unit for unit in stated if isinstance(unit, str | list)), "")

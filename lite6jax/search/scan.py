@@ -449,8 +449,7 @@ class _Weighed:
             pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
             left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
             for name in kernels.SCALED:
-                R = kernels.root(name)
-                each = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
+                each = self._of_splines(name, pull, information, left, freedom)
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
             for i in some:
@@ -460,6 +459,13 @@ class _Weighed:
                         found.append(self.of_kernel(component, (k,), name))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
+
+    def _of_splines(
+        self, kernel: str, pull: Array, information: Array, left: Array | float, freedom: Array | float
+    ) -> Evidence:
+        """The evidence of a scaled kernel, arguments as of `of_process`, of all splines."""
+        R = kernels.root(kernel)
+        return of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
 
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
@@ -511,15 +517,14 @@ class _Weighed:
         if len(which) > 1:
             return [self.of_kernel(component, which, name, exact=exact) for name in names]
         found, k = list[Ranked](), next(iter(which))
-        if k in self._scan.splines[0]:
-            splines = self._problem.seen(self._scan._every_spline(k))[None]
-            (pull,), (information,), left, freedom = self._equations(component, splines, exact)
-            scaled = [name for name in names if name in kernels.SCALED]
+        many, splines = self._scan.splines
+        if k in many:
+            (pull,), (information,), *noise = self._equations(component, splines[[many.index(k)]], exact)
+            found = [
+                self._process(self._of_splines(name, pull, information, *noise), component, which, name)
+                for name in kernels.SCALED
+            ]
             names = [name for name in names if name not in kernels.SCALED]
-            for name in scaled:
-                R = kernels.root(name)
-                one = of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
-                found.append(self._process(one, component, which, name))
         found += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if self._scan.quantities[k].driver.turns == component.site:
             found += self._spectra_of(component, k, exact)

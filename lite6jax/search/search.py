@@ -8,7 +8,7 @@ import numpy as np
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.score_test import longest_time, score_test
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.scan import Considered
@@ -135,15 +135,15 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     problem, state = selection.problem, selection.state
     selector = Selector(problem, replace(options, relinearisations=0))
     while state.tested:
-        time, tested = longest_time(problem, state.fit, options), []
+        tested = []
         for k, one in enumerate(state.tested):
             if one.term in problem.preset[0].terms:
                 tested.append(replace(one, p_value=0.0))
                 continue
             p_value = min(float(np.exp(-one.net)), 1.0)
             if not one.term.nonparametric:
-                test = selector.beside(state, k).with_time(time)
-                p_value = test.score([one.term])[0].familywise(float(np.exp(one.cost)))
+                score = selector.beside(state, k).score([one.term])[0]
+                p_value = score.familywise(float(np.exp(one.cost)))
             tested.append(replace(one, p_value=p_value))
         k = int(np.argmax([one.p_value for one in tested]))
         if tested[k].p_value < options.level:
@@ -165,7 +165,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates = problem.candidates
     explained = score_test(selection.reference, state.baseline, options).explained(candidates)
     confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
-    left = selector.scan.named(score_test(problem, state.fit, options))
+    left = selector.scan.named(selector.test(state))
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)

@@ -107,7 +107,7 @@ class Selector:
 
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added: a name that nearly every problem has, before a process is asked for."""
-        test = self._test(state)
+        test = self.test(state)
         worth = self._worth(self.scan.ranked(test), test, state, tried)
         if any(one.process for one in worth):
             return self._worth(self.scan.usual(test), test, state, tried) or worth
@@ -197,9 +197,9 @@ class Selector:
 
     def beside(self, state: State, k: int) -> ScoreTest:
         """The test of the model without its k-th term, in the noise that is left with it."""
-        return self._test(state).beside([i != k for i in range(len(state.tested))])
+        return self.test(state).beside([i != k for i in range(len(state.tested))])
 
-    def _test(self, state: State) -> ScoreTest:
+    def test(self, state: State) -> ScoreTest:
         """The test of a model, kept for the latest."""
         if self._latest is None or self._latest.fit is not state.fit:
             self._latest = score_test(self.problem, state.fit, self.options)
@@ -272,7 +272,7 @@ class Selector:
         explains a part. A process of the time persists itself.
         """
         while state.tested:
-            marginal = Marginal(self._test(state))
+            marginal = Marginal(self.test(state))
             excess = []
             for k, one in enumerate(state.tested):
                 component = self._component_of(one.term)
@@ -386,7 +386,7 @@ class Selector:
         trial = self._left_out(state, k)
         fewest = len(trial.tested)
         while len(trial.tested) < fewest + self.options.names_for_process:
-            test = self._test(trial)
+            test = self.test(trial)
             known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
             names = [one for one in self.scan.named(test) if one.cause[0] not in known]
             names = [one for one in names if one.net >= self.options.margin]
@@ -411,7 +411,7 @@ class Selector:
         component, which = self._process_of(term)
         if len(which) < 2:
             return []
-        test = self._test(trial)
+        test = self.test(trial)
         less = (self.scan.alike(test, component, (k,)) for k in which)
         return [self._with(trial, one) for one in less if one is not None and one.net >= self.options.margin]
 

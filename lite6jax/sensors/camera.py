@@ -154,11 +154,11 @@ def board_poses(
     r, J = (root * r).reshape(len(seen), -1), (root[..., None] * J).reshape(len(seen), -1, 6)
     Q, U = np.linalg.qr(J)
     variance = np.linalg.inv(np.swapaxes(U, 1, 2) @ U + 1e-9 * np.eye(6))[:, [3, 4, 5], [3, 4, 5]]
-    told = ((variance > 0) & (variance < _TURNED**2)).all(1)  # corners in one line tell no pose
-    good[good] = told
-    if not told.any():
+    determined = ((variance > 0) & (variance < _TURNED**2)).all(1)  # corners in one line determine no pose
+    good[good] = determined
+    if not determined.any():
         return empty
-    T, r, Q, U, root = T[told], r[told], Q[told], U[told], root[told]
+    T, r, Q, U, root = T[determined], r[determined], Q[determined], U[determined], root[determined]
     columns, prior = _constants(mounted, lens, corners, T, root, corner_noise, refined)
     inside = np.swapaxes(Q, 1, 2) @ columns
     left = columns - Q @ inside

@@ -56,11 +56,9 @@ class Measured(NamedTuple):
         """How many unknowns it has."""
         return len(self.at)
 
-    def moved(self, numbers: Any) -> "Measured":
-        """With its unknowns moved by `numbers`."""
+    def displaced(self, numbers: Any) -> "Measured":
+        """With its unknowns displaced by `numbers`."""
         return self._replace(at=self.at + numbers) if self.numbers else self
-
-    displaced = moved
 
     def select(self, samples: Any) -> "Measured":
         """Some of the samples."""

@@ -300,7 +300,7 @@ class PoseProblem:
         form = self.motion.chain
         start, measured = self._on_device
         if len(own := self._own(nuisance)):
-            measured = measured.moved(own)
+            measured = measured.displaced(own)
         return np.asarray(bent_residual(form, start, motion.joint_position, deflection, measured))
 
     def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:

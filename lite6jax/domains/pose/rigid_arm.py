@@ -147,7 +147,7 @@ class RigidArm(NuisanceProblem):
     def measured(self) -> Measured:
         """The measured poses; of a camera with the constant errors where they are."""
         found = measured_poses(self.recording, self.whitener)
-        return found.moved(self.offset[len(self.offset) - found.numbers :])
+        return found.displaced(self.offset[len(self.offset) - found.numbers :])
 
     @property
     def sensor(self) -> Measured | Sensor:
