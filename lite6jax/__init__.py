@@ -87,6 +87,7 @@ if TYPE_CHECKING:
     from lite6jax.recordings import (
         Recording as Recording,
         RecordingSettings as RecordingSettings,
+        join_recordings as join_recordings,
         read_recording as read_recording,
         write_recording as write_recording,
     )
@@ -132,7 +133,7 @@ _NAMES = {
     "lite6jax.design.poses": ("plan_poses",),
     "lite6jax.design.sensitivity": ("sensitivity",),
     "lite6jax.design.sensor": ("Sensor",),
-    "lite6jax.recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
+    "lite6jax.recordings": ("Recording", "RecordingSettings", "join_recordings", "read_recording", "write_recording"),
     "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),
 }
 """The public names of each module."""
