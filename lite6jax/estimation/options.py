@@ -133,7 +133,9 @@ class EngineOptions:
     names_for_process: int = option(3, "most names that take the place of a process", "as many orders as gears have")
     estimates: int = option(4, "most estimates of tried numbers beside the others", "each comes closer")
     listed: int = option(6, "most alternatives of a term", "fits on a screen")
-    most_terms: int = option(8, "most terms of one group of rows", "more were never true in a trial")
+    most_terms: int = option(
+        8, "terms of one group of rows from which none is added", "bounds the time; more were never true in a trial"
+    )
     first_samples: int = option(2000, "samples that find the terms; all samples then fit them", "bounds the time")
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum

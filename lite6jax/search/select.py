@@ -2,9 +2,9 @@
 
 1. Add the term whose evidence most exceeds the cost of its choice, if by a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
-3. Put names, one or several, in the place of a process where that is likelier.
-4. Drop the term that is least worth its cost, as long as one is not.
-5. Where nothing more is worth adding, exchange each term for whatever is likelier in its place.
+3. Drop the term that is least worth its cost, as long as one is not.
+4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier.
+5. Then exchange each term for whatever is likelier in its place.
 
 A site has one process, at as many components as it moves: what that does not describe is not told apart from what else
 may act there. Nor is anything found that explains less than noise would at the component of a term.
@@ -24,9 +24,6 @@ from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import NEARLY, Considered, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
-
-_BEYOND_FIRST = 2.0
-"""Of several names in the place of a process, how much each may add at most, to what the likeliest alone does."""
 
 
 class Selector:
@@ -88,15 +85,37 @@ class Selector:
         return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
-        exchanged = 0
+        exchanged, asked = 0, set[object]()
         while True:
             state = self._with_all_worth(state)
+            named = self._with_names(state, asked)
+            if named is not state:
+                state = named
+                continue
             if not thorough or exchanged >= self.options.exchanges:
                 return state
             better = self._exchanged(state)
             if better is None:
                 return state
             state, exchanged = better, exchanged + 1
+            asked.clear()
+
+    def _with_names(self, state: State, asked: set[object]) -> State:
+        """The state with names in the place of processes, each asked once, the one that explains most first."""
+        while True:
+            order = np.argsort([-one.gain for one in state.tested]).tolist()
+            keys = [(k, self._key_of(state.tested[k].term)) for k in order if state.tested[k].term.nonparametric]
+            left = [(k, key) for k, key in keys if key not in asked]
+            if not left:
+                return state
+            k, key = left[0]
+            asked.add(key)
+            state = self._named(state, k) or state
+
+    @staticmethod
+    def _key_of(process: Term) -> tuple[object, ...]:
+        """As `Ranked.key`."""
+        return process.site, getattr(process, "component", ""), tuple(driver.phrase for driver in process.drivers)
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
@@ -114,12 +133,8 @@ class Selector:
         return worth
 
     def _added(self, state: State, worth: Sequence[Ranked]) -> State:
-        """The state with more terms, names in the place of those processes for which they are likelier."""
-        more = self._estimated(self._with(state, *worth))
-        for new in (one for one in worth if one.process):
-            places = [k for k, one in enumerate(more.tested) if self._is(new, one.term)]
-            more = next((named for k in places if (named := self._named(more, k)) is not None), more)
-        return self._within_bounds(more)
+        """The state with more terms, those within their bounds."""
+        return self._within_bounds(self._estimated(self._with(state, *worth)))
 
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms of a ranking that are worth their cost and within their bounds, of each row the likeliest alone.
@@ -346,8 +361,6 @@ class Selector:
             one = state.tested[k]
             if one.term in self._preset:
                 continue
-            if one.term.nonparametric and (named := self._named(state, k)) is not None:
-                return named
             if not one.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
             best = next(iter(self._in_place(state, k)), None)
@@ -381,30 +394,38 @@ class Selector:
         return trial if trial.evidence > state.evidence + self.options.better else None
 
     def _named(self, state: State, k: int) -> State | None:
-        """The state with names, one or several, in the place of a process, where that is likelier; else None."""
-        rows = self._rows(state.tested[k].term, state)
+        """The state with names, one or several, in the place of a process, where that is likelier; else None.
+
+        Of several, none is taken to add more than the likeliest does alone.
+        """
+        most, process = self.options.names_for_process, state.tested[k]
+        rows = self._rows(process.term, state)
+        best = self._likeliest_name(self.beside(state, k), state, rows)
+        if best is None or most * best.net < process.net:
+            return None
         trial = self._left_out(state, k)
         fewest = len(trial.tested)
-        while len(trial.tested) < fewest + self.options.names_for_process:
-            test = self.test(trial)
-            known = {term.label for term in (*trial.refused, *trial.fit.terms.terms)}
-            names = [one for one in self.scan.named(test) if one.cause[0] not in known]
-            names = [one for one in names if one.net >= self.options.margin]
-            names = [one for one in names if (self._rows(one.make(), trial) & rows).any()]
-            best = next((one for one in names if one.make().usual), names[0] if names else None)
-            more_names = fewest + self.options.names_for_process - len(trial.tested)
-            if best is None or trial.evidence + _BEYOND_FIRST * more_names * best.net < state.evidence:
+        while (more_names := fewest + most - len(trial.tested)) > 0:
+            best = self._likeliest_name(self.test(trial), trial, rows)
+            if best is None or trial.evidence + more_names * best.net < state.evidence:
                 break
             more = self._within_bounds(self._with(trial, best))
             if len(more.tested) <= len(trial.tested):
                 break
             trial = self._estimated(more)
             trial = self._paired(trial, len(trial.tested) - 1) or trial
-            choices = [self._in_own_noise(one) for one in (trial, *self._with_less(trial, state.tested[k].term))]
+            choices = [self._in_own_noise(one) for one in (trial, *self._with_less(trial, process.term))]
             best_of = max(choices, key=lambda one: one.evidence)
-            if best_of.evidence > state.evidence + self._needed(state.tested[k].term, best_of is not choices[0]):
+            if best_of.evidence > state.evidence + self._needed(process.term, best_of is not choices[0]):
                 return self._dropped(best_of)
         return None
+
+    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask) -> Ranked | None:
+        """The likeliest name that acts on some rows, of those worth their cost; first one that is usual."""
+        known = {term.label for term in (*state.refused, *state.fit.terms.terms)}
+        names = [one for one in self.scan.named(test) if one.cause[0] not in known and one.net >= self.options.margin]
+        names = [one for one in names if (self._rows(one.make(), state) & rows).any()]
+        return next((one for one in names if one.make().usual), names[0] if names else None)
 
     def _with_less(self, trial: State, term: Term) -> list[State]:
         """Names beside a process of one of the two quantities that another process has."""
