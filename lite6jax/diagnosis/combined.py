@@ -18,8 +18,7 @@ from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
 from lite6jax.effects.dynamic.motors import TorqueTimeOffset
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic.surroundings import TimeOffset
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
+from lite6jax.effects.kinematic.surroundings import GravityDirection, PayloadError, TimeOffset
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
 from lite6jax.progress import Stage

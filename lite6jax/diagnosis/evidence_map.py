@@ -25,15 +25,13 @@ from lite6jax.effects.dynamic.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect, direction
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect, UnnamedTorque, direction
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import SCALE, Unnamed
-from lite6jax.estimation.evidence import Marginal, of_process
+from lite6jax.estimation.evidence import Marginal, log_orders, of_process
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.scan import Scan

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import as_revolute
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis, Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.pose.functions import site_of
+from lite6jax.domains.pose.columns import site_of
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueEffect
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic

@@ -28,8 +28,7 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type

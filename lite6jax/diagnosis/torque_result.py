@@ -13,7 +13,7 @@ from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
 from lite6jax.effects.dynamic.catalogue import torque_catalogue
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
 from lite6jax.effects.effect import Effect, slides
 from lite6jax.results import PublicResult
 from lite6jax.search.state import Alternative

@@ -20,19 +20,24 @@ from lite6jax.effects.kinematic.joints import (
     JointScale,
     JointThermalOffset,
     JointWarmUp,
+    SlideBacklash,
+    SlideCompliance,
+    SlideOffset,
+    SlideScale,
 )
 from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.slides import SlideBacklash, SlideCompliance, SlideOffset, SlideScale
 from lite6jax.effects.kinematic.surroundings import (
     BaseCompliance,
     BaseDrift,
+    GravityDirection,
     MeasurementScale,
+    PayloadCom,
+    PayloadError,
     SensorDrift,
     TimeOffset,
     ToolCompliance,
     ToolOffset,
 )
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Loads

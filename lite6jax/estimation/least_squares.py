@@ -7,13 +7,12 @@ from typing import NamedTuple, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import LinearisedProblem, Mask
 from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)

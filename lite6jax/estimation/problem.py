@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.estimation.factored import Factored
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import Factored, Term, Terms
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]

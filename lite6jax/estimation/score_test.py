@@ -15,14 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
-from lite6jax.estimation.equations import Equations, Explained, equations_of, explained_by
-from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.projection import orthonormal, outside, part_of_span, unit_rows
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.projection import (
+    Equations,
+    Explained,
+    equations_of,
+    explained_by,
+    orthonormal,
+    outside,
+    part_of_span,
+    unit_rows,
+)
+from lite6jax.estimation.terms import Factored, Term
 
 Array = NDArray[np.floating]
 

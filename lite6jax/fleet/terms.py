@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
 from lite6jax.effects.drivers import Driver
-from lite6jax.estimation.multiplicity import log_orders
+from lite6jax.estimation.evidence import log_orders
 from lite6jax.estimation.options import EngineOptions, option
 from lite6jax.estimation.problem import Component, Problem, Quantity
 from lite6jax.estimation.terms import Term

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.estimation.equations import Explained
-from lite6jax.estimation.multiplicity import log_orders_of
+from lite6jax.estimation.evidence import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
+from lite6jax.estimation.projection import Explained
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
 

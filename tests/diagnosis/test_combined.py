@@ -20,7 +20,7 @@ from lite6jax.diagnosis.torque_diagnosis import TorqueComparison
 from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.effects.kinematic.joints import JointCompliance
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
+from lite6jax.effects.kinematic.surroundings import GravityDirection, PayloadError
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report import ranking

@@ -12,7 +12,7 @@ from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.friction import CoulombFriction
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording

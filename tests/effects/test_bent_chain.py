@@ -15,8 +15,15 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, TimeOffset, ToolOffset
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
+from lite6jax.effects.kinematic.surroundings import (
+    BaseDrift,
+    GravityDirection,
+    MeasurementScale,
+    PayloadCom,
+    PayloadError,
+    TimeOffset,
+    ToolOffset,
+)
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict

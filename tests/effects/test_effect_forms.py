@@ -26,12 +26,13 @@ from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompli
 from lite6jax.effects.kinematic.surroundings import (
     BaseCompliance,
     BaseDrift,
+    GravityDirection,
+    PayloadCom,
     SensorDrift,
     TimeOffset,
     ToolCompliance,
     ToolOffset,
 )
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom
 from lite6jax.effects.motion import motion_of, since_reversal
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect

@@ -19,8 +19,15 @@ from lite6jax.effects.kinematic.joints import (
     JointThermalOffset,
 )
 from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import MeasurementScale, TimeOffset, ToolCompliance, ToolOffset
-from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
+from lite6jax.effects.kinematic.surroundings import (
+    GravityDirection,
+    MeasurementScale,
+    PayloadCom,
+    PayloadError,
+    TimeOffset,
+    ToolCompliance,
+    ToolOffset,
+)
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.model import arm_model, predict, predict_poses

@@ -6,9 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import Component, PeriodicFamily, Quantity
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.terms import Factored, Terms
 
 
 @dataclass(frozen=True)

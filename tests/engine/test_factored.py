@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from engine.linear_problem import Column, Driver, LinearProblem, Process, linear_problem
 
-from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.score_test import score_test
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 
 WHEEL = Process("wheel", (Driver("angle"),), (-9.0, 9.0), "fine")
 

@@ -8,7 +8,7 @@ from engine.linear_problem import Column, Decay, Driver, linear_problem
 from scipy.integrate import quad
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.multiplicity import log_orders, log_orders_of
+from lite6jax.estimation.evidence import log_orders, log_orders_of
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
 

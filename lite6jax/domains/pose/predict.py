@@ -16,10 +16,9 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.columns import columns_of
+from lite6jax.domains.pose.columns import columns_of, site_of
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
-from lite6jax.domains.pose.functions import site_of
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.domains.pose import functions
+from lite6jax.domains.pose import columns
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
 from lite6jax.domains.pose.kinematics import (
@@ -33,14 +33,12 @@ from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.kinematic.surroundings import TimeOffset
-from lite6jax.effects.kinematic.weights import PayloadError
+from lite6jax.effects.kinematic.surroundings import PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
-from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
@@ -258,13 +256,13 @@ class PoseProblem:
     @lazy
     def components(self) -> tuple[Component, ...]:
         """Of every site, as far as the sensor sees them."""
-        found = functions.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
+        found = columns.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
         return tuple(one for one in found if one.site != "sensor" or isinstance(self.measured, Measured))
 
     @lazy
     def quantities(self) -> tuple[Quantity, ...]:
         """As far as they are known and vary."""
-        return functions.quantities(self.deflections.host_motion, self.deflections.host_loads)
+        return columns.quantities(self.deflections.host_motion, self.deflections.host_loads)
 
     @property
     def every_run(self) -> NDArray[np.integer]:

@@ -12,8 +12,7 @@ from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple
-from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, Dynamics, JointTorque, TorqueEffect
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, Dynamics, JointTorque, TorqueEffect, UnnamedTorque
 from lite6jax.effects.waves import wave_angle
 from lite6jax.estimation.problem import Component, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term

@@ -26,8 +26,7 @@ from lite6jax.domains.uncertainty import (
     widened,
 )
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, UnnamedTorque
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording

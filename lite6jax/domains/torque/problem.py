@@ -16,9 +16,16 @@ from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_shaped
-from lite6jax.effects.dynamic.drives import declared
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect, point_mass
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.motors import declared
+from lite6jax.effects.dynamic.torque_effect import (
+    Delaying,
+    Dynamics,
+    JointTorque,
+    Scaling,
+    TorqueEffect,
+    UnnamedTorque,
+    point_mass,
+)
 from lite6jax.effects.effect import require_kind
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity

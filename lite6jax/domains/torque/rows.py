@@ -21,7 +21,7 @@ from lite6jax.domains.torque.filtering import (
     smoothed,
     without_ends,
 )
-from lite6jax.effects.dynamic.drives import declared_torque
+from lite6jax.effects.dynamic.motors import declared_torque
 from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError

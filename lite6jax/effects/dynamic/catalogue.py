@@ -26,8 +26,7 @@ from lite6jax.effects.dynamic.motors import (
     TorqueScale,
     TorqueTimeOffset,
 )
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
 

@@ -1,4 +1,4 @@
-"""Effects of motors, their gears and their sensors: offset, scale, rotor inertia, springs, ripple, delays."""
+"""Effects of motors, gears and their sensors: offset, scale, rotor, springs, ripple, delays; and declared drives."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,10 +7,13 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.arm import Arm
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, OfJoint, Scaling
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, OfJoint, Scaling, direction
 from lite6jax.effects.effect import Choice, Coordinate, Effect, Reporting
+from lite6jax.effects.motion import Motion
 from lite6jax.effects.waves import order_choice, wave_angle, wave_reporting
 from lite6jax.errors import InputError
 
@@ -202,3 +205,42 @@ class TorqueLag(OfJoint, Delaying):
 
     def offset(self, value: float, joints: int) -> Array:
         return np.where(np.arange(joints) == self.joint - 1, -value, 0.0)
+
+
+Array = NDArray[np.floating]
+
+FIELDS: dict[type, str] = {
+    ViscousFriction: "viscous_friction",
+    CoulombFriction: "coulomb_friction",
+    RotorInertia: "rotor_inertia",
+    JointSpring: "spring_stiffness",
+}
+"""Where an `Arm` has the first number of an effect."""
+
+
+def declared(arm: Arm, effect: object) -> float:
+    """The number of the description from which an effect is a deviation; 0 where it declares none."""
+    field = FIELDS.get(type(effect))
+    values = None if field is None else getattr(arm, field)
+    return 0.0 if values is None else float(values[effect.joint - 1])  # type: ignore[attr-defined]
+
+
+def declared_torque(arm: Arm, motion: Motion) -> Array:
+    """`(joint, sample)` Nm, N of prismatic joints, that motors exert beside those of rigid bodies, by the description.
+
+    Args:
+        arm: with `viscous_friction`, `coulomb_friction`, `rotor_inertia` and springs, as far as they are declared.
+        motion: with velocities and accelerations; NumPy arrays.
+    """
+    q, dq, ddq = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
+    total = np.zeros_like(np.asarray(q, float))
+    if arm.viscous_friction is not None:
+        total += arm.viscous_friction[:, None] * np.asarray(dq)
+    if arm.coulomb_friction is not None:
+        total += arm.coulomb_friction[:, None] * direction(np.asarray(dq), arm.slides)
+    if arm.rotor_inertia is not None:
+        total += arm.rotor_inertia[:, None] * np.asarray(ddq)
+    if arm.spring_stiffness is not None:
+        assert arm.spring_rest is not None
+        total += arm.spring_stiffness[:, None] * (np.asarray(q) - arm.spring_rest[:, None])
+    return total

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lite6jax.domains.pose.functions import components, quantities
+from lite6jax.domains.pose.columns import components, quantities
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE
 

@@ -23,7 +23,7 @@ from lite6jax.domains.torque.predict import (
 )
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join

@@ -15,8 +15,7 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.effects.dynamic.catalogue import BUILT_IN, torque_catalogue
 from lite6jax.effects.dynamic.friction import CoupledFriction, StribeckFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple
-from lite6jax.effects.dynamic.torque_effect import Delaying, Scaling, direction
-from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.dynamic.torque_effect import Delaying, Scaling, UnnamedTorque, direction
 from lite6jax.effects.motion import motion_of as library_motion
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.errors import InputError
