@@ -19,7 +19,7 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.data_faults import fault_statement
+from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
 from lite6jax.report.words import (
     SCREEN,

@@ -23,8 +23,8 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import ranking, reference, statements
 from lite6jax.report.canvas import STYLE
-from lite6jax.report.data_faults import fault_name
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
+from lite6jax.report.faults import fault_name
 from lite6jax.report.ranking import Files, of_torques, units
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.sections import HEADER, SECTIONS, Picture, Report

@@ -11,7 +11,7 @@ import numpy as np
 
 from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.words import capital, plus_minus, torque_units
 

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, reference, statements
-from lite6jax.report.data_faults import fault_name, ruled_out_statements
+from lite6jax.report.faults import fault_name, ruled_out_statements
 from lite6jax.report.ranking import Files, of_torques
 from lite6jax.report.remedies import by_site, remedy_of
 from lite6jax.report.screen import headed, indented

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lite6jax.effects.drivers import driver_of
-from lite6jax.report import data_faults, ranking, reference
+from lite6jax.report import faults, ranking, reference
 from lite6jax.report.ranking import of_torques, units
 from lite6jax.report.remedies import (
     component,
@@ -85,7 +85,7 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects on poses get a `reason`. Torques beside poses get all of this too.
     """
-    torques, stated = of_torques(document), data_faults.with_statements(document)
+    torques, stated = of_torques(document), faults.with_statements(document)
     pairs = zip(document["findings"], _detailed(document), strict=True)
     stated["findings"] = [{**finding, "statement": finding_statement(each, torques)} for finding, each in pairs]
     if not torques:

@@ -26,7 +26,7 @@ from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.recordings import Recording
 from lite6jax.report import fits, ranking, reference, statements, study
 from lite6jax.report.compensation import outside_sentence, registration_report
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.faults import fault_name
 from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
 from lite6jax.results import Description, describe
 

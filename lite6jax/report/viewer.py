@@ -30,7 +30,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import AFTER, BEFORE
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.faults import fault_name
 from lite6jax.report.reference import model_statement
 from lite6jax.report.words import number
 

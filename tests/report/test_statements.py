@@ -22,7 +22,7 @@ from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import diagnosis_figures, ranking, reference, remedies, statements, words
-from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
+from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
 from lite6jax.report.words import listed, quantity, rounded

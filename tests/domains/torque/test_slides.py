@@ -37,10 +37,10 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.fleet.reduction import reduced
 from lite6jax.recordings import write_recording
+from lite6jax.report.faults import fault_statement
 from lite6jax.report.reference import headline
 from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.statements import finding_statement
-from lite6jax.report.torque_faults import FAULTS
 from tests.oracles import kane
 
 FEW = Options(folds=2)
@@ -349,7 +349,7 @@ def test_a_push_along_the_slide_is_a_contact_in_newtons():
     _, (fault,) = contacts(torque_problem(screened.data), EngineOptions())
     assert fault.numbers["joints"] == [3]
     assert fault.numbers["largest_N"] == pytest.approx(30, rel=0.1)
-    said = FAULTS["contact"].found(fault.rows, fault.numbers)
+    said = fault_statement(fault)
     assert " N from the model" in said
     assert "Nm and " in said  # the revolute joints differ by less than their noise explains
 
