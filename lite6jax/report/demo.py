@@ -12,7 +12,7 @@ from rich.text import Text
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import command_line
-from lite6jax.report.sections import Cause, Ranking, Report
+from lite6jax.report.sections import Report, sections_of, show_sections
 from lite6jax.report.words import listing, quantity
 
 
@@ -38,9 +38,8 @@ def diagnosed(document: Mapping[str, Any], run: Path, diagnosis: Path, page: Pat
     """
     yield _command("diagnose", run, "--quick", out=diagnosis, report=page)
     yield ""
-    report = Report(document, str(run))
-    yield from Cause().screen(report)
-    yield from Ranking().screen(report)
+    sections = sections_of(Report(document))
+    yield from show_sections([one for one in sections if not one.title or one.title.startswith("What each")])
     yield ""
 
 

@@ -4,28 +4,25 @@ Their texts are in `templates/faults.yaml`. To add a fault, write its texts ther
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jinja2
 import numpy as np
-import yaml
+from jinja2 import pass_context
+from jinja2.runtime import Context
 from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.screen import indented
-from lite6jax.report.words import be, capital, counted, joined, joints_named, milli, rows_named
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import capital, joined, milli, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
 
-_TEXTS: Mapping[str, Any] = yaml.load(
-    (Path(__file__).parent / "templates/faults.yaml").read_text(encoding="utf-8"),
-    getattr(yaml, "CSafeLoader", yaml.SafeLoader),
-)
+_TEXTS = read_texts("faults.yaml")
 POSE_FAULTS: Mapping[str, Mapping[str, str]] = _TEXTS["poses"]
 TORQUE_FAULTS: Mapping[str, Mapping[str, str]] = {
     code: texts for code, texts in _TEXTS["torques"].items() if "name" in texts
@@ -118,52 +115,7 @@ def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
 
 
 def _filled(text: str, numbers: Mapping[str, Any], **more: object) -> str:
-    """A text with its numbers.
-
-    Raises:
-        KeyError: a number is missing.
-    """
-    try:
-        return " ".join(_template(text).render(numbers, **more).split())
-    except jinja2.UndefinedError as error:
-        raise KeyError(str(error)) from error
-
-
-@cache
-def _template(text: str) -> jinja2.Template:
-    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False)
-    environment.filters |= {
-        "g": lambda value, digits=3: f"{value:.{digits}g}",
-        "mm": milli,
-        "percent": _percent,
-        "count_of": lambda of, noun: counted(_count(of), noun),
-        "joined": lambda numbers: joined(map(str, numbers)),
-        "terms": lambda labels: ", ".join(labels) or "no effect",
-        "length_of": lambda vector: float(np.linalg.norm(vector)),
-        **{function.__name__: function for function in (capital, joints_named, rows_named)},
-    }
-    environment.globals |= {
-        "be": lambda of: be(_count(of)),
-        "deg": lambda angle: float(np.rad2deg(angle)),
-        "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
-        "mm_vector": lambda vector: f"({', '.join(map(milli, vector))})",
-        "chance": lambda p, digits=2: f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300",
-        "either": lambda alternatives: "; or ".join(joined(map(_clause, parts)) for parts in alternatives),
-        "tables": jinja2.pass_context(lambda context: _filled(_TEXTS["tables"], context.get_all())),
-        "compared": jinja2.pass_context(
-            lambda context, otherwise: _filled(_TEXTS["compared"], context.get_all(), otherwise=otherwise)
-        ),
-        "frame": _frame,
-        "table_name": _table_name,
-        "distances": lambda tables: "; ".join(
-            f"{_table_name(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in tables
-        ),
-    }
-    return environment.from_string(text)
-
-
-def _count(of: int | Sequence[int]) -> int:
-    return of if isinstance(of, int) else len(of)
+    return fill(text, {**_HELPERS, **numbers}, **more)
 
 
 def _clause(part: Mapping[str, Any]) -> str:
@@ -195,3 +147,30 @@ def _table_name(table: str) -> str:
 def _percent(share: float) -> str:
     """A share that is not quite whole is not shown as whole."""
     return f"{100 * share:.1f} %" if 0.99 < share < 0.9995 else f"{100 * share:.0f} %"
+
+
+@pass_context
+def _tables(context: Context) -> str:
+    """How well each of two nominal tables fits."""
+    return _filled(_TEXTS["tables"], context.get_all())
+
+
+@pass_context
+def _compared(context: Context, otherwise: str) -> str:
+    """How much less likely the poses are without a fault, where that was compared."""
+    return _filled(_TEXTS["compared"], context.get_all(), otherwise=otherwise)
+
+
+_HELPERS: Mapping[str, Any] = {
+    "either": lambda alternatives: "; or ".join(joined(map(_clause, parts)) for parts in alternatives),
+    "terms": lambda labels: ", ".join(labels) or "no effect",
+    "percent": _percent,
+    "length_of": lambda vector: float(np.linalg.norm(vector)),
+    "tables_compared": _tables,
+    "compared": _compared,
+    "frame": _frame,
+    "table_name": _table_name,
+    "distances": lambda tables: "; ".join(
+        f"{_table_name(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in tables
+    ),
+}

@@ -24,7 +24,7 @@ from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.recordings import Recording
-from lite6jax.report import fits, ranking, reference, statements, study
+from lite6jax.report import fits, ranking, statements, study
 from lite6jax.report.compensation import outside_sentence, registration_report
 from lite6jax.report.faults import fault_name
 from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
@@ -227,9 +227,9 @@ def _combined(found: CombinedDiagnosis) -> Description:
     poses, document = describe(found.poses), found.to_dict()
     title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
     if found.torques is None:
-        return Description(title, (*poses.sentences, reference.refusal(document)), poses.notes)
+        return Description(title, (*poses.sentences, statements.refusal(document)), poses.notes)
     torques = describe(found.torques)
-    both = tuple(map(reference.shared_statement, document["shared"]))
+    both = tuple(map(statements.shared_statement, document["shared"]))
     return Description(title, (*poses.sentences, *torques.sentences, *both), (*poses.notes, *torques.notes))
 
 

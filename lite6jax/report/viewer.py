@@ -31,7 +31,6 @@ from lite6jax.recordings import Recording
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import AFTER, BEFORE
 from lite6jax.report.faults import fault_name
-from lite6jax.report.reference import model_statement
 from lite6jax.report.words import number
 
 if TYPE_CHECKING:
@@ -228,7 +227,7 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     if recording.quaternion is not None:
         turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
         orientation = T_base_sensor[:3, :3] @ turned
-    remarks = [] if model.reference is None else [model_statement(*model.reference)]
+    remarks = [] if model.reference is None else [statements.model_statement(*model.reference)]
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
