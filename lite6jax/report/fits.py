@@ -21,11 +21,11 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,
     STATISTICS,
-    counted,
     fixed,
     listed,
     listing,
@@ -34,7 +34,7 @@ from lite6jax.report.words import (
     what_is_measured,
 )
 
-_MOST_ROWS = 5
+_TEXTS = read_texts("screens.yaml")
 _MOST_ARMS = 12
 _MOST_PAIRS = 8
 """Arms of which each pair is listed."""
@@ -49,23 +49,23 @@ def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
     """The recording, and which parameters the fit estimates according to its sidecar."""
-    settings = recording.settings
-    kind = what_is_measured(recording)
-    by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
+    settings, chain = recording.settings, solution.form.chain
     yield Text(recording.source, no_wrap=True, overflow="ignore")
-    yield Text(
-        f"Recording of {recording.samples} samples, {recording.dof} joints of a {solution.arm.name}: {kind}{by}."
-    )
-    chain = "nominal, fitted"
-    if recording.touches is not None and settings.factory_calibration is None:
-        length, angle = TOUCHED_TOLERANCE
-        chain = f"nominal, fitted near it: each number within {1e3 * length:g} mm or {1e3 * angle:g} mrad (one sigma)"
-    elif not isinstance(solution.form.chain, HayatiForm):
-        moved = bool(solution.free[: solution.form.chain.size].any())
-        chain = "the factory calibration, fitted within its uncertainty" if moved else "the factory calibration, held"
-    frame = "unknown, fitted" if solution.form.frame else "the arm's base"
-    tool = "unknown, fitted" if solution.form.tool else "none" if settings.tool == "none" else "as declared"
-    yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+    facts = {
+        "recording": recording,
+        "arm": solution.arm.name,
+        "kind": what_is_measured(recording),
+        "by": settings.pose_source,
+        "form": solution.form,
+        "tool": settings.tool,
+        "touched": TOUCHED_TOLERANCE
+        if recording.touches is not None and settings.factory_calibration is None
+        else None,
+        "nominal": isinstance(chain, HayatiForm),
+        "moved": bool(solution.free[: chain.size].any()),
+    }
+    yield Text(fill(_TEXTS["recording_read"], facts))
+    yield Text(fill(_TEXTS["geometry"], facts))
     yield from screen.notes(_notes_of_data(solution))
 
 
@@ -119,18 +119,8 @@ def _notes_of_data(solution: Solution) -> tuple[str, ...]:
 
 
 def _result_line(solution: Solution, recorded: bool) -> str:
-    steps = counted(solution.steps, "step")
-    if solution.result != Result.CONVERGED:
-        return f"The fit {solution.result.message} ({steps}); the values below are those of its last step."
-    before, after = (1e3 * e.position_rms for e in (solution.nominal_errors, solution.checked))
-    if recorded:
-        return f"Converged in {steps}: {number(after, 3)} mm RMS on held-out rows, {number(before, 3)} mm before."
-    worst = 1e3 * float(solution.checked.position.max())
-    most = 1e3 * float(solution.nominal_errors.position.max())
-    return (
-        f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
-        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
-    )
+    facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
+    return fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked)
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
@@ -263,16 +253,14 @@ def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
         recording: of touches.
         frame: whether the frame of their points is another than the arm's base.
     """
-    kind, settings = recording.touches.kind, recording.settings  # type: ignore[union-attr]
-    if not frame:
-        yield "Where the arm's base stands in the room is not determined: all coordinates are in the base's own frame."
-    yield "The tool's orientation, and with it the zero angle of the last joint, is not determined: one point is seen."
-    if settings.factory_calibration is not None:
-        yield "The scale is that of the factory calibration."
-    elif kind == "contact" and settings.contact_distances:
-        yield "The scale is that of the known distances between contacts."
-    elif kind in ("distance", "axis"):
-        yield "The scale is that of the readings."
+    settings = recording.settings
+    facts = {
+        "frame": frame,
+        "kind": recording.touches.kind,  # type: ignore[union-attr]
+        "calibrated": settings.factory_calibration is not None,
+        "distances": settings.contact_distances,
+    }
+    yield from (said for text in _TEXTS["gauge"] if (said := fill(text, facts)))
 
 
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
@@ -289,25 +277,13 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
         reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
         yield f"  {', '.join(names)}: {reason}"
     if (noise := solution.noise) is not None:
-        found = f"{number(1e3 * noise.position)} mm"
-        if noise.orientation is not None:
-            found += f", {number(np.rad2deg(noise.orientation))} deg"
-        if noise.declared is None or (ratio := noise.over_declared) is None:
-            yield f"Noise per axis: not declared; the residuals have {found}."
-        else:
-            parts = zip(noise.declared, ("m", "rad"), strict=True)
-            told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
-            declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
-            verdict = f"{ratio:.0f} times it: this geometry does not explain the rest"
-            verdict = "as declared" if ratio < ABOVE_NOISE else verdict
-            yield f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}."
-    weight, low = solution.weight, np.flatnonzero(solution.outlying)
-    if not low.size:
-        yield f"No outliers among {len(weight)} samples."
-        return
-    rows = recording.row[low[np.argsort(weight[low])]]
-    named, more = ", ".join(map(str, rows[:_MOST_ROWS])), ", …" if len(rows) > _MOST_ROWS else ""
-    yield f"{len(rows)} of {len(weight)} samples are outliers with weights below {DOWNWEIGHTED:g}: rows {named}{more}."
+        told = [] if noise.declared is None else zip(noise.declared, SCREEN.values(), strict=True)
+        declared = ", ".join(f"{number(scale * value)} {unit}" for value, (scale, unit) in told if value is not None)
+        facts = {"noise": noise, "ratio": noise.over_declared, "above": ABOVE_NOISE}
+        yield fill(_TEXTS["noise"], facts, declared="" if noise.over_declared is None else declared)
+    low = np.flatnonzero(solution.outlying)
+    rows = recording.row[low[np.argsort(solution.weight[low])]].tolist()
+    yield fill(_TEXTS["outliers"], {"rows": rows, "samples": len(solution.weight), "below": DOWNWEIGHTED})
 
 
 # ------------------------------------------------------------------ comparisons

@@ -27,6 +27,7 @@ from lite6jax.report.faults import fault_name
 from lite6jax.report.ranking import Files, of_torques, units
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.sections import Picture, Report, Section, error_rows, sections_of, show_sections
+from lite6jax.report.texts import read_texts
 from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity
 
 Document = Mapping[str, Any]
@@ -35,25 +36,6 @@ Document = Mapping[str, Any]
 
 
 _DPI = 120
-_CAPTIONS = {
-    "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
-    "where": "Share of the residual's variance that a smooth function of each driver explains at each site, less what "
-    "as many numbers explain of noise: of several the largest share. Each contains a constant, which is shown alone in "
-    "the first column; of two drivers only the likeliest functions were tried. A dash where none was, the driver is "
-    "not recorded or does not vary, or the function is confounded with the nuisance.",
-    "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
-    "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
-}
-_TORQUE_CAPTIONS = {
-    "error_by_joint": "Held-out torque error of each joint, by the arm's model alone and with the findings. "
-    "Dashed lines are the standard deviations of the measured torques themselves.",
-    "over_time": "Torques of each joint as measured, of the rigid-body model, and modelled with the findings, in a "
-    "part of the recording; all have passed the same low-pass filter.",
-    "friction": "What the model without friction leaves of each joint's torque over the velocity of the joint, and the "
-    "friction that was found, at the median load and temperature with the other joints at rest.",
-    "spectra": "Power spectral densities of velocities and torques as recorded. A low pass removes what is right of a "
-    "dashed line: the velocity is noise there, and differentiating would enlarge it.",
-}
 
 
 def diagnosis_page(
@@ -110,7 +92,7 @@ def _pictures(
 ) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
     torques, order = of_torques(document), ranking.order(document)
-    captions = _TORQUE_CAPTIONS if torques else _CAPTIONS
+    captions = read_texts("diagnosis.yaml")["captions"]["torques" if torques else "poses"]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     for rank, finding in enumerate(statements.findings_of(document), 1):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"

@@ -42,6 +42,11 @@ def _vector(numbers: Sequence[float], digits: int = 3) -> str:
 
 @cache
 def _template(text: str) -> jinja2.Template:
+    return _environment().from_string(text)
+
+
+@cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False)
     environment.filters |= {
         "g": lambda value, digits=3: f"{value:.{digits}g}",
@@ -62,4 +67,4 @@ def _template(text: str) -> jinja2.Template:
         "chance": lambda p, digits=2: f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300",
         "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
     }
-    return environment.from_string(text)
+    return environment
