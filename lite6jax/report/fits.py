@@ -1,10 +1,9 @@
 """What a terminal shows of a fit, and of a comparison of arms: in mm and degrees, for 60 columns or more."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
@@ -35,7 +34,6 @@ from lite6jax.report.words import (
 )
 
 _TEXTS = read_texts("screens.yaml")
-_MOST_ARMS = 12
 _MOST_PAIRS = 8
 """Arms of which each pair is listed."""
 
@@ -290,7 +288,7 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
 
 
 def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
-    """A comparison of arms of one model."""
+    """A comparison of arms of one model; the differences of each are listed where they fit beside each other."""
     names, form = comparison.names, comparison.arm.form
     arms = len(names)
     yield Text(
@@ -304,14 +302,17 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         table.add_row(str(k + 1), *cells, Text(names[k], overflow="fold"))
     yield table
     yield ""
-    shown = list(range(arms)) if arms <= _MOST_ARMS else []
-    fitting = max(1, (width - 32) // 9)
-    blocks = [shown[i : i + fitting] for i in range(0, len(shown), fitting)] or [[]]
-    for block in blocks:
-        which = f", arms {block[0] + 1}–{block[-1] + 1}" if len(blocks) > 1 else ""
-        yield Text(f"Hayati parameters minus nominal{which}")
-        yield _differences_table(comparison, block)
-        yield ""
+    shown = range(arms) if 32 + 9 * arms <= width else ()
+    rows = []
+    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
+        scale, named = SCREEN[unit]
+        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
+        if largest >= SHOWS_AS_ZERO:
+            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
+            rows.append((name, named, *own, f"{spread:.4f}", f"{largest:.4f}"))
+    yield Text("Hayati parameters minus nominal")
+    yield listing("", "", *(str(k + 1) for k in shown), "std", "largest", rows=rows)
+    yield ""
     scale = np.array([SCREEN[unit][0] for unit in form.units])
     equal = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
     if equal:
@@ -323,18 +324,6 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f} deg per parameter (RMS)."
     )
     yield from _pairwise_distances(comparison)
-
-
-def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
-    form = comparison.arm.form
-    rows = []
-    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
-        scale, shown = SCREEN[unit]
-        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
-        if largest >= SHOWS_AS_ZERO:
-            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
-            rows.append((name, shown, *own, f"{spread:.4f}", f"{largest:.4f}"))
-    return listing("", "", *(str(k + 1) for k in arms), "std", "largest", rows=rows)
 
 
 def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
