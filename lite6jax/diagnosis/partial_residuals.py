@@ -93,28 +93,28 @@ def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     driver describes is shown along the displacement of the measured pose.
     """
     if isinstance(found, TorqueDiagnosis):
-        return [_of_torque(found, k)]
+        return [_torque_curve(found, k)]
     assert isinstance(found, Diagnosis)
     finding, used = found.findings[k], found.fit.training & ~found.outliers
     effect = finding.effect
     if isinstance(effect, Unnamed):
         of, site = found.problem.deflections, site_of(effect.where, effect.component)
-        left, good = _left_at(found, found.problem.sites[site], used)
+        left, good = _residual_at(found, found.problem.sites[site], used)
         functions = of.basis(effect)
         mean = functions[:, good].mean(1)  # a constant may be the calibration's instead
         about = functions - mean[:, None]
         samples = _Samples(site, effect.unit, finding.values @ about, about, left, good)
         drivers = np.asarray(effect.values_at(of.host_motion, of.host_loads), float)
-        return [_of_process(found, k, samples, drivers, mean)]
+        return [_process_curve(found, k, samples, drivers, mean)]
     curves = []
     if isinstance(effect, Bending):
         for samples in _movements(found, effect, k, used):
-            curve = _over_driver(found, k, samples)
+            curve = _driver_curve(found, k, samples)
             curves += [] if curve is None else [curve]
         few = effect.drivers and len(curves) <= 3
         if curves and (few or effect.site.startswith("joint")):
             return curves
-    return [_along(found, k, used)]
+    return [_displacement_curve(found, k, used)]
 
 
 def _curve(
@@ -146,7 +146,7 @@ def _movements(found: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterato
         uniform = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
         for group in [moving] if uniform and moving else [[i] for i in moving]:
             sites = [_site(field, i, np.ndim(moved)) for i in group]
-            left, good = _left_at(found, np.sum([problem.sites[at] for at in sites], 0), used)
+            left, good = _residual_at(found, np.sum([problem.sites[at] for at in sites], 0), used)
             yield _Samples(sites[0], "", flat[group[0]], slope[:, group[0]], left, good)
 
 
@@ -156,7 +156,7 @@ def _site(field: str, i: int, dimensions: int) -> Site:
     return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
 
 
-def _over_driver(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
+def _driver_curve(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
     """One movement over the driver that it follows; None where it follows none."""
     problem, effect = found.problem, found.findings[k].effect
     assert isinstance(effect, Bending)
@@ -187,7 +187,7 @@ def _over_driver(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
     return _curve(found, k, "driver", driver, x, of, points=points)
 
 
-def _left_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
+def _residual_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
     """What the whole model leaves along a site's column `(row, sample)`, in its unit; and where that is well known."""
     power = np.sum(site**2, 0)
     left = -np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
@@ -195,7 +195,7 @@ def _left_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
     return left, used & (spread < _POORLY_OBSERVED * np.median(spread))
 
 
-def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
+def _displacement_curve(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     """A finding along the direction in which it displaces each measured pose, over the length of that displacement."""
     problem, finding, fit = found.problem, found.findings[k], found.fit
     without = fit.values.copy()
@@ -224,7 +224,7 @@ def _correlation(a: Array, b: Array) -> float:
 # ------------------------------------------------------------------ of torques
 
 
-def _of_torque(found: TorqueDiagnosis, k: int) -> FindingCurve:
+def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
     """A finding of one joint over its driver; another over the torque that it adds where it adds most."""
     problem, fit, finding = found.problem, found.fit, found.findings[k]
     effect, used, dynamics = finding.effect, problem.valid, problem.dynamics
@@ -238,7 +238,7 @@ def _of_torque(found: TorqueDiagnosis, k: int) -> FindingCurve:
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
         return _curve(found, k, "displacement", None, moved[j], samples)
     if isinstance(effect, UnnamedTorque):
-        return _of_process(found, k, samples, effect.values_in(dynamics)[:, kept][:, problem.chosen])
+        return _process_curve(found, k, samples, effect.values_in(dynamics)[:, kept][:, problem.chosen])
     driver = next(iter(effect.drivers), Driver("time"))
     x = np.asarray(driver.values(dynamics.motion, dynamics.loads))
     if len(effect.drivers) > 1:
@@ -262,7 +262,7 @@ def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
 # ------------------------------------------------------------------ of both
 
 
-def _of_process(
+def _process_curve(
     found: DomainDiagnosis[Any], k: int, of: _Samples, drivers: Array, mean: Array | float = 0.0
 ) -> FindingCurve:
     """A nonparametric effect over its first driver, about a mean of its functions."""

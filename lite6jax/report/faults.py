@@ -42,19 +42,19 @@ def fault_statement(fault: DataFault) -> str:
     """What is wrong, by how much, how it was corrected, and the remedy."""
     texts, numbers = _FAULTS.get(fault.code, {}), fault.numbers
     if "found" in texts and not ("clause" in texts and "added_rad" in numbers and fault.code in POSE_FAULTS):
-        return _filled(texts["found"], numbers, rows=fault.rows)
+        return _fill(texts["found"], numbers, rows=fault.rows)
     if "clause" not in texts:
         return f"{fault_name(fault.code)}."
     remedy = texts.get("remedy", "Correct the columns in the file")
-    return _filled(_TEXTS["mismatch"], numbers, said=_clause({**numbers, "fault": fault.code}), remedy=remedy)
+    return _fill(_TEXTS["mismatch"], numbers, said=_clause({**numbers, "fault": fault.code}), remedy=remedy)
 
 
 def ruled_out_statement(fault: DataFault) -> str:
     """Why a fault that was tested for is not there, with the number that rules it out."""
     if fault.code in _MISMATCHES:
-        return _filled(_TEXTS["no_mismatch"], fault.numbers, names=fault_name(fault.code))
+        return _fill(_TEXTS["no_mismatch"], fault.numbers, names=fault_name(fault.code))
     text = _FAULTS.get(fault.code, {}).get("ruled_out")
-    return f"{fault_name(fault.code)}: none was found." if text is None else _filled(text, fault.numbers)
+    return f"{fault_name(fault.code)}: none was found." if text is None else _fill(text, fault.numbers)
 
 
 def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
@@ -65,7 +65,7 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     return [
         ruled_out_statement(group[0])
         if len(group) == 1
-        else _filled(_TEXTS["no_mismatch"], group[0].numbers, names=", ".join(fault_name(one.code) for one in group))
+        else _fill(_TEXTS["no_mismatch"], group[0].numbers, names=", ".join(fault_name(one.code) for one in group))
         for group in groups.values()
     ]
 
@@ -104,7 +104,7 @@ def fault_lines(faults: Iterable[DataFault]) -> Iterator[RenderableType]:
 def cause_statement(cause: "Cause") -> str:
     """What the data say of a possible cause of an error, and the remedy where there is one."""
     text = _TEXTS["causes"][cause.code]["found"]
-    return _filled(text, cause.numbers, rows=cause.rows, suspicious=cause.suspicious)
+    return _fill(text, cause.numbers, rows=cause.rows, suspicious=cause.suspicious)
 
 
 def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
@@ -114,13 +114,13 @@ def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
 # ------------------------------------------------------------------ how texts are filled
 
 
-def _filled(text: str, numbers: Mapping[str, Any], **more: object) -> str:
+def _fill(text: str, numbers: Mapping[str, Any], **more: object) -> str:
     return fill(text, {**_HELPERS, **numbers}, **more)
 
 
 def _clause(part: Mapping[str, Any]) -> str:
     """A correction within a list of those that explain the data."""
-    return _filled(_FAULTS[part["fault"]]["clause"], part)
+    return _fill(_FAULTS[part["fault"]]["clause"], part)
 
 
 def _frame(rotation: Sequence[float], translation: Sequence[float]) -> str:
@@ -152,13 +152,13 @@ def _percent(share: float) -> str:
 @pass_context
 def _tables(context: Context) -> str:
     """How well each of two nominal tables fits."""
-    return _filled(_TEXTS["tables"], context.get_all())
+    return _fill(_TEXTS["tables"], context.get_all())
 
 
 @pass_context
 def _compared(context: Context, otherwise: str) -> str:
     """How much less likely the poses are without a fault, where that was compared."""
-    return _filled(_TEXTS["compared"], context.get_all(), otherwise=otherwise)
+    return _fill(_TEXTS["compared"], context.get_all(), otherwise=otherwise)
 
 
 _HELPERS: Mapping[str, Any] = {

@@ -289,7 +289,7 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
     if clocks is not None:
         facts["offset"] = clocks.offset + found.start
         facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
-    said = _filled("joined", facts)
+    said = _sentences("joined", facts)
     if found.joined is not None:
         said += said_of(found.joined, found.unit)
     said.append(fill(_TEXTS["joined_rows"], found._asdict()))
@@ -302,7 +302,7 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
 def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     facts = {"count": len(found.path.reached), "missing": int(np.sum(~found.path.reached))}
-    return _filled("solved", {**facts, "source": found.file.source, "arm": arm, "branches": found.path.branches})
+    return _sentences("solved", {**facts, "source": found.file.source, "arm": arm, "branches": found.path.branches})
 
 
 def describe_reflectors(found: WithPose) -> list[str]:
@@ -310,10 +310,10 @@ def describe_reflectors(found: WithPose) -> list[str]:
     names = ", ".join(point[0] for point in found.points[:4]) + (", …" if len(found.points) > 4 else "")
     lost = int(np.sum(~found.pose.rows)) - found.pose.outlying
     mm = 1e3 if found.unit == "m" else 1.0
-    return _filled("reflectors", {"pose": found.pose, "names": names, "lost": lost, "mm": mm})
+    return _sentences("reflectors", {"pose": found.pose, "names": names, "lost": lost, "mm": mm})
 
 
-def _filled(name: str, facts: Mapping[str, Any]) -> list[str]:
+def _sentences(name: str, facts: Mapping[str, Any]) -> list[str]:
     """Those of some texts that say something."""
     small = lambda seconds: f"{1e3 * seconds:.2g} ms" if seconds < 1 else f"{seconds:.2g} s"  # noqa: E731
     return [said for text in _TEXTS[name] if (said := fill(text, facts, small=small))]

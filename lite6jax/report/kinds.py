@@ -86,7 +86,7 @@ _DRAWINGS: dict[type, dict[str, Drawing]] = {
 
 
 @rc_context(STYLE)
-def _over_rows(found: PublicResult, title: str) -> Figures:
+def _draw_rows(found: PublicResult, title: str) -> Figures:
     """Columns of the table, a panel each, in mm and deg."""
     table, drawn = tabulate(found), {}
     across = "arm" if isinstance(found, FleetSolution) else "row"
@@ -113,7 +113,7 @@ def _over_rows(found: PublicResult, title: str) -> Figures:
 
 
 for kind in _DRAWINGS:
-    draw.register(kind, _over_rows)
+    draw.register(kind, _draw_rows)
 
 
 @draw.register

@@ -85,7 +85,7 @@ def sections_of(report: Report) -> list[Section]:
     """The sections that have something to show."""
     unit = f"{ranking.unit_of(report.document)} RMS".strip()
     made = [
-        Section("Difference from the reference", list(_against(report.document)), "against"),
+        Section("Difference from the reference", list(_comparison(report.document)), "against"),
         Section("", list(_cause(report.document))),
         Section(f"What each finding moves ({unit})", list(_contributions(report))),
         Section("Held-out errors before and after", list(_errors(report))),
@@ -93,16 +93,16 @@ def sections_of(report: Report) -> list[Section]:
         Section("Findings", list(_findings(report))),
         Section("What to do", list(_actions(report))),
         Section("Commands to copy", list(_commands(report))),
-        Section("Explained variance by site, driver and order", list(_drawn(report, "where", "orders"))),
-        Section("Friction", list(_drawn(report, "friction"))),
-        Section("Filter", list(_drawn(report, "spectra"))),
-        Section("What to record next", list(_to_record(report.document))),
-        Section("Tested and ruled out, and not tested", list(_tested(report)), "folded" if report.details else ""),
+        Section("Explained variance by site, driver and order", list(_pictures(report, "where", "orders"))),
+        Section("Friction", list(_pictures(report, "friction"))),
+        Section("Filter", list(_pictures(report, "spectra"))),
+        Section("What to record next", list(_next_recording(report.document))),
+        Section("Tested and ruled out, and not tested", list(_tests(report)), "folded" if report.details else ""),
     ]
     return [section for section in made if section.blocks]
 
 
-def _against(document: Document) -> Iterator[Block]:
+def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
         units = ranking.units(document) if of_torques(document) else ()
         yield "text", statements.comparison_headline(comparison, units)
@@ -140,7 +140,7 @@ def _errors(report: Report) -> Iterator[Block]:
     yield "text", statements.held_out_statement(report.document)
     yield "text", statements.noise_statement(report.document)
     yield from (("text", line) for line in statements.assumptions(report.document))
-    yield from _drawn(report, "error_by_joint", "over_time")
+    yield from _pictures(report, "error_by_joint", "over_time")
 
 
 def _faults(report: Report) -> Iterator[Block]:
@@ -177,12 +177,12 @@ def _commands(report: Report) -> Iterator[Block]:
     yield from (("command", (capital(step.purpose), step.command)) for step in steps)
 
 
-def _drawn(report: Report, *names: str) -> Iterator[Block]:
+def _pictures(report: Report, *names: str) -> Iterator[Block]:
     pictures = report.pictures or {}
     yield from (("picture", pictures[name]) for name in names if name in pictures)
 
 
-def _to_record(document: Document) -> Iterator[Block]:
+def _next_recording(document: Document) -> Iterator[Block]:
     if lines := statements.what_to_record(document):
         yield "bullets", lines
     for item in document.get("separating_poses", ()):
@@ -196,7 +196,7 @@ def _to_record(document: Document) -> Iterator[Block]:
         yield "text", statements.NOT_CHECKED
 
 
-def _tested(report: Report) -> Iterator[Block]:
+def _tests(report: Report) -> Iterator[Block]:
     entries, untested = report.document["ruled_out"], statements.untested(report.document)
     effects = len({(entry["effect"], entry["site"]) for group in untested for entry in group.entries})
     said = [f"{counted(len(entries), 'data fault')} ruled out"] if entries else []

@@ -80,9 +80,9 @@ def with_statements(document: Document) -> dict[str, Any]:
     return stated
 
 
-def _said(text: str, document: Document, **more: object) -> str:
+def _fill(text: str, document: Document, **more: object) -> str:
     """A text about a document."""
-    torques, near, noise = of_torques(document), document["nearest"], document["noise"]
+    torques, near, noise, left = (of_torques(document), *(document[key] for key in ("nearest", "noise", "left")))
     keys = {"torque_noise_Nm": "declared_torque_Nm"} if torques else {"position_noise_m": "declared_position_m"}
     declared = [bool(noise[key]) for key in keys.values()]
     if not torques and document["model"]["orientation"]:
@@ -92,6 +92,7 @@ def _said(text: str, document: Document, **more: object) -> str:
         document,
         torques=torques,
         sensor="sensors'" if torques else "sensor's",
+        times=0.0 if torques else max(left[f"{what}_over_noise"] or 0.0 for what in ("position", "orientation")),
         computed=not torques and ranking.is_computed(document),
         size_declared=all(declared),
         undeclared=" and ".join(f"no {name}" for name, key in keys.items() if noise[key] is None),
@@ -123,8 +124,8 @@ def verdict_statement(document: Document) -> str:
             others = others if apart else left["torque_over_noise"]
             ends = dict.fromkeys(map(multiple, (min(others), max(others))))
             worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
-        ratios = _said(_TEXTS["ratios"], document, **worst)
-    said = _said(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
+        ratios = _fill(_TEXTS["ratios"], document, **worst)
+    said = _fill(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
     where = None if torques or document["verdict"] not in _LEFT_OVER else left["acts_at"]
     return said if where is None else f"{said} {fill(_TEXTS['acts_at'], where)}"
 
@@ -200,19 +201,19 @@ def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterat
 
 def held_out_statement(document: Document) -> str:
     """How errors were held out, and what a quick diagnosis left out."""
-    return _said(_TEXTS["held_out"], document)
+    return _fill(_TEXTS["held_out"], document)
 
 
 def noise_statement(document: Document) -> str:
     """The noise estimated from the residuals beside the declared one."""
-    return _said(_TEXTS["noise"], document)
+    return _fill(_TEXTS["noise"], document)
 
 
 def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
     drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
     loaded = not of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [said for text in _TEXTS["assumptions"] if (said := _said(text, document, loaded=loaded))]
+    return [said for text in _TEXTS["assumptions"] if (said := _fill(text, document, loaded=loaded))]
 
 
 # ------------------------------------------------------------------ findings
@@ -336,7 +337,7 @@ def untested(document: Document) -> list[Untested]:
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
         found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        found.append(Untested(_said(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
+        found.append(Untested(_fill(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
     return found
 
 
@@ -369,7 +370,7 @@ def what_to_record(document: Document) -> list[str]:
             parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
             steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-        said = _said(asked["confounded"], document, steps=steps)
+        said = _fill(asked["confounded"], document, steps=steps)
         lines += [said] if said else []
     return lines
 

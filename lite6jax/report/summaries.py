@@ -69,9 +69,9 @@ def _solution(solution: Solution) -> Description:
     ]
     if held := [each.name for each in solution.held]:
         said = f"{counted(len(held), 'parameter')} {be(len(held))} held, because the data do not determine"
-        sentences.append(f"{said}: {_first(held)}.")
+        sentences.append(f"{said}: {_first_names(held)}.")
     if unsure.size:
-        names = _first([solution.form.names[k] for k in unsure])
+        names = _first_names([solution.form.names[k] for k in unsure])
         sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
     if (noise := solution.noise) is not None:
         declared = f"; declared {_mm(noise.declared[0])} mm" if noise.declared and noise.declared[0] is not None else ""
@@ -79,7 +79,7 @@ def _solution(solution: Solution) -> Description:
     return Description(f"Fit of a {data}, {solution.arm.name}", tuple(filter(None, sentences)), solution.notes)
 
 
-def _first(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (", …" if len(names) > 6 else "")
 
 

@@ -31,7 +31,7 @@ def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:
         raise KeyError(str(error)) from error
 
 
-def _of_count(function: Callable[..., str]) -> Callable[..., str]:
+def _count_of(function: Callable[..., str]) -> Callable[..., str]:
     """A function of a number, which takes rows or joints in its place."""
     return lambda of, *more: function(len(of) if isinstance(of, Sized) else of, *more)
 
@@ -54,7 +54,7 @@ def _environment() -> jinja2.Environment:
         "mm_vector": _vector,
         "listed": ", ".join,
         "joined": lambda parts, last="and": words.joined(map(str, parts), last),
-        "count_of": _of_count(words.counted),
+        "count_of": _count_of(words.counted),
         **{
             of.__name__: of
             for of in (words.capital, words.joints_named, words.number, words.multiple, words.rows_named)
@@ -62,7 +62,7 @@ def _environment() -> jinja2.Environment:
         "plus_minus": words.plus_minus,
     }
     environment.globals |= {
-        "be": _of_count(words.be),
+        "be": _count_of(words.be),
         "deg": lambda angle: float(np.rad2deg(angle)),
         "chance": lambda p, digits=2: f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300",
         "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
