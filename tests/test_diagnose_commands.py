@@ -68,7 +68,7 @@ def test_diagnose_prints_a_page(diagnosed, recorded):
     assert str(recorded) in said
     assert "lite6, 200 samples (static)." in text
     assert "Explained: with the effects below, the held-out errors are the sensor's noise." in text
-    assert "held-out position error (mm) rms p95 max" in text
+    assert "held-out error before after after / before" in text
     assert "0.0200 mm is declared." in text
     assert "1. Joint compliance at joint2, a function of the gravity torque of joint 2, is significant: " in text
     assert "3 rows are outliers and have little weight. Check them. Rows 4, 51, 100." in text

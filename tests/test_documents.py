@@ -61,12 +61,12 @@ def test_the_reference_describes_all_that_the_code_has(name):
 
 def test_the_faults_of_poses_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.screen import SCREENS
-    from lite6jax.report.pose_faults import FAULTS
+    from lite6jax.report.faults import POSE_FAULTS
 
     documented = [row[0] for row in table_rows((ROOT / "docs/reference/faults.md").read_text())[2:]]
     screened = list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
     assert documented[: len(screened)] == screened
-    assert set(documented) == set(FAULTS)
+    assert set(documented) == set(POSE_FAULTS)
 
 
 def test_the_verdicts_of_a_diagnosis_and_the_keys_of_its_model_are_documented():
@@ -115,12 +115,12 @@ def test_the_screens_are_documented_in_their_order():
 
 def test_the_effects_and_faults_of_torques_are_documented():
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
-    from lite6jax.report.torque_faults import FAULTS
+    from lite6jax.report.faults import TORQUE_FAULTS
 
     text = (ROOT / "docs/reference/torques.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
-    assert {row[0] for row in sections["Data faults"]} == {*FAULTS, "joint_turns"}  # which poses name as well
+    assert {row[0] for row in sections["Data faults"]} == {*TORQUE_FAULTS, "joint_turns"}  # which poses name as well
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue

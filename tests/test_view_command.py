@@ -121,23 +121,15 @@ def test_the_row_moves_the_arm(shown, scene):
     assert shown.row.value == (45 + 198) % scene.samples + 1
 
 
-def test_scale_prediction_and_highlight_are_chosen(shown, scene):
-    arrows, handle = shown.server.scene.get_handle_by_name("/errors"), shown.server.scene.get_handle_by_name
+def test_the_prediction_is_chosen_and_findings_are_marked(shown, scene):
+    handle = shown.server.scene.get_handle_by_name
     found, rigid = scene.poses
-    np.testing.assert_allclose(arrows.points, rigid.arrows(rigid.scale), atol=1e-6)
-    shown.prediction.value = WITH
-    np.testing.assert_allclose(arrows.points, found.arrows(rigid.scale), atol=1e-6)
-    shown.prediction.value, shown.scale.value = WITHOUT, 10.0
-    np.testing.assert_allclose(arrows.points, rigid.arrows(10.0), atol=1e-6)
-    assert (
-        f"the median error of {1e3 * rigid.median:.4f} mm is {1e4 * rigid.median:.0f} mm long" in shown._caption.content
-    )
+    for choice, errors in ((WITHOUT, rigid), (WITH, found)):
+        shown.prediction.value = choice
+        np.testing.assert_allclose(handle("/errors").points, errors.arrows(rigid.scale), atol=1e-6)
+    assert f"the median error of {1e3 * found.median:.4f} mm is" in shown._caption.content
     assert tuple(handle("/arm/2/joint2").color) == tuple(handle("/arm/1/joint1").color) == _rgb(FOUND)
     assert tuple(handle("/arm/3/joint3").color) == _rgb(ARM)
-    shown.highlight.value = f"2. {scene.findings[1].title}"
-    assert tuple(handle("/arm/2/joint2").color) == _rgb(ARM)
-    assert handle("/arm/2/joint2/label") is None
-    assert handle("/arm/1/joint1/label").text == "2"
 
 
 def test_nothing_of_a_document_is_markup(scene):

@@ -1,16 +1,18 @@
 """The command that shows the point: a simulated arm with two hidden faults is diagnosed, its factory file fitted."""
 
+import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
 from lite6jax.cli.fit import Fit
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, command_line
 from lite6jax.storage import exists, write_atomically
 
 with import_lazily():
@@ -20,13 +22,17 @@ with import_lazily():
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.effects import serialization
-    from lite6jax.report import demo, pages, ranking, screen, statements
+    from lite6jax.report import pages, ranking, screen, sections, statements, words
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 CALIBRATION = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
 """The factory calibration of the simulated arm."""
 FOLDER = Path("lite6jax-demo")
 HIDDEN = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=1.5e-3")
 """The faults: each is far above the noise of the tracker, and only one of them can be seen without a model."""
+_RANKING = "What each finding moves (mm RMS)"
 POSES = 200
 """Enough for both faults in half a minute on two cores with nothing compiled before."""
 
@@ -67,14 +73,58 @@ class Demo:
             arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings
         )
         simulated.save(run, overwrite=self.force)
-        screen.show(demo.beginning(run, POSES))
+        screen.show(
+            [
+                "No arm was measured: this Lite 6 is simulated. Two faults are hidden in it, and a laser tracker "
+                f"measures it at {POSES} poses.",
+                "",
+                "1. What is wrong with the arm?",
+                f"The diagnosis sees {run} only and knows nothing of the faults. It takes about half a minute.",
+            ]
+        )
         with fold_processes.fold_processes(None), screen.stages() as follow:
             found = diagnose.diagnose(run, options=diagnosis_options.QUICK, progress=follow)
         document = {**statements.with_statements(found.to_dict()), "inputs": command.list_inputs(run)}
         diagnosis_file.write_document(document, diagnosis, self.force)
         write_atomically(page, pages.page_text(found, document, ranking.Files(run, diagnosis)), self.force)
-        screen.show(demo.diagnosed(document, run, diagnosis, page))
-        screen.show(demo.before_the_fit(factory, table))
+        main = [one for one in sections.sections_of(sections.Report(document)) if one.title in ("", _RANKING)]
+        _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
+        screen.show(sections.show_sections(main))
+        screen.show(
+            [
+                "",
+                "2. Its factory calibration as a DH table",
+                "Some vendors measure each arm in the factory: six numbers a joint, here simulated as well. The fit "
+                "turns them into a DH table.",
+            ]
+        )
+        _print_command("fit", factory, out=table)
+        print()
         Fit(factory, out=table, force=self.force).run()
-        screen.show(demo.end([serialization.parse_effect(text) for text in HIDDEN], found, page))
+        screen.show(_compare(found))
+        print(f"  {page}")
         return command.DONE
+
+
+def _print_command(*given: object, **files: Path) -> None:
+    """A command to copy, with a line for each option that names a file."""
+    options = (f"--{name} {shlex.quote(str(path))}" for name, path in files.items())
+    print(" \\\n    ".join([f"$ {command_line(*given)}", *options]))
+
+
+def _compare(found: Any) -> "Iterator[RenderableType]":
+    """The hidden faults beside the findings."""
+    findings = {finding.effect.label: finding.parameters for finding in found.findings}
+    table = words.listing("", "hidden", "found", "")
+    hidden = [serialization.parse_effect(text) for text in HIDDEN]
+    for effect, values in hidden:
+        for parameter, true in effect.reported(values).items():
+            truth, shown = words.quantity(parameter, true._asdict()), "not found"
+            if effect.label in findings:
+                seen = words.quantity(parameter, findings[effect.label][parameter]._asdict())
+                shown = f"{seen.value} ± {seen.std}"
+            table.add_row(f"{effect.name.replace('_', ' ')} at {effect.site}", truth.value, shown, truth.unit)
+    yield from ["", "3. What was hidden, and what was found", table]
+    if others := [label for label in findings if label not in {effect.label for effect, _ in hidden}]:
+        yield f"Found and not hidden: {', '.join(others)}."
+    yield from ["", "The page with the figures, to be opened in a browser:"]

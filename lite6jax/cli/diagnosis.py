@@ -29,7 +29,6 @@ with import_lazily():
         fleets,
         pages,
         ranking,
-        reference,
         screen,
         sections,
         statements,
@@ -195,7 +194,7 @@ class Predict:
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
             if motors.relative_to is not None:
-                opening.append(reference.torque_model_statement(motors.relative_to, "rows"))
+                opening.append(statements.model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
             recording = pose_files.read_motion(self.motion, model)
@@ -206,7 +205,7 @@ class Predict:
             if diagnosis_file.find_torques(document) is not None:
                 columns, said = self._add_torques(document, columns, recording, effects)
             if model.reference is not None:
-                opening.append(reference.model_statement(*model.reference))
+                opening.append(statements.model_statement(*model.reference))
             if registered is not None:
                 opening += compensation.registration_report(registered)
         table = pa.table(columns)
@@ -316,7 +315,7 @@ class Compensate:
             ]
         if beyond := compensation.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
-        origin = [] if model.reference is None else [reference.model_statement(*model.reference)]
+        origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
         page = compensation.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)

@@ -22,7 +22,7 @@ with import_lazily():
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
     from lite6jax.fleet import folder
-    from lite6jax.report import data_faults, documents, figures, fits, fleets, live, screen
+    from lite6jax.report import documents, faults, figures, fits, fleets, live, screen
 
 
 @final
@@ -60,7 +60,7 @@ class Check:
             if self.json:
                 print(documents.line({"file": str(path), **documents.document(found)}))
             else:
-                screen.show(data_faults.check_report(path, found))
+                screen.show(faults.check_report(path, found))
         return command.DONE
 
 

@@ -32,7 +32,7 @@ with import_lazily():
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
-    from lite6jax.report import data_faults, inspection, screen
+    from lite6jax.report import faults, inspection, screen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -161,15 +161,15 @@ class Init:
         text = inspection.sidecar_text(found, settings, file.name)
         made = [] if joined is None else [joined.write(self.force)]
         made.append(write_atomically(sidecar, text, self.force))
-        faults = _find_gross_faults(source, found, settings, notes)
+        data_faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
-            more = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
+            more = {"faults": [fault.to_dict() for fault in data_faults], "notes": notes, "sidecar": str(sidecar)}
             print(json.dumps({**found.to_dict(), **more}, indent=1, allow_nan=False))
             return command.DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
-        if faults:
-            screen.show(data_faults.fault_lines(faults))
+        if data_faults:
+            screen.show(faults.fault_lines(data_faults))
         screen.show(screen.notes(notes))
         screen.written(made)
         screen.show(inspection.next_steps(found, settings, source))

@@ -15,7 +15,6 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.torque import filtering
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.friction import (
     CoulombFriction,
@@ -250,22 +249,6 @@ def _left(test: ScoreTest) -> float:
 # ------------------------------------------------------------------ torques
 
 
-class TorquesOverTime(NamedTuple):
-    """A part of a recording, filtered.
-
-    Attributes:
-        time: `(sample,)` s since the start of the recording.
-        measured: `(joint, sample)` Nm, N of prismatic joints as in all of these.
-        rigid: `(joint, sample)` Nm, of the rigid arm alone, its inertial numbers fitted where they are not declared.
-        modelled: `(joint, sample)` Nm, with the findings.
-    """
-
-    time: Array
-    measured: Array
-    rigid: Array
-    modelled: Array
-
-
 class JointFriction(NamedTuple):
     """The friction of one joint.
 
@@ -282,31 +265,11 @@ class JointFriction(NamedTuple):
     friction: Array
 
 
-class Spectra(NamedTuple):
-    """Power spectral densities of what was recorded, without spikes and before any filter.
+def torques_over_time(found: TorqueDiagnosis) -> tuple[Array, dict[str, Array]]:
+    """The middle of the longest run, filtered: times `(sample,)` s since the start, and torques `(joint, sample)` Nm.
 
-    Attributes:
-        frequency: `(frequency,)` Hz.
-        velocity: `(joint, frequency)` (rad/s)²/Hz, (m/s)²/Hz of prismatic joints.
-        torque: `(joint, frequency)` Nm²/Hz, N²/Hz of prismatic joints.
+    These are by name what was measured, what the rigid arm alone needs, and the model with the findings.
     """
-
-    frequency: Array
-    velocity: Array
-    torque: Array
-
-
-def spectra(found: TorqueDiagnosis) -> Spectra | None:
-    """Of each joint; None of static postures."""
-    data = found.problem.data
-    if data.recording.motion == "static":
-        return None
-    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.filter)
-    return Spectra(frequency, velocity, filtering.spectra(data.torque, data.filter)[1])
-
-
-def torques_over_time(found: TorqueDiagnosis) -> TorquesOverTime:
-    """The middle of the longest run."""
     problem, state = found.problem, found.selection.state
     edges = np.concatenate([[0], np.flatnonzero(np.diff(problem.run)) + 1, [problem.samples]])
     longest = int(np.argmax(np.diff(edges)))
@@ -316,8 +279,9 @@ def torques_over_time(found: TorqueDiagnosis) -> TorquesOverTime:
     recorded = problem.data.recording.time
     assert recorded is not None
     rigid, modelled = (problem.torque(fit.nuisance, fit.terms, fit.values) for fit in (state.baseline, state.fit))
+    torques = {"measured": problem.measured, "rigid body": rigid, "modelled, with the findings": modelled}
     time = problem.data.time[problem.chosen][shown] - recorded[0]
-    return TorquesOverTime(time, problem.measured[:, shown], rigid[:, shown], modelled[:, shown])
+    return time, {name: torque[:, shown] for name, torque in torques.items()}
 
 
 def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:

@@ -5,14 +5,14 @@ S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technomet
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
-from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis, Finding
+from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.columns import site_of
 from lite6jax.domains.pose.kinematics import Site
@@ -22,7 +22,7 @@ from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueE
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.motion import Motion, motion_of
+from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 
 Array = NDArray[np.floating]
@@ -37,8 +37,6 @@ _SAME = 0.9999
 """Correlation with one of several drivers from which a displacement is a function of that one alone."""
 _POORLY_OBSERVED = 4.0
 """Standard deviation of a partial residual, over the median, beyond which it is left out."""
-_LEVELS = (10, 50, 90)
-"""Percentiles of a second driver at which a function of two drivers is shown."""
 
 
 class FindingCurve(NamedTuple):
@@ -59,61 +57,85 @@ class FindingCurve(NamedTuple):
         curve: `(point,)`, as fitted.
         std: `(point,)`, standard deviation of the curve.
         periods: of a curve over the range shown.
-        hysteresis: whether the curve is not a function of `at`: it then has a point for each sample.
-        beside: of a function of two drivers the second one, and the value of it that the curve is at. Each of several
-            curves has the samples that are nearest to it.
+        scattered: whether the curve is not a function of `at` alone: it then has a point for each sample.
     """
 
     finding: int
     over: Literal["driver", "phase", "displacement", "row"]
     quantity: Driver | None
     site: Site | None
-    unit: Literal["m", "rad", "1", "Nm", "N", "sigma"]
+    unit: str
     driver: Array
     partial: Array
     at: Array
     curve: Array
     std: Array
     periods: float = 1.0
-    hysteresis: bool = False
-    beside: tuple[Driver, float] | None = None
+    scattered: bool = False
 
 
-class _Movement(NamedTuple):
-    """Sites with one displacement by an effect: that `(sample,)`, and its derivatives by numbers `(number, sample)`."""
+class _Samples(NamedTuple):
+    """A finding on the samples: what moves by how much, its derivatives by numbers, and what the whole model leaves."""
 
-    sites: list[Site]
-    shape: Array
+    site: Site | None
+    unit: str
+    moved: Array
     slope: Array
+    left: Array
+    good: Mask
 
 
 def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     """The k-th finding over its driver: of torques one curve, of poses one for each way in which it moves a site.
 
-    A nonparametric effect of two drivers is shown over one of them at some values of the other. Another finding of
-    poses that no single driver describes is shown along the displacement of the measured pose.
+    A function of several drivers is shown over the first, with a point for each sample. A finding of poses that no
+    driver describes is shown along the displacement of the measured pose.
     """
     if isinstance(found, TorqueDiagnosis):
-        return _torque_curves(found, k)
+        return [_torque_curve(found, k)]
     assert isinstance(found, Diagnosis)
     finding, used = found.findings[k], found.fit.training & ~found.outliers
-    effect, curves = finding.effect, []
+    effect = finding.effect
     if isinstance(effect, Unnamed):
-        return _of_process(found, k, effect, used)
+        of, site = found.problem.deflections, site_of(effect.where, effect.component)
+        left, good = _residual_at(found, found.problem.sites[site], used)
+        functions = of.basis(effect)
+        mean = functions[:, good].mean(1)  # a constant may be the calibration's instead
+        about = functions - mean[:, None]
+        samples = _Samples(site, effect.unit, finding.values @ about, about, left, good)
+        drivers = np.asarray(effect.values_at(of.host_motion, of.host_loads), float)
+        return [_process_curve(found, k, samples, drivers, mean)]
+    curves = []
     if isinstance(effect, Bending):
-        for movement in _movements(found, effect, finding):
-            curve = _over_driver(found, k, movement, used)
+        for samples in _movements(found, effect, k, used):
+            curve = _driver_curve(found, k, samples)
             curves += [] if curve is None else [curve]
         few = effect.drivers and len(curves) <= 3
         if curves and (few or effect.site.startswith("joint")):
             return curves
-    return [_along(found, k, used)]
+    return [_displacement_curve(found, k, used)]
 
 
-def _movements(found: Diagnosis, effect: Bending, finding: Finding) -> Iterator[_Movement]:
-    problem = found.problem
-    unit = problem.deflections.unit(effect) if effect.linear else problem.deflections.slope(effect, finding.values)
-    bent = effect.deflect(jnp.asarray(finding.values), problem.time_shifted, problem.loads)
+def _curve(
+    found: DomainDiagnosis[Any], k: int, over: Any, quantity: Driver | None, x: Array, of: _Samples, **more: Any
+):
+    """The curve through what is fitted at the samples, or at the points that are given with `at`."""
+    covariance = found.findings[k].covariance
+    at, moved, slope = more.pop("points", (x, of.moved, of.slope))
+    order = np.argsort(at, kind="stable")
+    std = _deviation(slope, covariance)[order]
+    shown = x[of.good], (of.moved + of.left)[of.good]
+    return FindingCurve(k, over, quantity, of.site, of.unit, *shown, at[order], moved[order], std, **more)
+
+
+# ------------------------------------------------------------------ of poses
+
+
+def _movements(found: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterator[_Samples]:
+    """Each way in which an effect moves sites; those that move alike are one."""
+    problem, values = found.problem, found.findings[k].values
+    unit = problem.deflections.unit(effect) if effect.linear else problem.deflections.slope(effect, values)
+    bent = effect.deflect(jnp.asarray(values), problem.time_shifted, problem.loads)
     for field, moved, slopes in zip(Deflection._fields, bent, unit, strict=True):
         if moved is None or slopes is None:
             continue
@@ -121,11 +143,10 @@ def _movements(found: Diagnosis, effect: Bending, finding: Finding) -> Iterator[
         slope = np.asarray(slopes).reshape(effect.size, -1, problem.samples)
         moving = [int(i) for i in np.flatnonzero(flat.any(-1))]
         uniform = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
-        keys = [_site(field, i, np.ndim(moved)) for i in moving]
-        if uniform and moving:
-            yield _Movement(keys, flat[moving[0]], slope[:, moving[0]])
-        else:
-            yield from (_Movement([key], flat[i], slope[:, i]) for key, i in zip(keys, moving, strict=True))
+        for group in [moving] if uniform and moving else [[i] for i in moving]:
+            sites = [_site(field, i, np.ndim(moved)) for i in group]
+            left, good = _residual_at(found, np.sum([problem.sites[at] for at in sites], 0), used)
+            yield _Samples(sites[0], "", flat[group[0]], slope[:, group[0]], left, good)
 
 
 def _site(field: str, i: int, dimensions: int) -> Site:
@@ -134,36 +155,38 @@ def _site(field: str, i: int, dimensions: int) -> Site:
     return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
 
 
-def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> FindingCurve | None:
+def _driver_curve(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
     """One movement over the driver that it follows; None where it follows none."""
-    problem, finding = found.problem, found.findings[k]
-    effect, key = finding.effect, movement.sites[0]
+    problem, effect = found.problem, found.findings[k].effect
     assert isinstance(effect, Bending)
-    at_joint = key[0] == "joint"
-    choices = effect.drivers or ((Driver("position", key[1] + 1),) if at_joint else ())
-    motion, loads = problem.time_shifted, problem.loads
-    known = [np.asarray(driver.values(motion, loads), float) for driver in choices]
-    follows = [_correlation(values, movement.shape) for values in known]
+    assert of.site is not None
+    field, joint, component = of.site
+    at_joint = field == "joint"
+    choices = effect.drivers or ((Driver("position", joint + 1),) if at_joint else ())
+    known = [np.asarray(driver.values(problem.time_shifted, problem.loads), float) for driver in choices]
+    follows = [_correlation(values, of.moved) for values in known]
     if not choices or (len(choices) > 1 and max(follows) < _SAME):
         return None
     best = int(np.argmax(follows))
     driver, x = choices[best], known[best]
-    left, good = _left_at(found, np.sum([problem.sites[at] for at in movement.sites], 0), used)
-    partial = movement.shape + left
-    at, curve, slope, over = x, movement.shape, movement.slope, "driver"
+    turns = at_joint and joint not in problem.motion.sliding.joints
+    of = of._replace(unit="1" if field in ("stretch", "scale") else "rad" if turns or component > 2 else "m")
+    points = x, of.moved, of.slope
     if driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)
-        curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion, at)
+        q = np.zeros((_POINTS, problem.motion.dof))
+        q[:, driver.place - 1] = at
+        motion = motion_of(q, sliding=problem.motion.sliding.joints)
+        shown = lambda values: np.asarray(effect.deflect(jnp.asarray(values), motion, None).joint)[joint]  # noqa: E731
+        values = found.findings[k].values
+        points = at, shown(values), _slopes(shown, effect, values)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
-        x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
-    std = _deviation(slope, finding.covariance)
-    order = np.argsort(at, kind="stable")
-    turns = at_joint and key[1] not in problem.motion.sliding.joints
-    unit = "1" if key[0] in ("stretch", "scale") else "rad" if turns or key[2] > 2 else "m"
-    return FindingCurve(k, over, driver, key, unit, x[good], partial[good], at[order], curve[order], std[order])
+        phase = lambda angle: np.mod(effect.order * angle, 2 * np.pi)  # noqa: E731
+        return _curve(found, k, "phase", driver, phase(x), of, points=(phase(points[0]), *points[1:]))
+    return _curve(found, k, "driver", driver, x, of, points=points)
 
 
-def _left_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
+def _residual_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
     """What the whole model leaves along a site's column `(row, sample)`, in its unit; and where that is well known."""
     power = np.sum(site**2, 0)
     left = -np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
@@ -171,110 +194,13 @@ def _left_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
     return left, used & (spread < _POORLY_OBSERVED * np.median(spread))
 
 
-def _of_process(found: Diagnosis, k: int, effect: Unnamed, used: Mask) -> list[FindingCurve]:
-    """A nonparametric effect over its driver, or over one of two at some values of the other.
-
-    It and its partial residuals are about its mean over the samples, as a constant may be the calibration's instead.
-    """
-    finding, of = found.findings[k], found.problem.deflections
-    site, unit = site_of(effect.where, effect.component), cast(Literal["m", "rad", "1"], effect.unit)
-    left, good = _left_at(found, found.problem.sites[site], used)
-    drivers, own = np.asarray(effect.values_at(of.host_motion, of.host_loads), float), of.basis(effect)
-    shown = _Process(k, finding, drivers, own, left, good, own[:, good].mean(1), site, unit)
-    return _over_drivers(effect, shown)
-
-
-class _Process(NamedTuple):
-    """A nonparametric finding on the samples: attributes as of `FindingCurve`, and
-
-    Attributes:
-        of: the finding.
-        drivers: `(driver, sample)`.
-        functions: `(function, sample)`.
-        left: `(sample,)`, what the whole model leaves where it acts.
-        good: `(sample,)` bool, the samples that are shown.
-        mean: `(function,)`, about which it is shown.
-    """
-
-    finding: int
-    of: Finding
-    drivers: Array
-    functions: Array
-    left: Array
-    good: Mask
-    mean: Array
-    site: Site
-    unit: Literal["m", "rad", "1", "Nm", "N"]
-
-
-def _over_drivers(effect: Unnamed | UnnamedTorque, of: _Process) -> list[FindingCurve]:
-    """A process over its driver, or over one of two at some values of the other."""
-    k, drivers, good, key, unit = of.finding, of.drivers, of.good, of.site, of.unit
-
-    def shown(functions: Array) -> tuple[Array, Array]:
-        about = functions - of.mean[:, None]
-        return of.of.values @ about, _deviation(about, of.of.covariance)
-
-    def over(main: int, placed: Callable[[Array], Array], rows: Mask, **more: Any) -> FindingCurve:
-        x, waves = drivers[main], more.get("periods", 1.0)
-        at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * waves)))
-        functions = (np.asarray(effect.functions_at(placed(along))) for along in (at, x[rows]))  # type: ignore[arg-type]
-        (curve, std), (moved, _) = map(shown, functions)
-        driver, partial = effect.drivers[main], moved + of.left[rows]
-        return FindingCurve(k, "driver", driver, key, unit, x[rows], partial, at, curve, std, **more)
-
-    if effect.hysteretic:
-        x, (moved, std) = drivers[0], shown(of.functions)
-        order, partial = np.argsort(x, kind="stable"), moved + of.left
-        points = x[order], moved[order], std[order]
-        return [
-            FindingCurve(k, "driver", effect.drivers[0], key, unit, x[good], partial[good], *points, hysteresis=True)
-        ]
-    if len(drivers) == 1:
-        highest = orders_of(effect.bounds)[-1] if effect.kernel == "spectrum" else 0.0
-        return [over(0, lambda x: x[None], good, periods=max(highest * np.ptp(drivers[0]) / (2 * np.pi), 1.0))]
-    main = 1 if effect.drivers[0].discrete else 0
-    second, values = effect.drivers[1 - main], drivers[1 - main]
-    few = np.unique(np.sign(values[good])) if second.discrete else values
-    levels = few[few != 0] if second.discrete else np.percentile(values[good], _LEVELS)
-    nearest = np.argmin(np.abs(values - levels[:, None]), 0)
-    return [
-        over(
-            main,
-            lambda x, level=level: np.stack([x, np.full(len(x), level)][:: -1 if main else 1]),  # type: ignore[misc]
-            good & (nearest == i),
-            beside=(second, float(level)),
-        )
-        for i, level in enumerate(levels)
-    ]
-
-
-def _along_joint(
-    effect: Bending, values: Array, moved: int, joint: int, whole: Motion, at: Array
-) -> tuple[Array, Array]:
-    """What adds at a joint over the position `at` of joint `moved`, counted from 1, and its derivatives by numbers."""
-    q = np.zeros((len(at), whole.dof))
-    q[:, moved - 1] = at
-    motion = motion_of(q, sliding=whole.sliding.joints)
-
-    def angle(numbers: Array) -> Array:
-        bent = effect.deflect(jnp.asarray(numbers), motion, None).joint
-        assert bent is not None
-        return np.asarray(bent)[joint]
-
-    if effect.linear:
-        return angle(values), np.stack([angle(step) for step in np.eye(effect.size)])
-    return angle(values), _slopes(angle, effect, values, 1e-6)
-
-
-def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
+def _displacement_curve(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     """A finding along the direction in which it displaces each measured pose, over the length of that displacement."""
     problem, finding, fit = found.problem, found.findings[k], found.fit
-    effect: Effect = finding.effect
     without = fit.values.copy()
     without[fit.terms.slices[k]] = 0.0
     rows = problem.residual(fit.nuisance, fit.terms, without)
-    columns = problem.columns([effect], finding.values, beside=(fit.terms, fit.values))
+    columns = problem.columns([finding.effect], finding.values, beside=(fit.terms, fit.values))
     scale, unit = 1.0, "sigma"
     if problem.measured.whitener.ndim == 1 and np.sum(columns[:, :3] ** 2) > 0.5 * np.sum(columns**2):
         columns, rows = columns[:, :3], rows[:3]
@@ -283,61 +209,43 @@ def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     size = np.sqrt(np.sum(moved**2, 0))
     safe = np.where(size > 0, size, np.inf)
     partial = -np.sum(moved * rows, 0) / safe
-    along = np.sum(columns * moved, 1) / safe
-    std = _deviation(along, finding.covariance)
-    good = used & (size > 0)
-    x, over = scale * size, "displacement"
+    good, slope = used & (size > 0), scale * np.sum(columns * moved, 1) / safe
+    samples = _Samples(None, unit, scale * size, slope, scale * (partial - size), good)
     if not good.any() or np.ptp(size[good]) < 1e-3 * size.max():  # the same everywhere
-        x, over = problem.recording.row.astype(float), "row"
-    order = np.argsort(x, kind="stable")
-    return FindingCurve(
-        k, over, None, None, unit, x[good], scale * partial[good], x[order], scale * size[order], scale * std[order]
-    )  # fmt: skip
+        return _curve(found, k, "row", None, problem.recording.row.astype(float), samples)
+    return _curve(found, k, "displacement", None, scale * size, samples)
 
 
 def _correlation(a: Array, b: Array) -> float:
     return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
 
 
-def _torque_curves(found: TorqueDiagnosis, k: int) -> list[FindingCurve]:
-    """A finding of one joint over its driver; another over the torque that it adds where it adds most.
+# ------------------------------------------------------------------ of torques
 
-    A named one of several drivers has no curve over one of them: it has a point for each sample.
-    """
+
+def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
+    """A finding of one joint over its driver; another over the torque that it adds where it adds most."""
     problem, fit, finding = found.problem, found.fit, found.findings[k]
-    effect, used = finding.effect, problem.valid
+    effect, used, dynamics = finding.effect, problem.valid, problem.dynamics
     assert isinstance(effect, TorqueEffect)
     moved = added_torque(found, [k])
     j = int(np.argmax(np.sum(as_revolute(moved[:, used], "Nm", problem.data.arm.slides) ** 2, 1)))
-    unit: Literal["N", "Nm"] = "N" if problem.data.arm.slides[j] else "Nm"
-    left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
-    partial = (left + moved)[j, used]
+    columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.sigma[j]
+    left = (problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values))[j]
+    unit = "N" if problem.data.arm.slides[j] else "Nm"
+    samples, kept = _Samples(("joint", j, 0), unit, moved[j], columns, left, used), problem.data.filter.kept
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
-        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.sigma[j]
-        at, std = moved[j, used], _deviation(columns[:, used], finding.covariance)
-        order = np.argsort(at, kind="stable")
-        x = at[order]
-        return [FindingCurve(k, "displacement", None, ("joint", j, 0), unit, at, partial, x, x, std[order])]
-    dynamics, key = problem.dynamics, ("joint", j, 0)
+        return _curve(found, k, "displacement", None, moved[j], samples)
     if isinstance(effect, UnnamedTorque):
-        kept, own = problem.data.filter.kept[problem.chosen], problem.columns([effect])[:, j] * problem.sigma[j]
-        drivers = effect.values_in(dynamics)[:, kept]
-        return _over_drivers(effect, _Process(k, finding, drivers, own, left[j], used, np.zeros(len(own)), key, unit))
-    choices = effect.drivers or (Driver("time"),)
-    driver, loads = choices[0], dynamics.loads
-    values = np.asarray(driver.values(dynamics.motion, loads))
-    x = values[problem.data.filter.kept][problem.chosen][used]
-    if len(choices) > 1:
-        own = moved[j, used]
-        return [FindingCurve(k, "driver", driver, key, unit, x, partial, x, own, np.zeros_like(own), hysteresis=True)]
+        return _process_curve(found, k, samples, effect.values_in(dynamics)[:, kept][:, problem.chosen])
+    driver = next(iter(effect.drivers), Driver("time"))
+    x = np.asarray(driver.values(dynamics.motion, dynamics.loads))
+    if len(effect.drivers) > 1:
+        return _curve(found, k, "driver", driver, x[kept][problem.chosen], samples, scattered=True)
     # not filtered, so that it is a function of its driver
-    order = np.argsort(values, kind="stable")
-    curve, slope = (
-        effect.at_joint(finding.values, dynamics),
-        _slopes(lambda values: effect.at_joint(values, dynamics), effect, finding.values, 1e-4),
-    )
-    std = _deviation(slope, finding.covariance)
-    return [FindingCurve(k, "driver", driver, key, unit, x, partial, values[order], curve[order], std[order])]
+    shown = lambda values: effect.at_joint(values, dynamics)  # noqa: E731
+    points = x, shown(finding.values), _slopes(shown, effect, finding.values)
+    return _curve(found, k, "driver", driver, x[kept][problem.chosen], samples, points=points)
 
 
 def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
@@ -350,9 +258,28 @@ def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
     return whole - rest
 
 
-def _slopes(shown: Callable[[Array], Array], effect: Effect, values: Array, step: float) -> Array:
-    """Derivatives `(number, sample)` of what is shown by numbers, by central differences of so much of their size."""
-    steps = step * np.array([number.typical for number in effect.coordinates])
+# ------------------------------------------------------------------ of both
+
+
+def _process_curve(
+    found: DomainDiagnosis[Any], k: int, of: _Samples, drivers: Array, mean: Array | float = 0.0
+) -> FindingCurve:
+    """A nonparametric effect over its first driver, about a mean of its functions."""
+    finding, x = found.findings[k], drivers[0]
+    effect: Any = finding.effect
+    if effect.hysteretic or len(drivers) > 1:
+        return _curve(found, k, "driver", effect.drivers[0], x, of, scattered=True)
+    highest = orders_of(effect.bounds)[-1] if effect.kernel == "spectrum" else 0.0
+    periods = max(highest * np.ptp(x) / (2 * np.pi), 1.0)
+    at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
+    functions = np.asarray(effect.functions_at(at[None])) - np.reshape(mean, (-1, 1))
+    points = at, finding.values @ functions, functions
+    return _curve(found, k, "driver", effect.drivers[0], x, of, points=points, periods=periods)
+
+
+def _slopes(shown: Callable[[Array], Array], effect: Effect, values: Array) -> Array:
+    """Derivatives `(number, sample)` of what is shown by numbers, by central differences of 1e-4 of their size."""
+    steps = 1e-4 * np.array([number.typical for number in effect.coordinates])
     return np.stack([(shown(values + s) - shown(values - s)) / (2 * s.sum()) for s in np.diag(steps)])
 
 

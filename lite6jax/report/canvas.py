@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.errors import InputError
+from lite6jax.report.words import joint_units
 
 Array = NDArray[np.floating]
 
@@ -176,3 +177,35 @@ def medians(x: Array, y: Array, count: int = BINS, share: float = 0.0) -> tuple[
             deviation = 1.4826 * np.median(np.abs(inside - middle[k]))
             error[k] = np.sqrt(np.pi / 2 / len(inside)) * deviation  # the standard error of a median of normal noise
     return (edges[1:] + edges[:-1]) / 2, middle, error
+
+
+@rc_context(STYLE)
+def errors_over_joints(
+    stages: Sequence[tuple[Array, Array, str]], sliding: Sequence[int], title: str, share: float = 0.0
+) -> Figure:
+    """Position errors against each joint, before and after; lines are medians, where samples are enough.
+
+    Args:
+        stages: positions of the joints `(sample, joint)`, errors `(sample,)` m, and the label of each.
+        sliding: the prismatic joints, from 0.
+        title: of the figure.
+        share: as of `medians`.
+    """
+    joints = stages[0][0].shape[1]
+    scales, units = joint_units(sliding, joints)
+    figure, panels = panels_in_rows(joints, shared=True)
+    styles, line = list(zip(stages, (BEFORE, AFTER), (2, 3), strict=True)), False
+    for joint, panel in enumerate(panels):
+        for (q, errors, _), colour, zorder in styles:
+            dots(panel, scales[joint] * q[:, joint], 1e3 * errors, colour, zorder)
+            at, middle, _ = medians(scales[joint] * q[:, joint], 1e3 * errors, share=share)
+            panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
+            line |= bool(np.isfinite(middle).any())
+        label_joint(panel, joint, units[joint])
+        label_first_column(panel, "position error (mm)")
+    tops = [1e3 * float(np.percentile(errors, 99.5)) for _, errors, _ in stages if len(errors)]
+    panels[0].set_ylim(0, 1.1 * max(tops, default=1.0) or 1.0)
+    for (_, _, label), colour, _ in styles:
+        panels[0].plot([], [], "-o" if line else "o", color=colour, linewidth=2.5, label=label)
+    legend_below(figure, panels[0], 2)
+    return titled(figure, title)

@@ -17,6 +17,7 @@ from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import (
@@ -29,8 +30,8 @@ from lite6jax.report.canvas import (
     blank,
     degree_ticks,
     dots,
+    errors_over_joints,
     label_first_column,
-    label_joint,
     legend_below,
     medians,
     panels_in_rows,
@@ -88,8 +89,8 @@ def drawings(
         yield "error_by_joint", torque_error_by_joint(found, title)
         yield "over_time", over_time(found, title)
         yield "friction", friction(found, title)
-        if (shown := evidence_map.spectra(found)) is not None:
-            yield "spectra", spectra(found, shown, title)
+        if found.problem.data.recording.motion != "static":
+            yield "spectra", spectra(found, title)
     else:
         yield "error_by_joint", error_by_joint(found, title)
         yield "where", explained_map(found, title)
@@ -101,31 +102,15 @@ def drawings(
 # ------------------------------------------------------------------ of poses
 
 
-@rc_context(STYLE)
 def error_by_joint(found: Diagnosis, title: str) -> Figure:
-    """Held-out position error against each joint, before and after; lines are medians, where samples are enough."""
+    """Held-out position error against each joint, before and after."""
     kept = ~found.outliers & np.isfinite(found.before) & np.isfinite(found.after)
-    scales, units = joint_units(found.problem.arm.sliding, found.problem.motion.dof)
-    q = scales[:, None] * np.asarray(found.problem.motion.joint_position)[:, kept]
-    errors = [1e3 * found.before[kept], 1e3 * found.after[kept]]
-    figure, panels = panels_in_rows(len(q), shared=True)
-    line = False
-    for joint, panel in enumerate(panels):
-        for (_, colour), error in zip(_STAGES, errors, strict=True):
-            dots(panel, q[joint], error, colour, 3)
-            at, middle, _ = medians(q[joint], error, share=_THIN)
-            panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
-            line |= bool(np.isfinite(middle).any())
-        label_joint(panel, joint, units[joint])
-        label_first_column(panel, "position error (mm)")
-    top = max((float(np.percentile(error, 99.5)) for error in errors if len(error)), default=1.0)
-    panels[0].set_ylim(0, 1.1 * top or 1.0)
-    for (name, colour), error in zip(_STAGES, errors, strict=True):
-        rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
-        label, style = f"{name}: {rms:.3g} mm RMS, held out", "-o" if line else "o"
-        panels[0].plot([], [], style, color=colour, linewidth=2.5, label=label)
-    legend_below(figure, panels[0], 2)
-    return titled(figure, f"{title}: held-out position error before and after")
+    q, stages = np.asarray(found.problem.motion.joint_position)[:, kept].T, []
+    for name, errors in (("before", found.before[kept]), ("after", found.after[kept])):
+        rms = 1e3 * float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+        stages.append((q, errors, f"{name}: {rms:.3g} mm RMS, held out"))
+    title = f"{title}: held-out position error before and after"
+    return errors_over_joints(stages, found.problem.arm.sliding, title, share=_THIN)
 
 
 @rc_context(FRAMED)
@@ -248,16 +233,16 @@ def torque_error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
 @rc_context(STYLE)
 def over_time(found: TorqueDiagnosis, title: str) -> Figure:
     """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
-    shown, exerted = evidence_map.torques_over_time(found), _exerted(found)
-    lines = (
-        ("measured", shown.measured, {"color": "black", "linewidth": 3.5, "alpha": 0.35}),
-        ("rigid body", shown.rigid, {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"}),
-        ("modelled, with the findings", shown.modelled, {"color": AFTER, "linewidth": 1.6}),
+    (time, torques), exerted = evidence_map.torques_over_time(found), _exerted(found)
+    styles: tuple[dict[str, Any], ...] = (
+        {"color": "black", "linewidth": 3.5, "alpha": 0.35},
+        {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"},
+        {"color": AFTER, "linewidth": 1.6},
     )
-    figure, panels = panels_in_rows(len(shown.measured), wide=True)
+    figure, panels = panels_in_rows(len(exerted), wide=True)
     for j, panel in enumerate(panels):
-        for name, torque, style in lines:
-            panel.plot(shown.time, torque[j], label=name, **style)  # type: ignore[arg-type]
+        for (name, torque), style in zip(torques.items(), styles, strict=True):
+            panel.plot(time, torque[j], label=name, **style)
         what, unit = exerted[j]
         panel.set(xlabel="time (s)", ylabel=f"{what} of joint {j + 1} ({unit})")
         panel.xaxis.set_major_locator(MaxNLocator(5))
@@ -290,19 +275,21 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def spectra(found: TorqueDiagnosis, shown: evidence_map.Spectra, title: str) -> Figure:
-    """Spectra of the recorded velocities and torques of each joint, and where the low passes cut them."""
+def spectra(found: TorqueDiagnosis, title: str) -> Figure:
+    """Power spectra of the recorded velocities and torques, without spikes, and where the low passes cut them."""
     data = found.problem.data
     slides = bool(data.arm.sliding)
     of_velocity, of_torque = ("(rad/s or m/s)²/Hz", "Nm²/Hz or N²/Hz") if slides else ("(rad/s)²/Hz", "Nm²/Hz")
+    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.filter)
+    torque = filtering.spectra(data.torque, data.filter)[1]
     parts = (
-        ("velocity", of_velocity, shown.velocity, data.motion_cutoff),
-        ("torque", of_torque, shown.torque, data.filter.cutoff),
+        ("velocity", of_velocity, velocity, data.motion_cutoff),
+        ("torque", of_torque, torque, data.filter.cutoff),
     )
     figure, panels = panels_in_rows(len(parts), wide=True)
     for panel, (name, unit, power, cutoff) in zip(panels, parts, strict=True):
         for joint, row in enumerate(power, 1):
-            panel.plot(shown.frequency, np.maximum(row, 1e-300), linewidth=1.2, label=f"joint {joint}")
+            panel.plot(frequency, np.maximum(row, 1e-300), linewidth=1.2, label=f"joint {joint}")
         panel.axvline(cutoff, color="black", linestyle="--", linewidth=1.6, label="cutoff of the low pass")
         largest = float(power.max(initial=1e-12))
         panel.set(xscale="log", yscale="log", xlabel="frequency (Hz)", ylabel=f"power of the {name} ({unit})")
@@ -339,8 +326,6 @@ _DEFLECTIONS = {
     "N": (1.0, "N"),
     "sigma": (1.0, "std. deviations"),
 }
-_LEVELS = ((AFTER, "o"), (BEFORE, "s"), ("#009E73", "^"))
-"""Colours and markers of curves that differ in the value of a second driver."""
 _EXERTED = {"Nm": "torque", "N": "force"}
 """What a motor exerts, by its unit."""
 _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
@@ -363,21 +348,17 @@ def finding_figure(
     """
     order = range(len(found.findings)) if order is None else order
     places = order if chosen is None else chosen
-    shown: list[list[FindingCurve]] = []
-    for k in places:
-        curves = partial_residuals.finding_curves(found, k)
-        shown += [curves] if curves[0].beside else [[curve] for curve in curves]
-    figure, panels = panels_in_rows(len(shown), wide=True)
+    curves = [curve for k in places for curve in partial_residuals.finding_curves(found, k)]
+    figure, panels = panels_in_rows(len(curves), wide=True)
     binned = False
-    for panel, curves in zip(panels, shown, strict=True):
-        curve = curves[0]
+    for panel, curve in zip(panels, curves, strict=True):
         effect = found.findings[curve.finding].effect
-        binned |= _draw(panel, curves, isinstance(effect, Unnamed))
+        binned |= _draw(panel, curve, isinstance(effect, Unnamed))
         number = order.index(curve.finding) + 1
         name = "unnamed effect" if effect.nonparametric else effect_name(effect.name)
         panel.set_title(f"{number}. {name}, {effect.site}", fontsize=13)
     panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
-    if not all(curve.hysteresis for curves in shown for curve in curves):
+    if not all(curve.scattered for curve in curves):
         panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="95 % band")
     if binned:
         label = "partial residuals: medians ± std. error"
@@ -388,55 +369,38 @@ def finding_figure(
     return titled(figure, title)
 
 
-def _draw(panel: Axes, curves: Sequence[FindingCurve], unnamed: bool = False) -> bool:
-    """Draws a curve into a panel, or several that differ in the value of a second driver; says whether it drew medians.
+def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
+    """Draws a curve into a panel, with medians of the partial residuals; says whether there are some.
 
-    Of one curve the partial residuals have medians beside them. An unnamed effect of poses is about its mean.
+    An unnamed effect of poses is about its mean.
     """
-    x_scale, across, angle = _across(curves[0])
-    y_scale, up = _up(curves[0], unnamed)
+    x_scale, across, angle = _across(curve)
+    y_scale, up = _up(curve, unnamed)
     panel.set(xlabel=across, ylabel=up)
-    alone, lows, highs, binned = len(curves) == 1, [0.0], [0.0], False
-    lines, labels = [], []
-    for curve, (colour, marker) in zip(curves, _LEVELS, strict=False):
-        x, seen, at, fitted, std = (
-            x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at, y_scale * curve.curve,
-            y_scale * curve.std,
-        )  # fmt: skip
-        dots(panel, x, seen, GREY if alone else colour)
-        if curve.hysteresis:
-            panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
-            return False
-        panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=colour, alpha=0.3, linewidth=0, zorder=3)
+    x, seen, at = x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at
+    fitted, std, binned = y_scale * curve.curve, y_scale * curve.std, False
+    discrete = curve.quantity is not None and curve.quantity.discrete
+    dots(panel, x, seen, GREY)
+    if curve.scattered:
+        panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
+    else:
+        panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
         bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
         many = bins > BINS
-        (line,) = panel.plot(at, fitted, color=colour, linewidth=1.5 if many else 2.5, zorder=4)
-        if curve.beside is not None:
-            line.set(marker=marker, markersize=8, markevery=(len(at) // 12, len(at) // 6))
-            driver, value = curve.beside
-            scale, unit = _DRIVERS.get(driver.unit, (1.0, driver.unit))
-            lines, labels = [*lines, line], [*labels, f"{driver.phrase} = {scale * value:.3g} {unit}".rstrip()]
-        if alone:
-            discrete = curve.quantity is not None and curve.quantity.discrete
-            centre, middle, error = medians(x, seen, 3 if discrete else bins)
-            centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
-            size, cap = (3, 0) if many else (5, 3)
-            panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
-            binned = bool(np.isfinite(middle).any())
-        inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
-        lows += [inner[0], fitted.min()]
-        highs += [inner[1], fitted.max()]
-    margin = 0.1 * (max(highs) - min(lows) or 1.0)
-    panel.set_ylim(min(lows) - margin, max(highs) + margin)
-    if labels:
-        panel.set_ylim(top=max(highs) + 4 * margin)
-        panel.legend(lines, labels, frameon=False, loc="upper center", fontsize=11)
-    if curves[0].quantity is not None and curves[0].quantity.discrete:
+        panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)
+        centre, middle, error = medians(x, seen, 3 if discrete else bins)
+        centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
+        size, cap = (3, 0) if many else (5, 3)
+        panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
+        binned = bool(np.isfinite(middle).any())
+    inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
+    low, high = min(0.0, inner[0], fitted.min()), max(0.0, inner[1], fitted.max())
+    margin = 0.1 * (high - low or 1.0)
+    panel.set_ylim(low - margin, high + margin)
+    if discrete:
         panel.set_xticks((-1, 0, 1))
-    elif angle:
-        panel.xaxis.set_major_locator(degree_ticks(panel))
     else:
-        panel.xaxis.set_major_locator(MaxNLocator(4))
+        panel.xaxis.set_major_locator(degree_ticks(panel) if angle else MaxNLocator(4))
     return binned
 
 

@@ -1,13 +1,14 @@
 """What `--json` prints of a command whose result has no file format of its own: plain values, SI units in the names.
 
-To add a kind of result, register a function with `document` here.
+To add a kind of result, write its fields into `_FIELDS`.
 """
 
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, is_dataclass
 from functools import singledispatch
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -41,17 +42,72 @@ def line(found: Mapping[str, Any]) -> str:
     return json.dumps(_plain(found), allow_nan=False)
 
 
+_FIELDS: dict[type, tuple[str, str]] = {
+    Comparison: ("comparison", "arm=arm.name files=sources between_max_m=between"),
+    Plan: (
+        "design",
+        "arm=experiment.arm.name poses=count candidates criterion rank=design.rank position_std_m=accuracy"
+        " random_position_std_m=random_median worth_random_poses=worth needed joint_position_rad=joint_position",
+    ),
+    DiscriminationPlan: (
+        "discrimination",
+        "arm=experiment.arm.name poses=count candidates rivals both_ways distance random_distance"
+        " joint_position_rad=joint_position",
+    ),
+    TorquePlan: (
+        "motion",
+        "duration_s=room.duration harmonics=room.harmonics identification"
+        " log_determinant=identification.log_determinant random_log_determinant",
+    ),
+    Conversion: ("conversion", "arm=arm.name form left_out difference_m=difference"),
+    RecordingCheck: ("check", "data_faults=faults ruled_out causes notes"),
+    CalibrationRead: (
+        "calibration",
+        "arm=calibration.arm.name kinematics=calibration.kinematics controller_error=error",
+    ),
+    Solution: (
+        "fit",
+        "arm=arm.name result=result.name steps quality held T_sensor_base=model.T_sensor_base"
+        " T_flange_tool=model.T_flange_tool before=nominal_errors fitted=errors after=checked noise data_faults=faults"
+        " notes",
+    ),
+    Compensation: ("compensation", "omitted notes"),
+    Sensitivity: ("sensitivity", ""),
+}
+"""Of a class the name of its schema, and the keys of its document, each with the attribute that it holds where that has
+another name. What is no attribute of a class is added by `document`."""
+
+
 @singledispatch
-def document(result: Any) -> dict[str, Any]:
+def _more(found: Any) -> dict[str, Any]:
+    """What a document has beside attributes of the result."""
+    return {}
+
+
+def document(found: Any) -> dict[str, Any]:
     """The document of a result.
 
     Raises:
-        TypeError: a class for which no function is registered here.
+        TypeError: a class that has none.
     """
-    raise TypeError(f"{type(result).__name__} has no document in lite6jax.report.documents; register a function")
+    if isinstance(found, Identification):
+        return found.to_dict()
+    if isinstance(found, list):  # possible causes of an error of a calibration
+        return {"schema": "lite6jax/check/1", "causes": found}
+    if not has_document(type(found)):
+        raise TypeError(f"{type(found).__name__} has no document in lite6jax.report.documents; add its fields")
+    schema, fields = _FIELDS[type(found)]
+    pairs = (field.partition("=") for field in fields.split())
+    values = {key: attrgetter(attribute or key)(found) for key, _, attribute in pairs}
+    return {"schema": f"lite6jax/{schema}/1", **values, **_more(found)}
 
 
-@document.register
+def has_document(kind: type) -> bool:
+    """Whether results of a class have a document."""
+    return kind in _FIELDS or kind is Identification
+
+
+@_more.register
 def _solution(found: Solution) -> dict[str, Any]:
     chain = found.form.chain
     deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
@@ -59,22 +115,41 @@ def _solution(found: Solution) -> dict[str, Any]:
         "name": chain.names, "unit": chain.units, "value": found.parameters, "std": deviation, "free": found.free,
         "determined": found.determined, "prior_share": found.prior_share,
     }  # fmt: skip
+    return {"result": found.result.name.lower(), "parameters": list(_rows(**columns))}
+
+
+@_more.register
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
+    moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
+    parameters = _rows(
+        name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
+        orientation_rms_rad=turned, share=found.share,
+    )  # fmt: skip
+    expected = float(np.sqrt(np.mean(found.expected_error**2)))
+    return {"expected_position_rms_m": expected, "parameters": list(parameters)}
+
+
+@_more.register
+def _comparison(found: Comparison) -> dict[str, Any]:
+    form = found.arm.form
+    parameters = _rows(name=form.names, unit=form.units, difference=found.difference.T, std=found.spread)
+    distances = [{key: float(statistic(own)) for key, statistic in STATISTICS} for own in found.from_nominal]
+    return {"parameters": list(parameters), "from_nominal_m": distances}
+
+
+@_more.register
+def _compensation(found: Compensation) -> dict[str, Any]:
+    missed, sliding = np.flatnonzero(~found.reached), found.recording.sliding
+    not_reached = _rows(
+        row=found.recording.row[missed],
+        reason=[reason_text(found.reason[k], sliding) for k in missed],
+        position_error_m=found.position_error[missed],
+    )
     return {
-        "schema": "lite6jax/fit/1",
-        "arm": found.arm.name,
-        "result": found.result.name.lower(),
-        "steps": found.steps,
-        "quality": found.quality.to_dict(),
-        "parameters": list(_rows(**columns)),
-        "held": [asdict(each) for each in found.held],
-        "T_sensor_base": found.model.T_sensor_base,
-        "T_flange_tool": found.model.T_flange_tool,
-        "before": _errors(found.nominal_errors),
-        "fitted": _errors(found.errors),
-        "after": _errors(found.checked),
-        "noise": None if found.noise is None else asdict(found.noise),
-        "data_faults": [fault.to_dict() for fault in found.faults],
-        "notes": found.notes,
+        "targets": len(found.reached),
+        "reached": int(found.reached.sum()),
+        "outside": None if found.outside is None else int(found.outside.sum()),
+        "not_reached": list(not_reached),
     }
 
 
@@ -93,22 +168,6 @@ def _errors(errors: Errors) -> dict[str, float]:
     return found
 
 
-@document.register
-def _comparison(found: Comparison) -> dict[str, Any]:
-    form = found.arm.form
-    return {
-        "schema": "lite6jax/comparison/1",
-        "arm": found.arm.name,
-        "files": found.sources,
-        "parameters": [
-            {"name": name, "unit": unit, "difference": found.difference[:, i], "std": found.spread[i]}
-            for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True))
-        ],
-        "from_nominal_m": [{key: float(statistic(own)) for key, statistic in STATISTICS} for own in found.from_nominal],
-        "between_max_m": found.between,
-    }
-
-
 def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
     """The document of the fits of a folder."""
     return {
@@ -122,113 +181,6 @@ def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
 def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The document of the diagnoses of a folder's recordings."""
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
-
-
-@document.register
-def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
-    parameters = _rows(
-        name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
-        orientation_rms_rad=turned, share=found.share,
-    )  # fmt: skip
-    return {
-        "schema": "lite6jax/sensitivity/1",
-        "expected_position_rms_m": float(np.sqrt(np.mean(found.expected_error**2))),
-        "parameters": list(parameters),
-    }
-
-
-document.register(Identification, Identification.to_dict)
-
-
-@document.register(Plan)
-@document.register(DiscriminationPlan)
-def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
-    about = {"arm": found.experiment.arm.name, "poses": found.count, "candidates": found.candidates}
-    if isinstance(found, DiscriminationPlan):
-        about = {"schema": "lite6jax/discrimination/1", **about}
-        about |= {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
-    else:
-        about = {
-            "schema": "lite6jax/design/1",
-            **about,
-            "criterion": found.criterion,
-            "rank": found.design.rank,
-            "position_std_m": found.accuracy,
-            "random_position_std_m": found.random_median,
-            "worth_random_poses": found.worth,
-            "needed": found.needed,
-        }
-    return {**about, "joint_position_rad": found.joint_position}
-
-
-@document.register
-def _motion(found: TorquePlan) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/motion/1",
-        "duration_s": found.room.duration,
-        "harmonics": found.room.harmonics,
-        "identification": found.identification.to_dict(),
-        "log_determinant": found.identification.log_determinant,
-        "random_log_determinant": found.random_log_determinant,
-    }
-
-
-@document.register
-def _conversion(done: Conversion) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/conversion/1",
-        "arm": done.arm.name,
-        "form": done.form,
-        "left_out": done.left_out,
-        "difference_m": done.difference,
-    }
-
-
-@document.register
-def _compensation(found: Compensation) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/compensation/1",
-        "targets": len(found.reached),
-        "reached": int(found.reached.sum()),
-        "outside": None if found.outside is None else int(found.outside.sum()),
-        "omitted": found.omitted,
-        "not_reached": [
-            {
-                "row": found.recording.row[k],
-                "reason": reason_text(found.reason[k], found.recording.sliding),
-                "position_error_m": found.position_error[k],
-            }
-            for k in np.flatnonzero(~found.reached)
-        ],
-        "notes": found.notes,
-    }
-
-
-@document.register
-def _check(found: RecordingCheck) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/check/1",
-        "data_faults": [fault.to_dict() for fault in found.faults],
-        "ruled_out": [fault.to_dict() for fault in found.ruled_out],
-        "causes": [asdict(cause) for cause in found.causes],
-        "notes": found.notes,
-    }
-
-
-@document.register
-def _causes(found: list) -> dict[str, Any]:
-    return {"schema": "lite6jax/check/1", "causes": [asdict(cause) for cause in found]}
-
-
-@document.register
-def _calibration(read: CalibrationRead) -> dict[str, Any]:
-    return {
-        "schema": "lite6jax/calibration/1",
-        "arm": read.calibration.arm.name,
-        "kinematics": read.calibration.kinematics,
-        "controller_error": read.error,
-    }
 
 
 def prediction_document(found: Prediction, registration: Registration | None) -> dict[str, Any]:
@@ -250,6 +202,12 @@ def _plain(value: Any) -> Any:
     """Values of JSON alone."""
     if isinstance(value, Mapping):
         return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, Errors):
+        return _plain(_errors(value))
+    if callable(getattr(value, "to_dict", None)):
+        return _plain(value.to_dict())
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
     if isinstance(value, np.ndarray) or hasattr(value, "__array__"):
         return _plain(np.asarray(value).tolist())
     if isinstance(value, list | tuple):

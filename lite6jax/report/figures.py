@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from lite6jax.calibration.fleet import Comparison
-from lite6jax.calibration.solution import Errors, Solution
+from lite6jax.calibration.solution import Solution
 from lite6jax.controller.sdk import GATE_M, Verification
 from lite6jax.report.canvas import (
     AFTER,
@@ -20,10 +20,10 @@ from lite6jax.report.canvas import (
     STYLE,
     blank,
     dots,
+    errors_over_joints,
     label_first_column,
     label_joint,
     legend_below,
-    medians,
     panels_in_rows,
     titled,
 )
@@ -42,25 +42,15 @@ _MOST_CURVES = 5
 # ------------------------------------------------------------------ fits and comparisons
 
 
-@rc_context(STYLE)
 def error_by_joint(solution: Solution, title: str) -> Figure:
     """Position error against each joint, with medians: of the nominal arm, and of the fitted one on other samples."""
-    before, after = solution.nominal_errors, solution.checked
-    joints = after.joint_position.shape[1]
-    scales, units = joint_units(solution.arm.sliding, joints)
-    figure, panels = panels_in_rows(joints, shared=True)
-    for joint, panel in enumerate(panels):
-        for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
-            position, millimetres = scales[joint] * errors.joint_position[:, joint], 1e3 * errors.position
-            dots(panel, position, millimetres, colour, zorder)
-            at, middle, _ = medians(position, millimetres)
-            panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
-        label_joint(panel, joint, units[joint])
-        label_first_column(panel, "position error (mm)")
-    panels[0].set_ylim(0, _upper(before, after))
-    figure.suptitle(title, fontsize=15)
-    _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
-    return figure
+    where = "on held-out blocks" if solution.noise else "on fresh samples"
+    stages = []
+    for name, errors in (("nominal", solution.nominal_errors), (f"fitted, {where}", solution.checked)):
+        sizes = (1e3 * errors.position_rms, 1e3 * float(errors.position.max()))
+        rms, most = (f"{size:.1e}" if 0 < size < 1e-3 else f"{size:#.3g}" for size in sizes)
+        stages.append((errors.joint_position, errors.position, f"{name}: {rms} mm RMS, {most} mm at most"))
+    return errors_over_joints(stages, solution.arm.sliding, title)
 
 
 @rc_context(STYLE)
@@ -114,21 +104,6 @@ def distance_between(comparison: Comparison) -> Figure:
         panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
     figure.colorbar(image, label="largest distance of the flanges (mm)")
     return titled(figure, f"{count} × {comparison.arm.name}: largest distance")
-
-
-def _legend(figure: Figure, before: Errors, after: Errors, where: str) -> None:
-    panel = figure.axes[0]
-    for name, errors, colour in (("nominal", before, BEFORE), (f"fitted, {where}", after, AFTER)):
-        sizes = (1e3 * errors.position_rms, 1e3 * float(errors.position.max()))
-        rms, most = (f"{size:.1e}" if 0 < size < 1e-3 else f"{size:#.3g}" for size in sizes)
-        label = f"{name}: {rms} mm RMS, {most} mm at most"
-        panel.plot([], [], "-o", color=colour, linewidth=2.5, label=label)
-    legend_below(figure, panel, 2)
-
-
-def _upper(*found: Errors) -> float:
-    """The upper end of an axis in mm, above the 99.5th percentile of the errors."""
-    return 1.1 * max(1e3 * float(np.percentile(errors.position, 99.5)) for errors in found) or 1.0
 
 
 def _short(name: str, k: int) -> str:

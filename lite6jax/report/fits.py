@@ -1,10 +1,9 @@
 """What a terminal shows of a fit, and of a comparison of arms: in mm and degrees, for 60 columns or more."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
@@ -19,13 +18,13 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.data_faults import fault_statement
+from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,
     STATISTICS,
-    counted,
     fixed,
     listed,
     listing,
@@ -34,8 +33,7 @@ from lite6jax.report.words import (
     what_is_measured,
 )
 
-_MOST_ROWS = 5
-_MOST_ARMS = 12
+_TEXTS = read_texts("screens.yaml")
 _MOST_PAIRS = 8
 """Arms of which each pair is listed."""
 
@@ -49,23 +47,23 @@ def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
     """The recording, and which parameters the fit estimates according to its sidecar."""
-    settings = recording.settings
-    kind = what_is_measured(recording)
-    by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
+    settings, chain = recording.settings, solution.form.chain
     yield Text(recording.source, no_wrap=True, overflow="ignore")
-    yield Text(
-        f"Recording of {recording.samples} samples, {recording.dof} joints of a {solution.arm.name}: {kind}{by}."
-    )
-    chain = "nominal, fitted"
-    if recording.touches is not None and settings.factory_calibration is None:
-        length, angle = TOUCHED_TOLERANCE
-        chain = f"nominal, fitted near it: each number within {1e3 * length:g} mm or {1e3 * angle:g} mrad (one sigma)"
-    elif not isinstance(solution.form.chain, HayatiForm):
-        moved = bool(solution.free[: solution.form.chain.size].any())
-        chain = "the factory calibration, fitted within its uncertainty" if moved else "the factory calibration, held"
-    frame = "unknown, fitted" if solution.form.frame else "the arm's base"
-    tool = "unknown, fitted" if solution.form.tool else "none" if settings.tool == "none" else "as declared"
-    yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+    facts = {
+        "recording": recording,
+        "arm": solution.arm.name,
+        "kind": what_is_measured(recording),
+        "by": settings.pose_source,
+        "form": solution.form,
+        "tool": settings.tool,
+        "touched": TOUCHED_TOLERANCE
+        if recording.touches is not None and settings.factory_calibration is None
+        else None,
+        "nominal": isinstance(chain, HayatiForm),
+        "moved": bool(solution.free[: chain.size].any()),
+    }
+    yield Text(fill(_TEXTS["recording_read"], facts))
+    yield Text(fill(_TEXTS["geometry"], facts))
     yield from screen.notes(_notes_of_data(solution))
 
 
@@ -119,18 +117,8 @@ def _notes_of_data(solution: Solution) -> tuple[str, ...]:
 
 
 def _result_line(solution: Solution, recorded: bool) -> str:
-    steps = counted(solution.steps, "step")
-    if solution.result != Result.CONVERGED:
-        return f"The fit {solution.result.message} ({steps}); the values below are those of its last step."
-    before, after = (1e3 * e.position_rms for e in (solution.nominal_errors, solution.checked))
-    if recorded:
-        return f"Converged in {steps}: {number(after, 3)} mm RMS on held-out rows, {number(before, 3)} mm before."
-    worst = 1e3 * float(solution.checked.position.max())
-    most = 1e3 * float(solution.nominal_errors.position.max())
-    return (
-        f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
-        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
-    )
+    facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
+    return fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked)
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
@@ -263,16 +251,14 @@ def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
         recording: of touches.
         frame: whether the frame of their points is another than the arm's base.
     """
-    kind, settings = recording.touches.kind, recording.settings  # type: ignore[union-attr]
-    if not frame:
-        yield "Where the arm's base stands in the room is not determined: all coordinates are in the base's own frame."
-    yield "The tool's orientation, and with it the zero angle of the last joint, is not determined: one point is seen."
-    if settings.factory_calibration is not None:
-        yield "The scale is that of the factory calibration."
-    elif kind == "contact" and settings.contact_distances:
-        yield "The scale is that of the known distances between contacts."
-    elif kind in ("distance", "axis"):
-        yield "The scale is that of the readings."
+    settings = recording.settings
+    facts = {
+        "frame": frame,
+        "kind": recording.touches.kind,  # type: ignore[union-attr]
+        "calibrated": settings.factory_calibration is not None,
+        "distances": settings.contact_distances,
+    }
+    yield from (said for text in _TEXTS["gauge"] if (said := fill(text, facts)))
 
 
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
@@ -289,32 +275,20 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
         reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
         yield f"  {', '.join(names)}: {reason}"
     if (noise := solution.noise) is not None:
-        found = f"{number(1e3 * noise.position)} mm"
-        if noise.orientation is not None:
-            found += f", {number(np.rad2deg(noise.orientation))} deg"
-        if noise.declared is None or (ratio := noise.over_declared) is None:
-            yield f"Noise per axis: not declared; the residuals have {found}."
-        else:
-            parts = zip(noise.declared, ("m", "rad"), strict=True)
-            told = ((value, *SCREEN[unit]) for value, unit in parts if value is not None)
-            declared = ", ".join(f"{number(scale * value)} {unit}" for value, scale, unit in told)
-            verdict = f"{ratio:.0f} times it: this geometry does not explain the rest"
-            verdict = "as declared" if ratio < ABOVE_NOISE else verdict
-            yield f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}."
-    weight, low = solution.weight, np.flatnonzero(solution.outlying)
-    if not low.size:
-        yield f"No outliers among {len(weight)} samples."
-        return
-    rows = recording.row[low[np.argsort(weight[low])]]
-    named, more = ", ".join(map(str, rows[:_MOST_ROWS])), ", …" if len(rows) > _MOST_ROWS else ""
-    yield f"{len(rows)} of {len(weight)} samples are outliers with weights below {DOWNWEIGHTED:g}: rows {named}{more}."
+        told = [] if noise.declared is None else zip(noise.declared, SCREEN.values(), strict=True)
+        declared = ", ".join(f"{number(scale * value)} {unit}" for value, (scale, unit) in told if value is not None)
+        facts = {"noise": noise, "ratio": noise.over_declared, "above": ABOVE_NOISE}
+        yield fill(_TEXTS["noise"], facts, declared="" if noise.over_declared is None else declared)
+    low = np.flatnonzero(solution.outlying)
+    rows = recording.row[low[np.argsort(solution.weight[low])]].tolist()
+    yield fill(_TEXTS["outliers"], {"rows": rows, "samples": len(solution.weight), "below": DOWNWEIGHTED})
 
 
 # ------------------------------------------------------------------ comparisons
 
 
 def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
-    """A comparison of arms of one model."""
+    """A comparison of arms of one model; the differences of each are listed where they fit beside each other."""
     names, form = comparison.names, comparison.arm.form
     arms = len(names)
     yield Text(
@@ -328,14 +302,17 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         table.add_row(str(k + 1), *cells, Text(names[k], overflow="fold"))
     yield table
     yield ""
-    shown = list(range(arms)) if arms <= _MOST_ARMS else []
-    fitting = max(1, (width - 32) // 9)
-    blocks = [shown[i : i + fitting] for i in range(0, len(shown), fitting)] or [[]]
-    for block in blocks:
-        which = f", arms {block[0] + 1}–{block[-1] + 1}" if len(blocks) > 1 else ""
-        yield Text(f"Hayati parameters minus nominal{which}")
-        yield _differences_table(comparison, block)
-        yield ""
+    shown = range(arms) if 32 + 9 * arms <= width else ()
+    rows = []
+    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
+        scale, named = SCREEN[unit]
+        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
+        if largest >= SHOWS_AS_ZERO:
+            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
+            rows.append((name, named, *own, f"{spread:.4f}", f"{largest:.4f}"))
+    yield Text("Hayati parameters minus nominal")
+    yield listing("", "", *(str(k + 1) for k in shown), "std", "largest", rows=rows)
+    yield ""
     scale = np.array([SCREEN[unit][0] for unit in form.units])
     equal = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
     if equal:
@@ -347,18 +324,6 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f} deg per parameter (RMS)."
     )
     yield from _pairwise_distances(comparison)
-
-
-def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
-    form = comparison.arm.form
-    rows = []
-    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
-        scale, shown = SCREEN[unit]
-        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
-        if largest >= SHOWS_AS_ZERO:
-            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
-            rows.append((name, shown, *own, f"{spread:.4f}", f"{largest:.4f}"))
-    return listing("", "", *(str(k + 1) for k in arms), "std", "largest", rows=rows)
 
 
 def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:

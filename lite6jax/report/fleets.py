@@ -12,8 +12,9 @@ from rich.text import Text
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
+from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
-from lite6jax.report.words import counted, listing, number, quantity
+from lite6jax.report.words import capital, counted, listing, number, quantity
 from lite6jax.schema import FLEET
 
 Document = Mapping[str, Any]
@@ -127,7 +128,8 @@ def population_report(document: Document) -> Iterator[RenderableType]:
     yield Text(_headline(document))
     for k, effect in enumerate(effects, 1):
         yield ""
-        yield Text(f"{k}. {title(effect)}: p = {effect['p_value']:.1e}, found {_FOUND_BY[effect['found_by']]}.")
+        found_by = _FOUND_BY[effect["found_by"]]
+        yield Text(f"{k}. {capital(_title(effect))}: p = {effect['p_value']:.1e}, found {found_by}.")
         if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
             table = listing("", "mean", "95 % interval", "between arms", "unit")
             for name, each in effect["parameters"].items():
@@ -164,16 +166,8 @@ def _headline(document: Document) -> str:
     return said
 
 
-def title(effect: Document) -> str:
-    """An effect with its site, and its order or source."""
-    if effect["effect"] == "unnamed":
-        return f"a function of {effect['driver']} without a name, {effect['site']}"
-    name = effect["effect"].replace("_", " ")
-    if "order" in effect:
-        name += f" of order {effect['order']:g}"
-    if "source_joint" in effect:
-        name += f" to joint {effect['source_joint']}"
-    return f"{name}, {effect['site']}"
+def _title(effect: Document) -> str:
+    return effect_title({**effect, "parameters": {}})
 
 
 def remarks(effect: Document) -> Iterator[str]:
@@ -181,16 +175,14 @@ def remarks(effect: Document) -> Iterator[str]:
     if effect["effect"] == "unnamed":
         nearest = ""
         if near := effect.get("nearest"):
-            nearest = f"; the nearest, {title(near)}, explains {100 * near['share']:.0f} % of it"
+            nearest = f"; the nearest, {_title(near)}, explains {100 * near['share']:.0f} % of it"
         yield f"No effect of the catalogue describes it{nearest}."
         if "curve" in effect:
             mean = effect["curve"]["mean"]
-            size = {"value": max(mean) - min(mean), "std": 0.0}
-            yield f"The range of its mean: {_shown(effect['curve']['name'], size)}."
+            yield f"The range of its mean: {_shown(effect['curve']['name'], max(mean) - min(mean))}."
     for name in ("amplitude_rms_rad", "amplitude_rms_Nm"):
         if name in effect:
-            size = {"value": effect[name], "std": 0.0}
-            yield f"Root mean square of its amplitude over the arms: {_shown(name, size)}."
+            yield f"Root mean square of its amplitude over the arms: {_shown(name, effect[name])}."
     if effect["between_p_value"] < 0.01:
         p = effect["between_p_value"]
         yield f"The arms differ from each other by more than their uncertainty (p = {p:.1e})."
@@ -201,9 +193,9 @@ def remarks(effect: Document) -> Iterator[str]:
             yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
     near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]
     if near:
-        yield f"Not distinguished from {', '.join(title(rival) for rival in near)}."
+        yield f"Not distinguished from {', '.join(map(_title, near))}."
 
 
-def _shown(name: str, estimate: Mapping[str, float]) -> str:
-    found = quantity(name, estimate)
+def _shown(name: str, value: float) -> str:
+    found = quantity(name, {"value": value, "std": 0.0})
     return f"{number(float(found.value))} {found.unit}"

@@ -5,6 +5,7 @@ To add a kind, let its class inherit `lite6jax.results.PublicResult`, and regist
 class, as a table, and a diagnosis as a page; a class whose file is another one registers a function with `write`.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 from matplotlib import rc_context
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
@@ -37,35 +36,84 @@ from lite6jax.report import diagnosis_figures, figures
 from lite6jax.report.canvas import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.compensation import compensation_columns
 from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
-from lite6jax.report.documents import document, text
+from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.pages import page_text
 from lite6jax.report.statements import with_statements
-from lite6jax.report.words import joint_units, torque_units
+from lite6jax.report.words import SCREEN
 from lite6jax.results import Figures, PublicResult, draw, tabulate, write
 from lite6jax.storage import check_writable, write_atomically
 
-Array = NDArray[np.floating]
 Columns = dict[str, Any]
 
 # ------------------------------------------------------------------ figures
 
 
-class Panel(NamedTuple):
-    """A quantity over the rows of a table: its name with unit, and `(row,)` values in that unit."""
+class Drawing(NamedTuple):
+    """Columns of a result's table over its rows.
 
-    label: str
-    values: Array
+    Attributes:
+        columns: an expression that matches their names.
+        title: what they are.
+        marked: the column that is not zero where a row has another colour; empty for none.
+        mark: what is true of these rows.
+    """
+
+    columns: str
+    title: str
+    marked: str = ""
+    mark: str = ""
 
 
-@draw.register
-def _recording(recording: Recording, title: str) -> Figures:
-    title = title or Path(recording.source).name
-    joints = _of_joints("joint", recording.joint_position, *joint_units(recording.sliding, recording.dof))
-    drawn = {"joints": over_rows(joints, recording.row, f"{title}: joint positions")}
-    if recording.position is not None:
-        axes = [Panel(f"{axis} (mm)", 1e3 * values) for axis, values in zip("xyz", recording.position.T, strict=True)]
-        drawn["positions"] = over_rows(axes, recording.row, f"{title}: measured positions")
+_OUTSIDE = ("outside", "outside what was recorded")
+_DRAWINGS: dict[type, dict[str, Drawing]] = {
+    Recording: {
+        "joints": Drawing(r"q\d+_(rad|m)", "joint positions"),
+        "positions": Drawing(r"[xyz]_m", "measured positions"),
+    },
+    FleetSolution: {"errors": Drawing(r"(position|orientation)_rms_(m|rad)", "errors of the fits")},
+    Prediction: {
+        "positions": Drawing(r"[xyz]_m", "predicted positions", *_OUTSIDE),
+        "std": Drawing(r"[xyz]_std_m", "standard deviation of a position", *_OUTSIDE),
+    },
+    TorquePrediction: {"torques": Drawing(r"tau\d+_Nm?", "predicted torques", *_OUTSIDE)},
+    Compensation: {
+        "error": Drawing(r"position_error_mm", "distance from the target", *_OUTSIDE),
+        "joints": Drawing(r"q\d+_(rad|m)", "joint positions", *_OUTSIDE),
+    },
+    Registration: {"error": Drawing(r"distance_m", "distance from the model", "outlier", "outlier")},
+}
+"""Of results that are tables of rows, the figures by name."""
+
+
+@rc_context(STYLE)
+def _draw_rows(found: PublicResult, title: str) -> Figures:
+    """Columns of the table, a panel each, in mm and deg."""
+    table, drawn = tabulate(found), {}
+    across = "arm" if isinstance(found, FleetSolution) else "row"
+    row = np.asarray(found.row) if isinstance(found, Recording) else np.arange(1, len(next(iter(table.values()))) + 1)
+    source = Path(found.source).name if isinstance(found, Recording) else type(found).__name__
+    for name, drawing in _DRAWINGS[type(found)].items():
+        columns = [column for column in table if re.fullmatch(drawing.columns, column)]
+        if not columns:
+            continue
+        other = np.asarray(table.get(drawing.marked, np.zeros(len(row)))) > 0
+        figure, axes = panels_in_rows(len(columns), wide=len(columns) == 1)
+        for axis, column in zip(axes, columns, strict=True):
+            of, _, unit = column.rpartition("_")
+            scale, shown = SCREEN.get(unit, (1.0, unit))
+            for rows, color in ((~other, AFTER), (other, BEFORE)):
+                dots(axis, row[rows].astype(float), scale * np.asarray(table[column])[rows], color)
+            axis.set(xlabel=across, ylabel=f"{of.replace('_', ' ')} ({shown})")
+            axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        if other.any():
+            axes[0].plot([], [], "o", color=BEFORE, label=drawing.mark)
+            figure.legend(loc="outside lower center", frameon=False)
+        drawn[name] = titled(figure, f"{title or source}: {drawing.title}")
     return Figures(drawn)
+
+
+for kind in _DRAWINGS:
+    draw.register(kind, _draw_rows)
 
 
 @draw.register
@@ -73,16 +121,6 @@ def _solution(solution: Solution, title: str) -> Figures:
     recording = solution.recording
     title = title or (solution.arm.name if recording is None else Path(recording.source).name)
     return Figures({"error_by_joint": figures.error_by_joint(solution, title)})
-
-
-@draw.register
-def _fleet(fleet: FleetSolution, title: str) -> Figures:
-    arms = np.arange(1, len(fleet.result) + 1)
-    panels = [
-        Panel("position error (mm RMS)", 1e3 * fleet.position_rms),
-        Panel("orientation error (deg RMS)", np.rad2deg(fleet.orientation_rms)),
-    ]
-    return Figures({"errors": over_rows(panels, arms, title or "Fits of a fleet", across="arm")})
 
 
 @draw.register
@@ -94,66 +132,22 @@ def _comparison(found: Comparison, title: str) -> Figures:
     return Figures(drawn)
 
 
-@draw.register
-def _identification(found: Identification, title: str) -> Figures:
-    title = title or found.experiment.arm.name
-    return Figures({"deviations": figures.deviations(found, title)})
-
-
+@draw.register(Identification)
 @draw.register(Plan)
 @draw.register(DiscriminationPlan)
-def _plan(found: Plan | DiscriminationPlan, title: str) -> Figures:
+def _study(found: Identification | Plan | DiscriminationPlan, title: str) -> Figures:
+    title = title or found.experiment.arm.name
+    if isinstance(found, Identification):
+        return Figures({"deviations": figures.deviations(found, title)})
     name = "accuracy" if isinstance(found, Plan) else "distance"
-    return Figures({name: figures.accuracy_by_count(found, title or found.experiment.arm.name)})
+    return Figures({name: figures.accuracy_by_count(found, title)})
 
 
 @draw.register
 def _sensitivity(found: Sensitivity, title: str) -> Figures:
     title = title or "Tolerances"
-    over = {
-        "by_joint": figures.sensitivity_by_joint(found, title),
-        "workspace": figures.sensitivity_over_workspace(found, title),
-    }
-    return Figures(over)
-
-
-@draw.register
-def _prediction(found: Prediction, title: str) -> Figures:
-    title, row = title or "Prediction", np.arange(1, len(found.poses) + 1)
-    positions = zip("xyz", found.poses[:, :3, 3].T, strict=True)
-    panels = [Panel(f"{axis} (mm)", 1e3 * values) for axis, values in positions]
-    drawn = {"positions": over_rows(panels, row, f"{title}: positions", found.outside)}
-    if found.position_std is not None:
-        std = [Panel("std. deviation (mm)", 1e3 * np.linalg.norm(found.position_std, axis=1))]
-        drawn["std"] = over_rows(std, row, f"{title}: standard deviation of a position", found.outside)
-    return Figures(drawn)
-
-
-@draw.register
-def _torque_prediction(found: TorquePrediction, title: str) -> Figures:
-    row, joints = np.arange(1, len(found.torque) + 1), found.torque.shape[1]
-    panels = _of_joints("motor", found.torque, np.ones(joints), torque_units(found.sliding, joints))
-    return Figures({"torques": over_rows(panels, row, title or "Predicted torques", found.outside)})
-
-
-@draw.register
-def _compensation(found: Compensation, title: str) -> Figures:
-    title, row = title or "Compensation", found.recording.row
-    error = [Panel("distance from the target (mm)", 1e3 * found.position_error)]
-    drawn = {"error": over_rows(error, row, f"{title}: what is reached", ~found.reached, "not reached")}
-    if found.correction is not None:
-        units = joint_units(found.recording.sliding, found.correction.shape[1])
-        panels = _of_joints("joint", found.correction, *units)
-        drawn["correction"] = over_rows(panels, row, f"{title}: from the joints given", ~found.reached, "not reached")
-    return Figures(drawn)
-
-
-@draw.register
-def _registration(found: Registration, title: str) -> Figures:
-    row = np.arange(1, len(found.weight) + 1)
-    distance = [Panel("position error (mm)", 1e3 * found.distance)]
-    title = title or "Registration"
-    return Figures({"error": over_rows(distance, row, f"{title}: distance from the model", ~found.kept, "outlier")})
+    over = figures.sensitivity_over_workspace(found, title)
+    return Figures({"by_joint": figures.sensitivity_by_joint(found, title), "workspace": over})
 
 
 @draw.register(Diagnosis)
@@ -169,43 +163,6 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
 def _combined(found: CombinedDiagnosis, title: str) -> Figures:
     torques = {} if found.torques is None else draw(found.torques, title)
     return Figures({**draw(found.poses, title), **{PREFIX + name: figure for name, figure in torques.items()}})
-
-
-def _of_joints(what: str, values: Array, scales: Array, units: Sequence[str]) -> list[Panel]:
-    """A panel of each joint, of `(row, joint)` values that `scales` carries to `units`."""
-    return [Panel(f"{what} {j + 1} ({unit})", scales[j] * values[:, j]) for j, unit in enumerate(units)]
-
-
-@rc_context(STYLE)
-def over_rows(
-    panels: Sequence[Panel],
-    row: NDArray[np.integer],
-    title: str,
-    marked: NDArray[np.bool_] | None = None,
-    mark: str = "outside what was recorded",
-    across: str = "row",
-) -> Figure:
-    """Quantities against the row, a panel each.
-
-    Args:
-        panels: at least one.
-        row: `(row,)` numbers of the rows.
-        title: of the figure.
-        marked: `(row,)`, rows in another colour; None for none.
-        mark: what is true of these.
-        across: what a row is of.
-    """
-    other = np.zeros(len(row), bool) if marked is None else marked
-    figure, axes = panels_in_rows(len(panels), wide=len(panels) == 1)
-    for axis, panel in zip(axes, panels, strict=True):
-        for rows, color in ((~other, AFTER), (other, BEFORE)):
-            dots(axis, row[rows].astype(float), panel.values[rows], color)
-        axis.set(xlabel=across, ylabel=panel.label)
-        axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    if other.any():
-        axes[0].plot([], [], "o", color=BEFORE, label=mark)
-        figure.legend(loc="outside lower center", frameon=False)
-    return titled(figure, title)
 
 
 # ------------------------------------------------------------------ tables
@@ -299,7 +256,7 @@ _TABLES = (".csv", ".parquet")
 def _saved(result: PublicResult, path: Path, overwrite: bool) -> Path:
     """A table, or the document of a class that has one."""
     suffix, forms = path.suffix.lower(), [str(form) for form in _TABLES]
-    if document.dispatch(type(result)) is not document.dispatch(object):
+    if has_document(type(result)):
         forms.append(".json")
     _check_suffix(result, path, forms)
     if suffix == ".json":

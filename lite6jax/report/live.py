@@ -16,7 +16,8 @@ from lite6jax.controller.recorder import LiveRecording, Progress
 from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
-from lite6jax.report.words import STATISTICS, fixed, listing, number
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import SCREEN, STATISTICS, fixed, listing, number
 
 Array = NDArray[np.floating]
 
@@ -60,77 +61,37 @@ def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
 
 def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
     """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
-    yield Text(
-        f"Forward kinematics of the controller (xarm-python-sdk, {verification.version}) minus those of the calibration"
-        f" at {len(verification.position)} random joint positions"
-    )
+    texts, condition = read_texts("screens.yaml")["verification"], verification.condition
+    facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}
+    yield Text(fill(texts["head"], facts))
     table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
         ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
     ):
-        for values, scale, unit in ((position, 1e3, "mm"), (orientation, 180 / np.pi, "deg")):
+        for values, (scale, unit) in zip((position, orientation), SCREEN.values(), strict=True):
             digits = 6 if scale * values.max() < 1 else 4
             cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
             table.add_row(name if unit == "mm" else "", unit, *cells)
     yield table
-    yield from _tool_lines(verification)
-    most = 1e3 * float(verification.position.max())
-    if verification.passed:
-        yield Text(
-            f"Passed: they agree within {number(1e3 * GATE_M, 3)} mm; rounding to 32 bits alone causes up to"
-            f" {number(1e3 * FLOOR_M, 5)} mm. The controller computes with this calibration."
-        )
-        return
-    turn = float(np.degrees(verification.orientation.max()))
-    yield Text(
-        f"Not passed: they differ by up to {number(most, 4)} mm and {number(turn, 4)} deg; above {1e3 * GATE_M:g} mm"
-        f" or {np.degrees(GATE_RAD):.4f} deg a difference is significant."
-    )
-    if verification.hidden_tool is not None:
-        shown = _offset(verification.hidden_tool)
-        yield Text(
-            f"A constant offset after the flange explains the difference: {shown}. The controller has a tool offset"
-            " that its report omits; set the tool offset to zero with the vendor's program, and verify again."
-        )
-        return
-    if verification.other_chain is not None:
-        yield Text(
-            f"The controller computes with the nominal chain {verification.other_chain}, not with its stored"
-            " calibration; update its firmware, or use that chain to reproduce its poses."
-        )
-        return
-    yield Text(
-        "The six-parameter chain does not explain this controller's kinematics. Record and diagnose the poses that it"
-        " computes:"
-    )
-    for command in (
-        "lite6jax design lite6 --poses 200 --out poses.csv",
-        f"lite6jax record --ip {where} --poses poses.csv --out fk.csv",
-        "lite6jax diagnose fk.csv --out diagnosis.json",
-        "lite6jax fit fk.csv --geometry free",
-    ):
-        yield Text(f"  {command}", no_wrap=True, overflow="ignore")
-
-
-def _tool_lines(verification: Verification) -> Iterator[Text]:
-    condition = verification.condition
-    distance, angle = 1e3 * verification.tool_agrees[0], np.degrees(verification.tool_agrees[1])
-    agrees = verification.tool_agrees[0] <= GATE_M
-    here = f"difference {number(float(distance))} mm and {number(float(angle))} deg"
-    if verification.tool == "none":
-        stated = "Tool offset: none in the controller's report"
-    elif verification.tool == "applied":
-        stated = f"Tool offset: {_offset(condition.tool_offset)} in its report, applied by its forward kinematics"
-    else:
-        stated = f"Tool offset: {_offset(condition.tool_offset)} in its report, omitted by its forward kinematics"
-    cross = "which agrees" if agrees else "which disagrees"
-    yield Text(f"{stated}; {cross} with the forward kinematics at the current joint position ({here}).")
+    yield Text(fill(texts["tool"], facts))
     if condition.has_world:
         offset = _offset(condition.world_offset)
         yield from screen.notes([f"a base offset is set, {offset}; its effect is not included"])
     if condition.warning:
         yield from screen.notes([f"the controller has warning {condition.warning}, which is not cleared"])
+    yield Text(fill(texts["verdict"], facts))
+    if verification.passed:
+        return
+    yield Text(fill(texts["cause"], facts))
+    if verification.hidden_tool is None and verification.other_chain is None:
+        for command in (
+            "lite6jax design lite6 --poses 200 --out poses.csv",
+            f"lite6jax record --ip {where} --poses poses.csv --out fk.csv",
+            "lite6jax diagnose fk.csv --out diagnosis.json",
+            "lite6jax fit fk.csv --geometry free",
+        ):
+            yield Text(f"  {command}", no_wrap=True, overflow="ignore")
 
 
 def _offset(offset: Array) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 
 from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import capital, plus_minus, torque_units
 
 Document = Mapping[str, Any]
@@ -40,11 +41,6 @@ def sliding(document: Document) -> tuple[int, ...]:
 def units(document: Document) -> tuple[str, ...]:
     """Of each joint of a document of torques: Nm, or N of a prismatic one."""
     return torque_units(sliding(document), len(document["model"]["kinematics"]))
-
-
-def common_unit(document: Document) -> str:
-    """The unit of what all motors exert; empty where revolute and prismatic joints have two."""
-    return "" if len(set(units(document))) > 1 else units(document)[0]
 
 
 def is_computed(document: Document) -> bool:
@@ -83,6 +79,10 @@ class Measure(NamedTuple):
     unit: str
     what: str
 
+    def size_of(self, value: float) -> str:
+        """A value in SI units as it is shown, in two digits."""
+        return f"{plus_minus(self.scale * value)} {self.unit}"
+
 
 POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm", "the measured point")
 ORIENTATION = Measure("moves_rms_rad", "heldout_orientation_rms_rad", 180 / np.pi, "deg", "the measured orientation")
@@ -101,8 +101,7 @@ class Bar(NamedTuple):
 def measures_of(document: Document) -> tuple[Measure, ...]:
     """Millimetres; degrees where no finding moves the measured point, but one turns it; newton metres of torques.
 
-    Of an arm that has prismatic joints also newtons, or these alone: what has no common unit is ranked by its share of
-    the error before.
+    Of an arm that has prismatic joints also newtons, or these alone.
     """
     if of_torques(document):
         return tuple(measure for measure in (TORQUE, FORCE) if measure.error in document["before"]) or (TORQUE,)
@@ -120,39 +119,30 @@ def unit_of(document: Document) -> str:
 
 
 def order(document: Document) -> list[int]:
-    """Places of the findings, from 0, the largest contribution first."""
-    sizes = _sizes(document)
-    return sorted(range(len(sizes)), key=lambda k: -sizes[k])
+    """Places of the findings, from 0, the largest share of the error before first."""
+    findings = document["findings"]
+    return sorted(range(len(findings)), key=lambda k: -_share(document, findings[k], _main(document, findings[k])))
 
 
 def bars(document: Document) -> list[Bar]:
     """The contribution of each finding in this order."""
-    sizes, alone = _sizes(document), unit_of(document)
-    most = max(sizes, default=0.0) or 1.0
+    ranked, alone = [document["findings"][k] for k in order(document)], unit_of(document)
+    shares = [_share(document, finding, _main(document, finding)) for finding in ranked]
     return [
-        Bar(sizes[k] / most, contribution(document, document["findings"][k]).removesuffix(f" {alone}"))
-        for k in order(document)
+        Bar(share / (shares[0] or 1.0), contribution(document, finding).removesuffix(f" {alone}"))
+        for share, finding in zip(shares, ranked, strict=True)
     ]
 
 
 def contribution(document: Document, finding: Entry) -> str:
     """What a finding moves, with its unit: 0.21 mm, or 0.8 Nm and 12 N."""
-    pairs = [(finding.get(measure.moves), measure) for measure in measures_of(document)]
-    return " and ".join(_size(measure.scale * moved, measure) for moved, measure in pairs if moved is not None)
-
-
-def _sizes(document: Document) -> list[float]:
-    """By what the findings are ranked: contributions, in shares of the errors where these have several units."""
-    measures, findings = measures_of(document), document["findings"]
-    if len(measures) == 1:
-        return [finding[measures[0].moves] for finding in findings]
-    return [_share(document, finding, _main(document, finding)) for finding in findings]
+    pairs = [(measure, finding.get(measure.moves)) for measure in measures_of(document)]
+    return " and ".join(measure.size_of(moved) for measure, moved in pairs if moved is not None)
 
 
 def _share(document: Document, finding: Entry, measure: Measure) -> float:
-    """What a finding moves, over the error before."""
-    before = document["before"].get(measure.error)
-    return (finding.get(measure.moves) or 0.0) / before if before else 0.0
+    """What a finding moves, over the error before; over the unit where there was no error."""
+    return (finding.get(measure.moves) or 0.0) / (document["before"].get(measure.error) or 1.0)
 
 
 def _main(document: Document, finding: Entry) -> Measure:
@@ -160,32 +150,49 @@ def _main(document: Document, finding: Entry) -> Measure:
     return max(measures_of(document), key=lambda measure: _share(document, finding, measure))
 
 
-def _size(value: float, measure: Measure) -> str:
-    return f"{plus_minus(value)} {measure.unit}"
-
-
 # ------------------------------------------------------------------ the first sentence
 
 
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
-    findings, torques = document["findings"], of_torques(document)
-    if not findings:
-        return _nothing_found(document)
-    main = findings[order(document)[0]]
-    measure = _main(document, main)
-    before, after = (_error_at(document[stage], document, measure, main) for stage in ("before", "after"))
-    of_arm = not torques and all(remedy_of(finding).of_arm for finding in findings)
-    kept = "compensated" if of_arm else "with it in the model"
-    if len(findings) > 1:
-        which = "both" if len(findings) == 2 else f"all {len(findings)}"
-        kept = f"with {which} findings {'compensated' if of_arm else 'in the model'}"
-    noise = f", the {_whose(torques)} noise" if document["verdict"] == "explained" else ""
-    left = f"{kept}, {_size(after, measure)} is left{noise}"
-    cause, moved = capital(cause_of(main, torques)), measure.scale * main[measure.moves]
-    if moved > before:
-        return f"{cause}: {_size(moved, measure)}, which others partly cancel; {left}."
-    return f"{cause}: {plus_minus(moved)} of {_size(before, measure)}; {left}."
+    findings, torques, texts = document["findings"], of_torques(document), read_texts("diagnosis.yaml")
+    more: dict[str, Any] = {"torques": torques, "sensor": "sensors'" if torques else "sensor's"}
+    if findings:
+        main = findings[order(document)[0]]
+        measure = _main(document, main)
+        before, after = (_error_at(document[stage], document, measure, main) for stage in ("before", "after"))
+        return fill(
+            texts["headline"],
+            {
+                **more,
+                "findings": findings,
+                "verdict": document["verdict"],
+                "cause": cause_of(main, torques),
+                "moved": plus_minus(measure.scale * main[measure.moves]),
+                "more": measure.scale * main[measure.moves] > before,
+                "before": plus_minus(before),
+                "after": plus_minus(after),
+                "unit": measure.unit,
+                "of_arm": not torques and all(remedy_of(finding).of_arm for finding in findings),
+            },
+        )
+    sizes = (measure.size_of(document["before"][measure.error]) for measure in measures_of(document))
+    said = fill(
+        texts["nothing_found"],
+        document,
+        **more,
+        error=f"{' and '.join(sizes)} RMS",
+        computed=not torques and is_computed(document),
+        declared=document["noise"]["declared_torque_Nm" if torques else "declared_position_m"] is not None,
+        near=is_nearly_significant(document["nearest"]),
+    )
+    faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
+    if not faults:
+        return capital(said)
+    names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))
+    have = "a fault" if len(names) == 1 else f"{len(names)} faults"
+    these = "this" if len(faults) == 1 else "these"
+    return f"The data have {have} ({', '.join(names)}); with {these} corrected, {said}"
 
 
 def _error_at(errors: Entry, document: Document, measure: Measure, finding: Entry) -> float:
@@ -195,38 +202,6 @@ def _error_at(errors: Entry, document: Document, measure: Measure, finding: Entr
         return measure.scale * errors[measure.error]
     by_joint = np.array(errors["heldout_torque_rms_by_joint_Nm"])[np.array(joints) - 1]
     return float(np.sqrt(np.mean(by_joint**2)))
-
-
-def _whose(torques: bool) -> str:
-    return "sensors'" if torques else "sensor's"
-
-
-def _nothing_found(document: Document) -> str:
-    torques, verdict = of_torques(document), document["verdict"]
-    measures = measures_of(document) if torques else (POSITION,)
-    errors = [_size(measure.scale * document["before"][measure.error], measure) for measure in measures]
-    error = f"{' and '.join(errors)} RMS"
-    if verdict == "consistent" and is_computed(document):
-        return f"The poses are the controller's own computation: the arm's table reproduces them to {error}."
-    key, declared = ("torque_noise_Nm", "torque_Nm") if torques else ("position_noise_m", "position_m")
-    if verdict == "consistent" and document["noise"][f"declared_{declared}"] is None:
-        said = f"no effect is significant, and the error of {error} looks like noise; declare {key} to test this."
-    elif verdict == "consistent":
-        said = f"nothing is missing from the model: the error of {error} is the {_whose(torques)} noise."
-    elif verdict != "undetermined":
-        of = "torques" if torques else "poses"
-        said = f"the error of {error} is not the noise of the {of} alone, and nothing explains it."
-    elif is_nearly_significant(document["nearest"]):
-        said = f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
-    else:
-        said = f"the recording is too short to tell what the error of {error} is."
-    faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
-    if not faults:
-        return capital(said)
-    names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))
-    have = "a fault" if len(names) == 1 else f"{len(names)} faults"
-    these = "this" if len(faults) == 1 else "these"
-    return f"The data have {have} ({', '.join(names)}); with {these} corrected, {said}"
 
 
 # ------------------------------------------------------------------ what to do
@@ -267,33 +242,38 @@ def steps(document: Document, files: Files) -> list[Step]:
     named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")
-    found: list[Step] = []
-
-    def add(purpose: str, *words: object) -> None:
-        found.append(Step(purpose, command_line(*words)))
-
-    def beside(end: str) -> Path:
-        return named.with_name(f"{recording.stem}_{end}")
-
-    if files.diagnosis is None:
-        add("keep this diagnosis", "diagnose", recording, *own, "--out", named)
-    if torques and findings and known:
-        if table:
-            purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
-            add(purpose, "predict", named, recording, *own, "--out", beside("predicted.csv"))
-        add("the arm with what was found, for a simulator", "convert", named, beside("arm.urdf"), *own)
-    if not torques and known and table and any(remedy_of(finding).of_arm for finding in findings):
-        play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
-        side = ["--approach", "1"] if play else []
-        purpose = "joint positions that reach these poses; give a table of your own targets in their place"
-        add(purpose, "compensate", named, recording, *side, *own, "--out", beside("compensated.csv"))
-    if not torques and any(remedy_of(finding).of_geometry for finding in findings):
-        add("recalibrate", "fit", recording, "--geometry", "free", "--out", beside("table.json"))
-    if known and recording.suffix.lower() in SUFFIXES:
-        shown = [] if recording.parent in (named.parent, Path()) else [recording]  # where `view` finds it
-        add("the arm and its errors in the browser", "view", named, *shown, *own)
-    add("a certificate, one page", "report", named, "--certificate", named.with_suffix(".pdf"))
-    return found
+    beside = lambda end: named.with_name(f"{recording.stem}_{end}")  # noqa: E731
+    play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
+    side = ["--approach", "1"] if play else []
+    shown = [] if recording.parent in (named.parent, Path()) else [recording]  # where `view` finds it
+    compensated = not torques and known and table and any(remedy_of(finding).of_arm for finding in findings)
+    geometry = not torques and any(remedy_of(finding).of_geometry for finding in findings)
+    offered: list[tuple[bool, str, list[Any]]] = [
+        (files.diagnosis is None, "keep this diagnosis", ["diagnose", recording, *own, "--out", named]),
+        (
+            torques and bool(findings) and known and table,
+            "torques of this motion, for a feed-forward; give a motion of your own in its place",
+            ["predict", named, recording, *own, "--out", beside("predicted.csv")],
+        ),
+        (
+            torques and bool(findings) and known,
+            "the arm with what was found, for a simulator",
+            ["convert", named, beside("arm.urdf"), *own],
+        ),
+        (
+            compensated,
+            "joint positions that reach these poses; give a table of your own targets in their place",
+            ["compensate", named, recording, *side, *own, "--out", beside("compensated.csv")],
+        ),
+        (geometry, "recalibrate", ["fit", recording, "--geometry", "free", "--out", beside("table.json")]),
+        (
+            known and recording.suffix.lower() in SUFFIXES,
+            "the arm and its errors in the browser",
+            ["view", named, *shown, *own],
+        ),
+        (True, "a certificate, one page", ["report", named, "--certificate", named.with_suffix(".pdf")]),
+    ]
+    return [Step(purpose, command_line(*line)) for wanted, purpose, line in offered if wanted]
 
 
 def _known(document: Document, own: Sequence[str]) -> bool:

@@ -10,7 +10,6 @@ from pathlib import Path
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.padding import Padding
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from lite6jax.progress import Code, Stage
@@ -96,18 +95,11 @@ def repeated(line: Callable[[], str]) -> Iterator[None]:
 
 @contextmanager
 def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """Progress on stderr: a transient bar on a terminal, else a line every ten seconds.
+    """How much of an amount of work is done, on stderr.
 
     Yields:
         a thread-safe function that advances it.
     """
-    screen = console(stderr=True)
-    if screen.is_terminal:
-        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=screen, transient=True) as bar:
-            task = bar.add_task("", total=total)
-            yield lambda done: bar.advance(task, done)
-        return
     began, lock, done = time.monotonic(), threading.Lock(), 0
 
     def advance(more: int) -> None:

@@ -1,12 +1,18 @@
-"""The sentences of a diagnosis of poses or of torques, made from the codes and numbers of its JSON document alone."""
+"""The sentences of a diagnosis of poses or of torques, made from the codes and numbers of its JSON document alone.
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+The texts are in `templates/diagnosis.yaml`; here is what they are filled with.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lite6jax.effects.drivers import driver_of
-from lite6jax.report import data_faults, ranking, reference
+from lite6jax.errors import command_line
+from lite6jax.report import faults, ranking
 from lite6jax.report.ranking import of_torques, units
 from lite6jax.report.remedies import (
     component,
@@ -18,6 +24,7 @@ from lite6jax.report.remedies import (
     shape,
     with_articles,
 )
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     OF_TORQUES,
     SCREEN,
@@ -25,59 +32,30 @@ from lite6jax.report.words import (
     capital,
     each_with_unit,
     fixed,
-    joined,
     multiple,
-    number,
     plus_minus,
     quantity,
-    rows_named,
     significant,
 )
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
 
-NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
-COMPUTED = (
-    "The poses are the controller's own computation from the joints: they test nothing but the table of the arm. To "
-    "diagnose the arm itself, record the poses with a sensor."
-)
-ESTIMATED = (
-    "The torques are declared as estimated by the controller: the findings are differences between the model of the "
-    "controller and the model of this arm, and not effects on the motors."
-)
+_TEXTS = read_texts("diagnosis.yaml")
+NOT_CHECKED: str = _TEXTS["not_checked"]
+COMPUTED: str = _TEXTS["computed"]
+SHARED = "What poses and torques both depend on"
+"""The heading of the sentences of `shared_statements`."""
 STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
-_VERDICTS = {
-    "explained": "Explained: with the effects below, the held-out errors are the {sensor} noise.",
-    "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
-    "unexplained": "Unexplained: what is left is not the {sensor} noise alone, and no effect is significant.",
-}
-_POSE_VERDICTS = {verdict: said.format(sensor="sensor's") for verdict, said in _VERDICTS.items()} | {
-    "consistent": "Consistent: the model of the arm and the sensor's noise explain the recording.",
-    "partly_explained": "Partly explained: the effects below are significant.",
-    "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
-}
-_TORQUE_VERDICTS = {verdict: said.format(sensor="sensors'") for verdict, said in _VERDICTS.items()} | {
-    "consistent": "Consistent: the inverse dynamics of the declared arm and the sensors' noise explain the torques.",
-    "partly_explained": "Partly explained: the effects below are significant, and more than noise is left.",
-    "undetermined": "Undetermined: the recording is too short to tell whether something is missing.",
-}
-_OF_UNKNOWN_NOISE = {
-    "consistent": "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, "
-    "as the sidecar declares {lacking}.",
-    "partly_explained": "Partly explained: the effects below are significant. Whether more remains cannot be tested, "
-    "because the sidecar declares {lacking}.",
-}
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _MOST = 0.5
 """The share of a variance from which it is most of it."""
-_EXCESSIVE = 5.0
-"""Times the declared noise, beyond which residuals are not reported as noise."""
 _STANDS_OUT = 2.0
 """Times the others, at which one joint is named apart."""
+_MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
 
 
 def with_statements(document: Document) -> dict[str, Any]:
@@ -85,7 +63,7 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects on poses get a `reason`. Torques beside poses get all of this too.
     """
-    torques, stated = of_torques(document), data_faults.with_statements(document)
+    torques, stated = of_torques(document), faults.with_statements(document)
     pairs = zip(document["findings"], _detailed(document), strict=True)
     stated["findings"] = [{**finding, "statement": finding_statement(each, torques)} for finding, each in pairs]
     if not torques:
@@ -95,12 +73,34 @@ def with_statements(document: Document) -> dict[str, Any]:
             for driver in (driver_of(entry["driver"]),)
         ]
     if "against" in document:
-        stated["against"] = reference.with_statements(document["against"])
+        stated["against"] = with_comparison(document["against"])
     if "torques" in document:
         stated["torques"] = with_statements(document["torques"])
-        entries = document["shared"]
-        stated["shared"] = [{**entry, "statement": reference.shared_statement(entry)} for entry in entries]
+        stated["shared"] = [{**entry, "statement": shared_statement(entry)} for entry in document["shared"]]
     return stated
+
+
+def _fill(text: str, document: Document, **more: object) -> str:
+    """A text about a document."""
+    torques, near, noise, left = (of_torques(document), *(document[key] for key in ("nearest", "noise", "left")))
+    keys = {"torque_noise_Nm": "declared_torque_Nm"} if torques else {"position_noise_m": "declared_position_m"}
+    declared = [bool(noise[key]) for key in keys.values()]
+    if not torques and document["model"]["orientation"]:
+        keys["orientation_noise_rad"] = "declared_orientation_rad"
+    return fill(
+        text,
+        document,
+        torques=torques,
+        sensor="sensors'" if torques else "sensor's",
+        times=0.0 if torques else max(left[f"{what}_over_noise"] or 0.0 for what in ("position", "orientation")),
+        computed=not torques and ranking.is_computed(document),
+        size_declared=all(declared),
+        undeclared=" and ".join(f"no {name}" for name, key in keys.items() if noise[key] is None),
+        near=near if ranking.is_nearly_significant(near) else None,
+        name_effect=effect_name,
+        **({"in_units": partial(each_with_unit, units=units(document))} if torques else {}),
+        **more,
+    )
 
 
 # ------------------------------------------------------------------ the recording and the verdict
@@ -114,120 +114,40 @@ def setting_statement(document: Document) -> str:
 
 def verdict_statement(document: Document) -> str:
     """The verdict in a few sentences, with what is left and where that acts."""
-    torques, verdict = of_torques(document), document["verdict"]
-    said = _torque_verdict(document) if torques else _pose_verdict(document)
-    where = None if torques or verdict not in _LEFT_OVER else document["left"]["acts_at"]
-    if where is None:
-        return said
-    return (
-        f"{said} The residuals look like an error of {where['site']}: fitting a separate angle of that joint in every "
-        f"row removes {100 * where['share']:.0f} % of their sum of squares; of noise it would remove "
-        f"{100 * where['share_of_noise']:.0f} %."
-    )
-
-
-def _pose_verdict(document: Document) -> str:
-    verdict, left = document["verdict"], document["left"]
-    said = _POSE_VERDICTS[verdict]
-    if verdict == "consistent" and ranking.is_computed(document):
-        return "Consistent: the table of the arm reproduces what the controller computed from the joints."
-    if verdict == "undetermined":
-        more = document["rows_needed"] - document["samples"]
-        return f"{_undetermined(said, document)} Record about {'1 more pose' if more == 1 else f'{more} more poses'}."
-    if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
-        return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
-    if verdict == "unexplained":
-        times = max(left["position_over_noise"] or 0.0, left["orientation_over_noise"] or 0.0)
-        if times > _EXCESSIVE:
-            return (
-                f"Unexplained: no effect that was tested explains the residuals, which are {multiple(times)} times the "
-                "declared noise: check the arm, the frame, the tool and the columns that the sidecar declares."
-            )
-    if verdict == "consistent" and "against" in document:
-        return "Consistent: beyond the differences above, the two recordings differ by noise."
-    if verdict in _OF_UNKNOWN_NOISE and not document["noise"]["declared_position_m"]:
-        return _OF_UNKNOWN_NOISE[verdict].format(lacking=_undeclared_noise(document))
-    if verdict not in ("partly_explained", "unexplained"):
-        return said
-    ratios = [
-        f"{name} errors are {multiple(left[f'{key}_over_noise'])} times the declared noise"
-        for name, key in (("held-out position", "position"), ("orientation", "orientation"))
-        if left[f"{key}_over_noise"] is not None
-    ]
-    correlated = [] if left["white"] else ["neighbouring rows are correlated"]
-    return f"{said} {capital(joined([*ratios, *correlated]))}."
-
-
-def _torque_verdict(document: Document) -> str:
-    verdict, left = document["verdict"], document["left"]
-    said = _TORQUE_VERDICTS[verdict]
-    if verdict in _OF_UNKNOWN_NOISE and document["noise"]["declared_torque_Nm"] is None:
-        return _OF_UNKNOWN_NOISE[verdict].format(lacking="no torque_noise_Nm")
-    if verdict == "undetermined":
-        return f"{_undetermined(said, document)} Record a longer one."
-    if verdict not in _LEFT_OVER:
-        return said
-    over_noise = left["torque_over_noise"]
-    if over_noise is not None:
-        joint, most = max(enumerate(over_noise, 1), key=lambda pair: pair[1])
-        others = [value for number, value in enumerate(over_noise, 1) if number != joint]
-        if others and most > _STANDS_OUT * max(others):
-            said += (
-                f" The held-out errors of joint {joint} are {multiple(most)} times the declared noise, those of the "
-                f"others {_from_to(others)} times."
-            )
-        else:
-            said += (
-                f" The held-out errors are {_from_to(over_noise)} times the declared noise, and largest of joint "
-                f"{joint}."
-            )
-    return said if left["white"] else f"{said} Neighbouring samples of what is left are correlated."
-
-
-def _from_to(values: Sequence[float]) -> str:
-    least, most = map(multiple, (min(values), max(values)))
-    return least if least == most else f"{least} to {most}"
-
-
-def _undetermined(said: str, document: Document) -> str:
-    """The sentence of an *undetermined* verdict: `said`, unless an effect that is no finding is nearly significant."""
-    nearest = document["nearest"]
-    if not ranking.is_nearly_significant(nearest):
-        return said
-    after = ", with the effects below," if document["findings"] else ""
-    return (
-        f"Undetermined: what is left{after} is noise, but {effect_name(nearest['effect'])} at {nearest['site']} is "
-        f"nearly significant (family-wise p-value {nearest['p_value']:.2g})."
-    )
+    torques, left, ratios = of_torques(document), document["left"], ""
+    if document["verdict"] in _LEFT_OVER:
+        worst: dict[str, object] = {}
+        if torques and left["torque_over_noise"] is not None:
+            joint, most = max(enumerate(left["torque_over_noise"], 1), key=lambda pair: pair[1])
+            others = [size for number, size in enumerate(left["torque_over_noise"], 1) if number != joint]
+            apart = bool(others) and most > _STANDS_OUT * max(others)
+            others = others if apart else left["torque_over_noise"]
+            ends = dict.fromkeys(map(multiple, (min(others), max(others))))
+            worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
+        ratios = _fill(_TEXTS["ratios"], document, **worst)
+    said = _fill(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
+    where = None if torques or document["verdict"] not in _LEFT_OVER else left["acts_at"]
+    return said if where is None else f"{said} {fill(_TEXTS['acts_at'], where)}"
 
 
 def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
-    withdrawn = document["withdrawn"]
-    if of_torques(document):
-        lines = [ESTIMATED] if document["torque_source"] == "estimated" else []
-        if withdrawn:
-            names = ", ".join(map(effect_title, withdrawn))
-            lines.append(f"Significant, but not kept, because the held-out errors are larger with them: {names}.")
-        return lines
-    bad = quality_statement(document["quality"])
-    lines = [*([COMPUTED] if ranking.is_computed(document) else []), *([] if bad is None else [bad])]
-    if withdrawn is not None:
-        names = joined(
-            f"an effect without a name at {entry['site']}" if entry["effect"] == "unnamed" else effect_title(entry)
-            for entry in withdrawn["effects"]
-        )
-        before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
-        was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
-        if after > before:
-            why = f"the errors on held-out rows are larger ({number(after, 3)} mm RMS of position) than without"
-            why += f" ({number(before, 3)} mm)"
-        else:
-            why = "what is left on held-out rows is several times what is left of the fitted ones"
-            why += f" ({number(after, 3)} mm RMS of position; {number(before, 3)} mm without)"
-        lines.append(f"{capital(names)} {was} significant, but {them} not kept: {why}.")
-    return lines
+    torques, withdrawn = of_torques(document), document["withdrawn"]
+    if torques:
+        lines = [_TEXTS["estimated"]] if document["torque_source"] == "estimated" else []
+        given: dict[str, Any] = {"names": list(map(effect_title, withdrawn))}
+    else:
+        bad = quality_statement(document["quality"])
+        lines = [*([COMPUTED] if ranking.is_computed(document) else []), *([] if bad is None else [bad])]
+        given = {} if withdrawn is None else {
+            "names": [
+                f"an effect without a name at {each['site']}" if each["effect"] == "unnamed" else effect_title(each)
+                for each in withdrawn["effects"]
+            ],
+            **{stage: 1e3 * size for stage, size in withdrawn["heldout_position_rms_m"].items()},
+        }  # fmt: skip
+    return [*lines, fill(_TEXTS["withdrawn"], {**given, "torques": torques})] if withdrawn else lines
 
 
 def quality_statement(quality: Entry) -> str | None:
@@ -236,21 +156,7 @@ def quality_statement(quality: Entry) -> str | None:
     Args:
         quality: as in JSON documents.
     """
-    if quality["verdict"] != "bad":
-        return None
-    error = "not finite" if quality["error_m"] is None else f"up to {number(1e3 * quality['error_m'], 3)} mm"
-    if quality["explained_share"] is None:
-        return f"The model does not reproduce the calibration: its errors are {error}. Check the arm that is named."
-    if quality["reason"] == "unrelated":
-        return (
-            "The model does not describe the poses: it explains less than half of the variance of the positions. Check "
-            "that the poses belong to these joint positions, row by row."
-        )
-    return (
-        f"The model does not describe the poses: of three quarters of the held-out rows the errors are {error}, and a "
-        f"model of this arm is expected within {number(1e3 * quality['limit_m'], 3)} mm. Check the arm, that the poses "
-        "belong to these joint positions, and the order, the signs and the units of the joints."
-    )
+    return fill(_TEXTS["quality"], quality) if quality["verdict"] == "bad" else None
 
 
 # ------------------------------------------------------------------ errors and noise
@@ -273,24 +179,20 @@ def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterat
         document: of poses or of torques.
         statistics: keys of `STATISTICS`.
     """
-    before, after = document["before"], document["after"]
+    before, after, rows = document["before"], document["after"], []
     if of_torques(document):
         both = dict.fromkeys(units(document))
         kinds = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
-        rows = [
-            (f"{kinds[unit]} joints", unit, key, f"heldout_torque_{key}_{unit}", 1.0)
-            for key in statistics
-            for unit in both
-        ]
+        rows = [(f"{kinds[unit]} joints", "torque", unit, (1.0, unit)) for unit in both]
     else:
         rows = [
-            (f"{what} error", shown, key, f"heldout_{what}_{key}_{unit}", scale)
-            for what, unit, (scale, shown) in (("position", "m", SCREEN["m"]), ("orientation", "rad", SCREEN["rad"]))
-            for key in statistics
+            ("position error", "position", "m", SCREEN["m"]),
+            ("orientation error", "orientation", "rad", SCREEN["rad"]),
         ]
-    for name, unit, key, at, scale in rows:
-        if at in before and at in after:
-            yield Error(name, unit, key, scale * before[at], scale * after[at])
+    for name, what, unit, (scale, shown) in rows:
+        for key in statistics:
+            if (at := f"heldout_{what}_{key}_{unit}") in before and at in after:
+                yield Error(name, shown, key, scale * before[at], scale * after[at])
     if of_torques(document):
         by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
         for joint, (unit, own, left) in enumerate(zip(units(document), *by_joint, strict=True), 1):
@@ -299,87 +201,19 @@ def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterat
 
 def held_out_statement(document: Document) -> str:
     """How errors were held out, and what a quick diagnosis left out."""
-    if of_torques(document):
-        rows = f"{document['kept_samples']} filtered samples"
-    else:
-        rows = f"{document['heldout_rows']} rows"
-    blocks = f"{document['heldout_blocks']} contiguous blocks"
-    line = f"Errors of {rows}, held out in {blocks}: screening, search and fit of each did without it."
-    if again := document["searched_again"]:
-        line = (
-            f"Errors of {rows}, held out in {blocks}, several at a time: the effects found in all rows were fitted "
-            f"again without them. A new search without each of {again['blocks']} contiguous blocks predicts them "
-            f"worse: with its effects, the errors are {again['heldout_ratio']:.3g} times those without. Either a block "
-            "alone shows a part of the effects, or the search selects others in its absence."
-        )
-    if document["quick"]:
-        line += (
-            " This was a quick diagnosis: fewer blocks than usual, so that each is predicted from fewer rows and the"
-            " errors are rather too large; poses that separate rival effects were not designed."
-        )
-    return line
+    return _fill(_TEXTS["held_out"], document)
 
 
 def noise_statement(document: Document) -> str:
     """The noise estimated from the residuals beside the declared one."""
-    noise = document["noise"]
-    if of_torques(document):
-        declared, of = noise["declared_torque_Nm"], units(document)
-        said = f"the residuals have {each_with_unit(noise['estimated_torque_Nm'], of)}"
-        beside = "none is declared" if declared is None else f"{each_with_unit(declared, of)} are declared"
-        return f"Noise of the torques, one sigma of each joint in turn: {said}; {beside}."
-    estimated, declared = (noise[f"{name}_position_m"] for name in ("estimated", "declared"))
-    beside = "none is declared" if declared is None else f"{number(1e3 * declared)} mm is declared"
-    return f"Noise per axis of position: the residuals have {number(1e3 * estimated)} mm, {beside}."
+    return _fill(_TEXTS["noise"], document)
 
 
 def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
-    if of_torques(document):
-        return _torque_assumptions(document)
-    lacking, lines = _undeclared_noise(document), []
-    loaded = any(driver_of(driver).loaded for finding in document["findings"] for driver in drivers_of(finding))
-    if document["model"]["accelerated"] and loaded:
-        lines.append("The loads include the inertial forces of the moving arm, which the recording supports.")
-    if lacking:
-        lines.append(f"The sidecar declares {lacking}: tests use the noise estimated from the residuals.")
-    if rows := document["left_out"]:
-        lines.append(
-            f"A gear may be between its flanks in {rows_named(rows)}: estimates do without, and the held-out errors "
-            "include them."
-        )
-    return lines
-
-
-def _undeclared_noise(document: Document) -> str:
-    """The keys of the noise of what was measured that the sidecar lacks; empty where it has them."""
-    noise, keys = document["noise"], []
-    if noise["declared_position_m"] is None:
-        keys.append("no position_noise_m")
-    if document["model"]["orientation"] and noise["declared_orientation_rad"] is None:
-        keys.append("no orientation_noise_rad")
-    return " and ".join(keys)
-
-
-def _torque_assumptions(document: Document) -> list[str]:
-    """How both sides of the equation of motion were filtered, and what was taken as known of the links' inertia."""
-    used, known = document["filter"], document["nuisance"]
-    if used is None:
-        filtered = (
-            "Each row is a posture at rest, in which gravity alone is compared: friction, rotors and delays, which "
-            "show in a motion, were not tested."
-        )
-    else:
-        kept = "every sample" if used["every"] == 1 else f"one sample in {used['every']}"
-        filtered = (
-            f"Measured and modelled torques pass the same zero-phase low-pass filter of {used['cutoff_Hz']:.3g} Hz (of "
-            f"{used['rate_Hz']:.4g} samples a second), and {kept} is kept; the motion passes one of "
-            f"{used['motion_cutoff_Hz']:.3g} Hz before it is differentiated."
-        )
-    if not known["numbers"]:
-        return [filtered, "The inertial numbers of the links are taken as declared."]
-    prior = f"with a prior standard deviation of {100 * known['relative_std']:.2g} % about the declared ones"
-    return [filtered, f"The inertial numbers of the links are fitted, {prior}."]
+    drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
+    loaded = not of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
+    return [said for text in _TEXTS["assumptions"] if (said := _fill(text, document, loaded=loaded))]
 
 
 # ------------------------------------------------------------------ findings
@@ -388,8 +222,8 @@ def _torque_assumptions(document: Document) -> list[str]:
 def findings_of(document: Document) -> list[dict[str, Any]]:
     """The findings, the largest contribution first, each with its own fields and with what is said of it.
 
-    Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `quantities`
-    (its parameters as they are read), `rivals` and `rejected` (effects that are not, and are, distinguished from it).
+    Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `rivals` and
+    `rejected` (effects that are not, and are, distinguished from it).
     """
     torques, findings = of_torques(document), _detailed(document)
     return [
@@ -398,7 +232,6 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
             "title": capital(effect_title(findings[k])),
             "statement": finding_statement(findings[k], torques),
             "place": k,
-            "quantities": quantities(findings[k], torques),
             "rivals": rivals(findings[k], torques),
             "rejected": rivals(findings[k], torques, rejected=True),
         }
@@ -419,58 +252,40 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
         finding: with the fields of its effect as `where`.
         torques: whether it acts on torques.
     """
-    said = "is significant" if ranking.is_significant(finding) else "is likely"
-    shown = ", ".join(str(size) for size in quantities(finding, torques) if size.std)
+    where, unnamed = finding["where"], finding["effect"] == "unnamed"
+    named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
     if torques:
-        pairs = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
-        adds = " and ".join(f"{significant(finding[key])} {words}" for key, words in pairs if key in finding)
-        if finding["effect"] == "unnamed":
-            return _unnamed_torque(finding, adds)
-        return f"{capital(effect_title(finding))} {said}: {shown}; it contributes {adds}."
-    site, where, turned = finding["site"], finding["where"], finding["moves_rms_rad"]
-    driver = "" if finding["driver"] == "none" else f", a function of the {with_articles(finding['driver'])}"
-    turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
-    shown += f"; it moves the measured point by {plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
-    if "peak_to_peak" not in finding:
-        name = capital(finding["effect"].replace("_", " "))
-        return f"{name}{detail(finding)} at {site}{driver}{',' if driver else ''} {said}: {shown}."
-    many = f"{finding['effective_parameters']:.0f} effective parameters"
-    return (
-        f"No effect of the catalogue explains an effect at {site}{component(where)} as a function of the "
-        f"{with_articles(finding['driver'])}: {shape(where)} ({many}), {shown}."
-    )
-
-
-def _unnamed_torque(finding: Entry, adds: str) -> str:
-    """A curve of torques: its drivers, its contribution, and which named effects come nearest to it."""
-    where, near = finding["where"], ""
-    what = "force" if where.get("of_slide") else "torque"
-    if "nearest" in finding:
-        share = 100 * finding["nearest"]["share"]
-        near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
-    return (
-        f"No effect of the catalogue explains a {what} at {finding['site']} that is a function of the "
-        f"{with_articles(finding['driver'])}: it contributes {adds}.{near}"
+        moves = " and ".join(f"{significant(finding[key])} {words}" for key, words in _MOVES if key in finding)
+    else:
+        turned = finding["moves_rms_rad"]
+        turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
+        moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
+    return fill(
+        _TEXTS["finding"],
+        finding,
+        torques=torques,
+        nonparametric=unnamed,
+        named=capital(effect_title(finding) if torques else named),
+        exerted="force" if where.get("of_slide") else "torque",
+        along="" if torques else component(where),
+        drivers=with_articles(finding["driver"]),
+        shape="" if torques or not unnamed else shape(where),
+        numbers=", ".join(str(size) for size in quantities(finding, torques) if size.std),
+        moves=moves,
+        significant=ranking.is_significant(finding),
+        title=effect_title,
     )
 
 
 def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
     """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
-    if not torques:
-        return [quantity(*item) for item in finding.get("peak_to_peak", finding["parameters"]).items()]
-    if key := peak_to_peak(finding):
-        return [_chosen(key, finding[key])]
-    return [quantity(name, estimate, OF_TORQUES) for name, estimate in finding["parameters"].items()]
-
-
-def peak_to_peak(finding: Entry) -> str:
-    """The key of the peak to peak of a curve of torques, which has its unit; empty of an effect with a name."""
-    return next((key for key in ("peak_to_peak_Nm", "peak_to_peak_N") if key in finding), "")
-
-
-def _chosen(name: str, value: float) -> Quantity:
-    """A number on torques without a standard deviation, to three digits."""
-    return quantity(name, {"value": float(f"{value:.3g}"), "std": 0.0}, OF_TORQUES)
+    estimates = finding["parameters"]
+    if torques and (key := next((key for key in finding if key.startswith("peak_to_peak_")), "")):
+        estimates = {key: {"value": float(f"{finding[key]:.3g}"), "std": 0.0}}
+    elif not torques:
+        estimates = finding.get("peak_to_peak", estimates)
+    known = (OF_TORQUES,) if torques else ()
+    return [quantity(name, estimate, *known) for name, estimate in estimates.items()]
 
 
 def p_value_statement(finding: Entry) -> str:
@@ -518,68 +333,136 @@ def untested(document: Document) -> list[Untested]:
         groups.setdefault((driver.quantity, driver.remedy), []).append(entry)
     found = []
     for (kind, remedy), entries in groups.items():
-        drivers = {entry["driver"] for entry in entries}
-        needed = entries[0]["driver"] if len(drivers) == 1 else f"{kind} of these joints"
+        several = len({entry["driver"] for entry in entries}) > 1
+        needed = f"{kind} of these joints" if several else entries[0]["driver"]
         found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        fitted = document["nuisance"]["numbers"]
-        if of_torques(document):
-            reason = "What they depend on does not vary in this recording."
-            confounded = "They are confounded with the inertial numbers that are fitted, or what they depend on does"
-            confounded += " not vary."
-        else:
-            reason = "The sensor does not observe them in these poses."
-            confounded = "They are confounded with the fitted frames and geometry, or the sensor does not observe them."
-        found.append(Untested(confounded if fitted else reason, "", tuple(document["confounded"])))
+        found.append(Untested(_fill(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
     return found
 
 
 def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open and another one answers."""
-    lines, pairs, drivers = [], [], []
+    asked, lines, pairs, drivers = _TEXTS["record"], [], [], []
     for finding in _detailed(document):
+        one = {"one": effect_title(finding), "site": finding["site"]}
         waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
-        orders = [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]
-        if orders:
-            asked = f"record positions of {finding['site']} that are no multiples of one angle"
-            lines.append(f"To separate {effect_title(finding)} from order {joined(orders, 'or')}, {asked}.")
+        if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
+            lines.append(fill(asked["orders"], one, orders=orders))
         for rival in distinct_rivals(finding):
-            pair = f"{effect_title(finding)} from {effect_title(rival)}"
-            if rival["status"] == "separable":
-                lines.append(f"To separate {pair}, record the poses below (separating_poses in the JSON file).")
-            elif rival["status"] == "equivalent":
-                same = f"{effect_title(finding)} and {effect_title(rival)} have the same effect at these poses"
-                lines.append(f"{capital(same)}: more poses of this kind do not separate them.")
+            if rival["status"] in ("separable", "equivalent"):
+                lines.append(fill(asked[rival["status"]], one, other=effect_title(rival)))
             elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
-                pairs.append(pair)
+                pairs.append(f"{one['one']} from {effect_title(rival)}")
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in drivers_of(entry)]
     if pairs:
-        several = dict.fromkeys(drivers)
-        vary = f" in which {joined(several)} vary independently" if len(several) > 1 else ""
-        lines.append(f"To separate {joined(pairs, 'or')}, record more poses{vary}.")
+        lines.append(fill(asked["undecided"], {"pairs": pairs, "drivers": list(dict.fromkeys(drivers))}))
     doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
-        lines.append(
-            f"To narrow the ± of {joined(doubtful)}, record poses with another payload, or with none, as well: most "
-            "of its variance is that the payload may be wrong by too little to be found."
-        )
+        lines.append(fill(asked["payload"], {"names": doubtful}))
     for group in untested(document):
         if group.remedy:
-            names = joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
-            lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
-    if not document["confounded"]:
-        return lines
-    if of_torques(document):
-        declare = "declare these numbers (`inertial` in the sidecar)"
-        asked = f"To test for effects that are confounded with the inertial numbers, {declare}."
-        return [*lines, asked] if document["nuisance"]["numbers"] else lines
-    parts = joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
-    steps = [f"declare {parts}"] if parts else []
-    steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-    asked = f"To test for effects that are confounded or not observed, {' and '.join(steps)}."
-    return [*lines, asked] if steps else lines
+            names = list(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
+            lines.append(fill(asked["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
+    if document["confounded"]:
+        steps = []
+        if not of_torques(document):
+            parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
+            steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
+            steps += [] if document["model"]["orientation"] else ["measure orientations too"]
+        said = _fill(asked["confounded"], document, steps=steps)
+        lines += [said] if said else []
+    return lines
 
 
 def _of_one_wave(finding: Entry, rival: Entry) -> bool:
     """Whether two effects are orders of one joint that these positions do not tell apart."""
     return "order" in rival and (finding["effect"], finding["site"]) == (rival["effect"], rival["site"])
+
+
+# ------------------------------------------------------------------ comparisons with a reference recording
+
+
+def with_comparison(comparison: Document) -> dict[str, Any]:
+    """The comparison as in the JSON file, with a `statement` for each difference, each note and the whole."""
+    stated, file = {**comparison}, comparison["file"]
+    if "by" in comparison:
+        if "differences" in comparison:
+            stated["differences"] = [
+                {**each, "statement": _torque_difference(each)} for each in comparison["differences"]
+            ]
+        return {**stated, "statement": model_statement(file, comparison["by"])}
+    stated["differences"], times = [], ("position_rms_before_m", "position_rms_after_m")
+    chain = lambda used: f"{_TEXTS['chains'][used['kind']]} ({used['name']})"  # noqa: E731
+    for ends, group in groupby(comparison["differences"], key=lambda entry: tuple(entry.get(at) for at in times)):
+        together = list(group)
+        for entry in together:
+            said = fill(_TEXTS["differences"][entry["difference"]], entry, file=file, chain=chain, command=command_line)
+            if ends[0] is not None and entry is together[-1]:
+                sizes: dict[str, Any] = {"before": ends[0], "after": ends[1], "together": len(together) > 1}
+                said += f" {fill(_TEXTS['against']['reduces'], sizes)}"
+            stated["differences"].append({**entry, "statement": said})
+    stated["notes"] = [
+        {**entry, "statement": fill(_TEXTS["notes"][entry["note"]], entry, file=file)} for entry in comparison["notes"]
+    ]
+    return {**stated, "statement": model_statement(file, comparison["rigid"])}
+
+
+def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -> str:
+    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference.
+
+    Args:
+        comparison: as in the JSON file.
+        joint_units: of each joint, where it is of torques.
+    """
+    in_units = partial(each_with_unit, units=tuple(joint_units))
+    return fill(_TEXTS["against"]["headline"], comparison, in_units=in_units)
+
+
+def model_statement(file: str, of: str | bool) -> str:
+    """What a model that was estimated relative to a reference contains.
+
+    Args:
+        file: the reference.
+        of: of poses whether it is rigid; of torques what was compared, `effects` or `rows`.
+    """
+    kind = of if isinstance(of, str) else "rigid" if of else "flexible"
+    return fill(_TEXTS["against"][kind], {"file": file})
+
+
+def _torque_difference(entry: Entry) -> str:
+    """An effect that one of two recordings shows, as each shows it."""
+    title = capital(effect_title({"effect": entry["effect"], "site": entry["site"]}))
+    if "driver" in entry:
+        title = f"Unnamed effect at {entry['site']} over {entry['driver']}"
+    here, there = (_numbers(entry[side], chosen=False) for side in ("recording", "reference"))
+    return fill(_TEXTS["against"]["torque_difference"], entry, title=title, here=here, there=there)
+
+
+def _numbers(known: Entry | None, chosen: bool = True) -> str:
+    """The parameters that one side shows; those without a standard deviation were chosen and not estimated."""
+    parameters = {} if known is None else known["parameters"]
+    return ", ".join(
+        str(quantity(name, estimate, OF_TORQUES)) for name, estimate in parameters.items() if chosen or estimate["std"]
+    )
+
+
+# ------------------------------------------------------------------ what poses and torques share
+
+
+def refusal(document: Document) -> str:
+    """Why the torques of a recording were not diagnosed."""
+    return f"The torques of this recording are not diagnosed: {document['torques_refused']}."
+
+
+def shared_statements(document: Document) -> list[str]:
+    """What poses and torques say of each quantity on which both depend, and whether they agree."""
+    return [shared_statement(entry) for entry in document["shared"]] or [
+        "No finding concerns a quantity on which both poses and torques depend."
+    ]
+
+
+def shared_statement(entry: Entry) -> str:
+    """What both say of one quantity."""
+    said = {side: _numbers(entry[side]) for side in ("poses", "torques")}
+    return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said_of=said)

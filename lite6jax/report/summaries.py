@@ -3,7 +3,7 @@
 To add a kind, let its class inherit `lite6jax.results.PublicResult` and register a function with `describe` here.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,9 @@ from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.recordings import Recording
-from lite6jax.report import fits, ranking, reference, statements, study
+from lite6jax.report import fits, ranking, statements, study
 from lite6jax.report.compensation import outside_sentence, registration_report
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.faults import fault_name
 from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
 from lite6jax.results import Description, describe
 
@@ -57,34 +57,30 @@ def _recording(recording: Recording) -> Description:
 
 @describe.register
 def _solution(solution: Solution) -> Description:
-    moved, held = int(solution.free.sum()), len(solution.held)
-    data = "calibration" if solution.noise is None else "recording"
-    on = "fresh samples" if solution.noise is None else "held-out blocks"
-    before, after = solution.nominal_errors, solution.checked
+    data, on = ("calibration", "fresh samples") if solution.noise is None else ("recording", "held-out blocks")
+    unsure = np.flatnonzero(solution.free & ~solution.determined)
     sentences = [
         f"The fit of the {data} {solution.result.message}.",
-        f"It took {counted(solution.steps, 'step')} and estimated {counted(moved, 'parameter')} of a "
-        f"{solution.arm.name}.",
-        f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
+        f"It took {counted(solution.steps, 'step')} and estimated {counted(int(solution.free.sum()), 'parameter')} of "
+        f"a {solution.arm.name}.",
+        f"The error on {on} is {_errors(solution.checked)}; that of the nominal geometry is "
+        f"{_errors(solution.nominal_errors)}.",
+        statements.quality_statement(solution.quality.to_dict()) or "",
     ]
-    bad = statements.quality_statement(solution.quality.to_dict())
-    if bad is not None:
-        sentences.append(bad)
-    if held:
-        names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
-        sentences.append(f"{counted(held, 'parameter')} {be(held)} held, because the data do not determine: {names}.")
-    unsure = np.flatnonzero(solution.free & ~solution.determined)
+    if held := [each.name for each in solution.held]:
+        said = f"{counted(len(held), 'parameter')} {be(len(held))} held, because the data do not determine"
+        sentences.append(f"{said}: {_first_names(held)}.")
     if unsure.size:
-        names = ", ".join(solution.form.names[k] for k in unsure[:6]) + (", …" if unsure.size > 6 else "")
+        names = _first_names([solution.form.names[k] for k in unsure])
         sentences.append(f"The data do not determine, and their prior about nominal decides: {names}.")
-    if solution.noise is not None:
-        found = _mm(solution.noise.position)
-        told = solution.noise.declared and solution.noise.declared[0]
-        declared = "" if told is None else f"; declared {_mm(told)}"
-        sentences.append(
-            f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
-        )
-    return Description(f"Fit of a {data}, {solution.arm.name}", tuple(sentences), solution.notes)
+    if (noise := solution.noise) is not None:
+        declared = f"; declared {_mm(noise.declared[0])} mm" if noise.declared and noise.declared[0] is not None else ""
+        sentences.append(f"The residuals have a standard deviation of {_mm(noise.position)} mm per axis{declared}.")
+    return Description(f"Fit of a {data}, {solution.arm.name}", tuple(filter(None, sentences)), solution.notes)
+
+
+def _first_names(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (", …" if len(names) > 6 else "")
 
 
 @describe.register
@@ -115,28 +111,32 @@ def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Des
 
 
 @describe.register
-def _identification(found: Identification) -> Description:
-    name = found.experiment.arm.name
-    return _as_shown(f"Identifiability, {name}", study.identification_report(found, name, drawn=False))
-
-
-@describe.register(Plan)
-@describe.register(DiscriminationPlan)
-def _plan(plan: Plan | DiscriminationPlan) -> Description:
-    chosen = f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} {be(plan.count)} chosen."
-    report = study.plan_report(plan) if isinstance(plan, Plan) else study.discrimination_report(plan)
-    return _as_shown(f"Poses to record, {plan.experiment.arm.name}", report, chosen)
-
-
-@describe.register
 def _comparison(found: Comparison) -> Description:
-    report = fits.comparison_report(found, width=80)
-    return _as_shown(f"Comparison of {len(found.names)} arms, {found.arm.name}", report)
+    return _as_shown(
+        f"Comparison of {len(found.names)} arms, {found.arm.name}", fits.comparison_report(found, width=80)
+    )
 
 
 @describe.register
 def _sensitivity(found: Sensitivity) -> Description:
     return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, ""))
+
+
+@describe.register
+def _registration(found: Registration) -> Description:
+    return _as_shown("Registration of sensor and tool", registration_report(found))
+
+
+@describe.register(Identification)
+@describe.register(Plan)
+@describe.register(DiscriminationPlan)
+def _study(found: Identification | Plan | DiscriminationPlan) -> Description:
+    name = found.experiment.arm.name
+    if isinstance(found, Identification):
+        return _as_shown(f"Identifiability, {name}", study.identification_report(found, name, drawn=False))
+    chosen = f"{counted(found.count, 'pose')} of {counted(found.candidates, 'candidate')} {be(found.count)} chosen."
+    report = study.plan_report(found) if isinstance(found, Plan) else study.discrimination_report(found)
+    return _as_shown(f"Poses to record, {name}", report, chosen)
 
 
 @describe.register
@@ -189,33 +189,25 @@ def _compensation(found: Compensation) -> Description:
     return _marked("Compensation", sentences, found.outside)._replace(notes=found.notes)
 
 
-@describe.register
-def _registration(found: Registration) -> Description:
-    return _as_shown("Registration of sensor and tool", registration_report(found))
-
-
 @describe.register(Diagnosis)
 @describe.register(TorqueDiagnosis)
 def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     document, torques = found.to_dict(), isinstance(found, TorqueDiagnosis)
     findings = statements.findings_of(document)
-    shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
+    hidden = len(findings) - _MOST_FINDINGS
     sentences = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
-    sentences += [finding["statement"] for finding in shown]
+    sentences += [finding["statement"] for finding in findings[:_MOST_FINDINGS]]
     if hidden > 0:
         sentences.append(f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`.")
     if torques:
         by_joint = (document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after"))
-        before, after = (each_with_unit(errors, ranking.units(document)) for errors in by_joint)
-        start = "The held-out torque errors of the joints are"
+        start, sizes = "torque errors of the joints are", [each_with_unit(e, ranking.units(document)) for e in by_joint]
     else:
-        before, after = (f"{_mm(document[stage]['heldout_position_rms_m'])} mm" for stage in ("before", "after"))
-        start = "The held-out position error is"
-    error = f"{before} RMS with the model of the arm alone"
-    error = f"{after} RMS with these effects and {error}" if findings else error
-    sentences.append(f"{start} {error}.")
-    faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
-    if faults:
+        rms = (document[stage]["heldout_position_rms_m"] for stage in ("before", "after"))
+        start, sizes = "position error is", [f"{_mm(error)} mm" for error in rms]
+    left = f"{sizes[1]} RMS with these effects and " if findings else ""
+    sentences.append(f"The held-out {start} {left}{sizes[0]} RMS with the model of the arm alone.")
+    if faults := [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]:
         sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")
     notes = (*statements.assumptions(document), *statements.what_to_record(document))
     title = f"Diagnosis of {'the torques of ' if torques else ''}a {document['model']['arm']}"
@@ -227,9 +219,9 @@ def _combined(found: CombinedDiagnosis) -> Description:
     poses, document = describe(found.poses), found.to_dict()
     title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
     if found.torques is None:
-        return Description(title, (*poses.sentences, reference.refusal(document)), poses.notes)
+        return Description(title, (*poses.sentences, statements.refusal(document)), poses.notes)
     torques = describe(found.torques)
-    both = tuple(map(reference.shared_statement, document["shared"]))
+    both = tuple(map(statements.shared_statement, document["shared"]))
     return Description(title, (*poses.sentences, *torques.sentences, *both), (*poses.notes, *torques.notes))
 
 
@@ -237,16 +229,7 @@ def _mm(metres: float) -> str:
     return number(1e3 * metres)
 
 
-def _deg(radians: float) -> str:
-    return number(float(np.rad2deg(radians)), 3)
-
-
-def _rms(values: NDArray[np.floating]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _errors(errors: Errors) -> str:
-    parts = [f"{_mm(errors.position_rms)} mm RMS"]
-    if errors.orientation is not None:
-        parts.append(f"{_deg(_rms(errors.orientation))} deg RMS")
-    return " and ".join(parts)
+    turned = errors.orientation
+    shown = "" if turned is None else f" and {number(float(np.rad2deg(np.sqrt(np.mean(turned**2)))), 3)} deg RMS"
+    return f"{_mm(errors.position_rms)} mm RMS{shown}"

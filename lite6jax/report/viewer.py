@@ -30,8 +30,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, statements
 from lite6jax.report.canvas import AFTER, BEFORE
-from lite6jax.report.data_faults import fault_name
-from lite6jax.report.reference import model_statement
+from lite6jax.report.faults import fault_name
 from lite6jax.report.words import number
 
 if TYPE_CHECKING:
@@ -186,17 +185,12 @@ class Scene:
         steps = np.diff(self.time) if self.moving and self.time is not None else np.zeros(0)
         return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
-    def marked(self, numbers: Sequence[int] | None = None) -> dict[str, list[int]]:
-        """Part of the arm to the numbers of the findings there.
-
-        Args:
-            numbers: of the findings that count; all where not given.
-        """
+    def marked(self) -> dict[str, list[int]]:
+        """Part of the arm to the numbers of the findings there."""
         found: dict[str, list[int]] = {}
         for place in self.findings:
-            if numbers is None or place.number in numbers:
-                for part in place.parts:
-                    found.setdefault(part, []).append(place.number)
+            for part in place.parts:
+                found.setdefault(part, []).append(place.number)
         return found
 
 
@@ -228,7 +222,7 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     if recording.quaternion is not None:
         turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
         orientation = T_base_sensor[:3, :3] @ turned
-    remarks = [] if model.reference is None else [model_statement(*model.reference)]
+    remarks = [] if model.reference is None else [statements.model_statement(*model.reference)]
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
@@ -316,8 +310,6 @@ PORT = 8080
 FOUND, ARROWS = BEFORE, AFTER
 """Vermillion and blue of Okabe and Ito: with colour blindness too they differ from each other and from grey."""
 ARM, TOOL, PREDICTED = "#B4B8BD", "#6B7077", "#000000"
-ALL = "all findings"
-
 _Colour = tuple[int, int, int]
 
 
@@ -352,9 +344,8 @@ def served(scene: Scene, host: str, port: int | None) -> "Iterator[Shown]":
 
 def _listening(host: str, port: int | None) -> int:
     """A port on which to listen; viser would go on to others for ever, or wait where the address is none."""
-    tried = range(PORT, PORT + 100) if port is None else [port]
-    refused: OSError | None = None
-    for one in tried:
+    refused = ""
+    for one in range(PORT, PORT + 100) if port is None else [port]:
         try:
             family, kind, *_, address = socket.getaddrinfo(host, one, type=socket.SOCK_STREAM)[0]
             with socket.socket(family, kind) as trial:
@@ -362,10 +353,9 @@ def _listening(host: str, port: int | None) -> int:
                 trial.bind(address)
                 return one
         except (OSError, OverflowError, UnicodeError) as error:
-            refused = error if isinstance(error, OSError) else OSError(0, "no such address or port")
-    assert refused is not None
+            refused = (error.strerror or "") if isinstance(error, OSError) else "no such address or port"
     where = f"--host {host}" if port is None else f"--host {host} --port {port}"
-    raise InputError(f"{where}: nothing can listen there ({refused.strerror}); give another address or port")
+    raise InputError(f"{where}: nothing can listen there ({refused}); give another address or port")
 
 
 @final
@@ -376,8 +366,7 @@ class Shown:
         self.scene, self.server = scene, server
         self._lock, self._at = threading.RLock(), 0.0
         self._size = scene.arm.reach / 20
-        self._marks: list[Any] = []
-        self._drawn: tuple[str, float] | None = None
+        self._drawn = ""
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.scene.add_grid("/floor", width=40 * self._size, height=40 * self._size, cell_size=2 * self._size)
         middle = np.array([0.0, 0.0, 8 * self._size])
@@ -458,18 +447,11 @@ class Shown:
                 self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
                 self.prediction.on_update(lambda _: self._to(self.row.value - 1))
                 if scene.poses:
-                    usual, most = scene.poses[-1].scale, 2 * max(each.scale for each in scene.poses)
-                    self.scale = gui.add_slider("enlarged", 0.0, most, usual / 20, usual)
                     self._caption = gui.add_html("")
-                    self.scale.on_update(lambda _: self._to(self.row.value - 1))
                 else:
                     self._limit = max(each.limit for each in scene.torques)
                     gui.add_html(_torque_legend(self._limit))
         with gui.add_folder("Findings"):
-            if scene.findings:
-                names = [ALL, *(f"{place.number}. {place.title}" for place in scene.findings)]
-                self.highlight = gui.add_dropdown("highlight", names, initial_value=ALL)
-                self.highlight.on_update(lambda _: self._mark())
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
 
@@ -501,17 +483,16 @@ class Shown:
 
     def _compare(self, errors: PoseErrors, sample: int) -> str:
         """Draws the errors and the tool of a sample; says how large its error is."""
-        shown = (errors.caption, self.scale.value)
-        if shown != self._drawn:
-            self._drawn = shown
-            self._arrows.points = errors.arrows(self.scale.value).astype(np.float32)
-            times = f"{scale:.0f}" if (scale := self.scale.value) >= 100 else f"{scale:.3g}"
+        scale = self.scene.poses[-1].scale
+        if errors.caption != self._drawn:
+            self._drawn = errors.caption
+            self._arrows.points = errors.arrows(scale).astype(np.float32)
             few = len(errors.shown) < self.scene.samples
             some = f" {len(errors.shown)} of {self.scene.samples} rows have one." if few else ""
             said = (
-                f"Arrows lead from where the tool is predicted to where it was measured. They are enlarged {times} "
-                f"times: the median error of {number(1e3 * errors.median)} mm is {1e3 * scale * errors.median:.0f} mm "
-                f"long.{some}"
+                "Arrows lead from where the tool is predicted to where it was measured. They are enlarged "
+                f"{f'{scale:.0f}' if scale >= 100 else f'{scale:.3g}'} times: the median error of "
+                f"{number(1e3 * errors.median)} mm is {1e3 * scale * errors.median:.0f} mm long.{some}"
             )
             self._caption.content = _paragraphs([said])
         there = bool(np.isfinite(errors.length[sample]))
@@ -520,40 +501,31 @@ class Shown:
                 node.visible = there
         if not there:
             return ": nothing is predicted here"
-        self._arrow.points = errors.arrows(self.scale.value, [sample]).astype(np.float32)
+        self._arrow.points = errors.arrows(scale, [sample]).astype(np.float32)
         T = errors.predicted[sample]
         self._predicted.wxyz, self._predicted.position = _wxyz(T[:3, :3]), T[:3, 3]
         if self._measured is not None and self.scene.orientation is not None:
             self._measured.wxyz = _wxyz(self.scene.orientation[sample])
-            self._measured.position = T[:3, 3] + self.scale.value * errors.error[sample]
+            self._measured.position = T[:3, 3] + scale * errors.error[sample]
         return f": error {number(1e3 * errors.length[sample])} mm"
 
     def _mark(self) -> None:
-        """Colours and labels the places of the findings that are chosen."""
-        with self._lock, self.server.atomic():
-            numbers = None
-            if self.scene.findings and self.highlight.value != ALL:
-                numbers = [int(self.highlight.value.partition(".")[0])]
-            marked, add = self.scene.marked(numbers), self.server.scene
-            while self._marks:
-                self._marks.pop().remove()
-            for part, node in self._parts.items():
-                if not (self.scene.torques and part.startswith("joint")):  # whose colours are those of errors
-                    node.color = _rgb(FOUND if part in marked else TOOL if part == "tool" else ARM)
-                elif part in marked:
-                    ring = 0.75 * self._size
-                    self._marks.append(add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND)))
-                if part in marked:
-                    self._marks.append(add.add_label(f"{node.name}/label", ", ".join(map(str, marked[part]))))
+        """Colours and labels the places of the findings."""
+        add, marked = self.server.scene, self.scene.marked()
+        for part, node in self._parts.items():
+            if part not in marked:
+                continue
+            if self.scene.torques and part.startswith("joint"):  # whose colours are those of errors
+                ring = 0.75 * self._size
+                add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND))
+            else:
+                node.color = _rgb(FOUND)
+            add.add_label(f"{node.name}/label", ", ".join(map(str, marked[part])))
 
 
 def _from_z(axis: np.ndarray) -> np.ndarray:
     """The quaternion that turns z into a direction."""
-    z = axis / np.linalg.norm(axis)
-    if z[2] < -1 + 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    half = np.array([1 + z[2], -z[1], z[0], 0.0])
-    return half / np.linalg.norm(half)
+    return Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0].as_quat(scalar_first=True)
 
 
 def _wxyz(R: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """How numbers, units and lists are written: on screens, on pages and in sentences alike."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rich import box
@@ -26,22 +26,6 @@ MOST_ROWS = 12
 """The largest number of row numbers that are listed."""
 UNKNOWN = "unknown"
 """In place of a number that is not finite: what no data determine has no size."""
-Numbers = Mapping[str, Any]
-"""Of a fault of the data, by name."""
-
-
-class Wording(NamedTuple):
-    """A fault of the data in words; a text has the fault's numbers in braces, with `joints` named.
-
-    Attributes:
-        name: two or three words.
-        found: what is wrong, by how much, how it was corrected, and the remedy; of the fault's rows and numbers.
-        ruled_out: why the fault is not there, of the numbers that rule it out; None where nothing is said but that.
-    """
-
-    name: str
-    found: str | Callable[[Sequence[int], Numbers], str]
-    ruled_out: str | Callable[[Numbers], str] | None = None
 
 
 def joint_units(sliding: Sequence[int], joints: int) -> tuple[np.ndarray, tuple[str, ...]]:

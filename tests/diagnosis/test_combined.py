@@ -164,7 +164,7 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     code, said, _ = run(capsys, "diagnose", run_file, "--out", out, "--report", tmp_path / "r.html", width=60)
     assert code == 0
     text = flat(said)
-    assert text.index("Joint compliance at joint2") < text.index("held-out error (Nm RMS)")
+    assert text.index("Joint compliance at joint2") < text.index("joint 2 (Nm), RMS")
     assert "What poses and torques both depend on:" in text
     assert "they agree" in text
     html = (tmp_path / "r.html").read_text()
@@ -205,7 +205,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     assert (code, err) == (0, "")
     shown = [line for line in printed.splitlines() if line not in (str(run_file), f"Wrote {out}")]
     assert [line for line in said.splitlines() if line != str(out)] == shown
-    assert "held-out error (Nm RMS)" in said
+    assert "joint 2 (Nm), RMS" in said
     assert "they agree" in flat(said)
     refused = replace(found, torques=None, shared=(), refused="it holds static poses")
     write_document(with_statements(refused.to_dict()), out, overwrite=True)

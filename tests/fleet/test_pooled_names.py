@@ -5,7 +5,7 @@ import pytest
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
 from lite6jax.fleet.terms import PooledTerm, Process
-from lite6jax.report.fleets import population_report, title
+from lite6jax.report.fleets import population_report
 
 SOFT = PooledTerm("soft")
 
@@ -60,9 +60,9 @@ def test_what_is_outside_the_catalogue_has_no_name_and_its_site(tmp_path):
     curve = {key: np.array(values) for key, values in effect["curve"].items() if key != "name"}
     off = curve["mean"] - height(curve["driver"])
     assert np.mean(np.abs(off) < 3 * curve["std"] + 0.03) > 0.9
-    assert title(effect) == "a function of position of joint 3 without a name, joint3"
     said = " ".join(str(part) for part in population_report(document))
-    assert "No effect of the catalogue describes it; the nearest, joint harmonic of order 1, joint3, explains" in said
+    assert "1. Unnamed effect at joint3 as a function of its position: p = " in said
+    assert "No effect of the catalogue describes it; the nearest, joint harmonic of order 1 at joint3, explains" in said
 
 
 def test_of_a_spring_that_hardens_the_linear_one_is_the_nearest(tmp_path):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report.data_faults import (
+from lite6jax.report.faults import (
     fault_name,
     fault_statement,
     ruled_out_statement,

@@ -54,7 +54,7 @@ class ReferenceComparison:
     """A recording's rigid model compared with a reference recording, and what remains to be diagnosed.
 
     `differences` and `notes` are plain JSON values in SI units, each with a code under `difference` or `note`; the
-    sentences are those of `lite6jax.report.reference`.
+    sentences are those of `lite6jax.report.statements`.
 
     Attributes:
         file: the reference's name.

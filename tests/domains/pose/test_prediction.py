@@ -23,7 +23,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.effects.user_effects import load_effects
 from lite6jax.recordings import Recording, RecordingSettings, write_recording
-from lite6jax.report.reference import model_statement
+from lite6jax.report.statements import model_statement
 
 SAMPLES = 30
 FEW = Options(folds=2)

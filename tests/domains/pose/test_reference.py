@@ -27,7 +27,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.report import reference
+from lite6jax.report import statements
 from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 160
@@ -83,12 +83,12 @@ def codes(compared):
 
 def differences(compared):
     """The sentences."""
-    return [entry["statement"] for entry in reference.with_statements(compared.to_dict())["differences"]]
+    return [entry["statement"] for entry in statements.with_comparison(compared.to_dict())["differences"]]
 
 
 def notes(compared):
     """The sentences."""
-    return [entry["statement"] for entry in reference.with_statements(compared.to_dict())["notes"]]
+    return [entry["statement"] for entry in statements.with_comparison(compared.to_dict())["notes"]]
 
 
 def diagnose_against(recording, other, *arguments):

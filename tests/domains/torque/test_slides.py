@@ -37,10 +37,9 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.fleet.reduction import reduced
 from lite6jax.recordings import write_recording
-from lite6jax.report.reference import headline
+from lite6jax.report.faults import fault_statement
 from lite6jax.report.remedies import cause_of, remedy_of
-from lite6jax.report.statements import finding_statement
-from lite6jax.report.torque_faults import FAULTS
+from lite6jax.report.statements import comparison_headline, finding_statement
 from tests.oracles import kane
 
 FEW = Options(folds=2)
@@ -106,7 +105,7 @@ def test_each_joint_is_said_in_its_own_unit(run, diagnosed):
     page = (run / "d.html").read_text()
     assert "<td>prismatic joints, RMS (N)</td>" in page
     assert "<td>joint 3, RMS (N)</td>" in page
-    assert "<td>revolute joints, maximum (Nm)</td>" in page
+    assert "<td>revolute joints (Nm), maximum</td>" in page
     assert "0.05 Nm, 0.3 N are declared" in page
     assert "6.0 N</td>" in page
 
@@ -116,9 +115,8 @@ def test_the_screen_ranks_what_has_no_common_unit(run, diagnosed, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "What each finding moves (RMS):" in said
     assert "Nm 2. Coulomb friction at joint3" in said  # a share of the error of its own kind each
-    assert "held-out error (RMS) before after" in said
-    assert "prismatic joints (N) 9" in said
-    assert "joint 2 (Nm) 0." in said
+    assert "prismatic joints (N), RMS 9" in said
+    assert "joint 2 (Nm), RMS 0." in said
 
 
 def test_the_model_predicts_another_motion_in_the_columns_of_its_joints(run, diagnosed):
@@ -349,7 +347,7 @@ def test_a_push_along_the_slide_is_a_contact_in_newtons():
     _, (fault,) = contacts(torque_problem(screened.data), EngineOptions())
     assert fault.numbers["joints"] == [3]
     assert fault.numbers["largest_N"] == pytest.approx(30, rel=0.1)
-    said = FAULTS["contact"].found(fault.rows, fault.numbers)
+    said = fault_statement(fault)
     assert " N from the model" in said
     assert "Nm and " in said  # the revolute joints differ by less than their noise explains
 
@@ -358,7 +356,7 @@ def test_two_recordings_of_one_motion_are_compared_in_each_unit():
     one, other = slid.recorded(slid.friction), slid.recorded(lambda dq: slid.friction(dq, coulomb=16.0))
     found = compare_rows(one, other, slid.arm())
     np.testing.assert_allclose(found.apart, [0, 0, 10], atol=1e-9)
-    said = headline({"file": "b.csv", "by": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
+    said = comparison_headline({"file": "b.csv", "by": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
     assert "by 0 Nm, 0 Nm, 10 N RMS" in said
     late = replace(other, joint_position=other.joint_position + np.array([0, 0, 1e-3]))  # 1 mm is another state
     assert compare_rows(one, late, slid.arm()) is None

@@ -15,7 +15,7 @@ from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report.data_faults import fault_statement
+from lite6jax.report.faults import fault_statement
 
 FRICTION = (
     hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),

@@ -17,7 +17,7 @@ from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.report.reference import with_statements
+from lite6jax.report.statements import with_comparison
 
 FEW = Options(folds=2)
 EARLIER = (
@@ -123,7 +123,7 @@ def test_functions_without_a_name_are_compared_where_both_recordings_have_them(m
     _, seen = diagnose_torques_against(sides[0][0], sides[1][0], setup_of(1)[1])
     (difference,) = seen.effects
     assert difference.p_value < 1e-6 if differs else difference.p_value > 0.0027
-    document = with_statements(seen.to_dict())["differences"][0]
+    document = with_comparison(seen.to_dict())["differences"][0]
     assert document["driver"] == "position of joint 2 and direction of motion of joint 2"
     assert document["statement"].startswith("Unnamed effect at joint2 over position of joint 2 and direction")
     assert ("differs (p = " in document["statement"]) == differs
@@ -143,7 +143,7 @@ def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     (difference,) = seen.effects
     assert difference.p_value is None
     assert difference.there is None
-    assert "the reference does not show it" in with_statements(seen.to_dict())["differences"][0]["statement"]
+    assert "the reference does not show it" in with_comparison(seen.to_dict())["differences"][0]["statement"]
 
 
 def test_another_number_of_joints_is_refused():

@@ -1,0 +1,176 @@
+"""The sentences about faults of the data and about causes of an error, each from a code and its numbers alone.
+
+Their texts are in `templates/faults.yaml`. To add a fault, write its texts there.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jinja2 import pass_context
+from jinja2.runtime import Context
+from rich.console import RenderableType
+from rich.text import Text
+
+from lite6jax.arms.description import VARIANTS, bundled_arms
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.screen import indented
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import capital, joined, milli, rows_named
+
+if TYPE_CHECKING:
+    from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
+
+_TEXTS = read_texts("faults.yaml")
+POSE_FAULTS: Mapping[str, Mapping[str, str]] = _TEXTS["poses"]
+TORQUE_FAULTS: Mapping[str, Mapping[str, str]] = {
+    code: texts for code, texts in _TEXTS["torques"].items() if "name" in texts
+}
+"""The texts of faults by code."""
+_FAULTS: Mapping[str, Mapping[str, str]] = POSE_FAULTS | _TEXTS["torques"]
+_MISMATCHES = frozenset(code for code, texts in POSE_FAULTS.items() if "clause" in texts and "ruled_out" not in texts)
+"""Those that make poses miss the arm grossly; the same numbers rule out all of them."""
+
+
+def fault_name(code: str) -> str:
+    """A fault in two or three words."""
+    return _FAULTS.get(code, {}).get("name") or code.replace("_", " ").capitalize()
+
+
+def fault_statement(fault: DataFault) -> str:
+    """What is wrong, by how much, how it was corrected, and the remedy."""
+    texts, numbers = _FAULTS.get(fault.code, {}), fault.numbers
+    if "found" in texts and not ("clause" in texts and "added_rad" in numbers and fault.code in POSE_FAULTS):
+        return _fill(texts["found"], numbers, rows=fault.rows)
+    if "clause" not in texts:
+        return f"{fault_name(fault.code)}."
+    remedy = texts.get("remedy", "Correct the columns in the file")
+    return _fill(_TEXTS["mismatch"], numbers, said=_clause({**numbers, "fault": fault.code}), remedy=remedy)
+
+
+def ruled_out_statement(fault: DataFault) -> str:
+    """Why a fault that was tested for is not there, with the number that rules it out."""
+    if fault.code in _MISMATCHES:
+        return _fill(_TEXTS["no_mismatch"], fault.numbers, names=fault_name(fault.code))
+    text = _FAULTS.get(fault.code, {}).get("ruled_out")
+    return f"{fault_name(fault.code)}: none was found." if text is None else _fill(text, fault.numbers)
+
+
+def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
+    """The same for several; faults that the same numbers rule out share a sentence."""
+    groups: dict[str, list[DataFault]] = {}
+    for number, fault in enumerate(faults):
+        groups.setdefault(str(fault.numbers) if fault.code in _MISMATCHES else str(number), []).append(fault)
+    return [
+        ruled_out_statement(group[0])
+        if len(group) == 1
+        else _fill(_TEXTS["no_mismatch"], group[0].numbers, names=", ".join(fault_name(one.code) for one in group))
+        for group in groups.values()
+    ]
+
+
+def with_statements(document: Mapping[str, Any]) -> dict[str, Any]:
+    """A diagnosis as in its JSON file, with a `statement` added to each data fault, found or ruled out."""
+    sentences = (("data_faults", fault_statement), ("ruled_out", ruled_out_statement))
+    return dict(document) | {
+        key: [
+            {**entry, "statement": sentence(DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]))}
+            for entry in document[key]
+        ]
+        for key, sentence in sentences
+    }
+
+
+def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
+    """A line for each possible cause of an error, with a mark before those to be removed first."""
+    yield Text(str(path), no_wrap=True, overflow="ignore")
+    causes = found if isinstance(found, Sequence) else found.causes
+    if not isinstance(found, Sequence):
+        yield from (_line(True, "Note", note) for note in found.notes)
+        yield from fault_lines(found.faults)
+        yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
+    for cause in causes:
+        yield _line(cause.suspicious, _TEXTS["causes"][cause.code]["name"], cause_statement(cause))
+
+
+def fault_lines(faults: Iterable[DataFault]) -> Iterator[RenderableType]:
+    """A line for each fault of the data."""
+    for fault in faults:
+        rows = f" {capital(rows_named(fault.rows))}." if fault.rows else ""
+        yield _line(True, fault_name(fault.code), fault_statement(fault) + rows)
+
+
+def cause_statement(cause: "Cause") -> str:
+    """What the data say of a possible cause of an error, and the remedy where there is one."""
+    text = _TEXTS["causes"][cause.code]["found"]
+    return _fill(text, cause.numbers, rows=cause.rows, suspicious=cause.suspicious)
+
+
+def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
+    return indented(f"{'!' if suspicious else '·'} {name}: {sentence}")
+
+
+# ------------------------------------------------------------------ how texts are filled
+
+
+def _fill(text: str, numbers: Mapping[str, Any], **more: object) -> str:
+    return fill(text, {**_HELPERS, **numbers}, **more)
+
+
+def _clause(part: Mapping[str, Any]) -> str:
+    """A correction within a list of those that explain the data."""
+    return _fill(_FAULTS[part["fault"]]["clause"], part)
+
+
+def _frame(rotation: Sequence[float], translation: Sequence[float]) -> str:
+    """How the base of the arm is turned and where it stands in the frame of the poses."""
+    vector, shift = np.array(rotation), np.array(translation)
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle > 0 else vector
+    main = int(np.argmax(np.abs(axis)))
+    about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
+    said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
+    if np.linalg.norm(shift) > 2e-3:
+        said += f" and stands at ({', '.join(milli(x, 4) for x in shift)}) mm"
+    if about == "about z" and abs(angle - np.pi) < 0.02:
+        said += ", as base_link and base of Universal Robots are to each other"
+    return said
+
+
+def _table_name(table: str) -> str:
+    if table in VARIANTS:
+        return f"the vendor's ROS default ({table})"
+    return f"the published table ({table})" if table in bundled_arms() else f"the table of {table}"
+
+
+def _percent(share: float) -> str:
+    """A share that is not quite whole is not shown as whole."""
+    return f"{100 * share:.1f} %" if 0.99 < share < 0.9995 else f"{100 * share:.0f} %"
+
+
+@pass_context
+def _tables(context: Context) -> str:
+    """How well each of two nominal tables fits."""
+    return _fill(_TEXTS["tables"], context.get_all())
+
+
+@pass_context
+def _compared(context: Context, otherwise: str) -> str:
+    """How much less likely the poses are without a fault, where that was compared."""
+    return _fill(_TEXTS["compared"], context.get_all(), otherwise=otherwise)
+
+
+_HELPERS: Mapping[str, Any] = {
+    "either": lambda alternatives: "; or ".join(joined(map(_clause, parts)) for parts in alternatives),
+    "terms": lambda labels: ", ".join(labels) or "no effect",
+    "percent": _percent,
+    "length_of": lambda vector: float(np.linalg.norm(vector)),
+    "tables_compared": _tables,
+    "compared": _compared,
+    "frame": _frame,
+    "table_name": _table_name,
+    "distances": lambda tables: "; ".join(
+        f"{_table_name(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in tables
+    ),
+}
