@@ -248,7 +248,8 @@ def _shown_in() -> dict[str, list[str]]:
 
 def column_table() -> str:
     """Every column of a recording, with the units that are read."""
-    accepted = {**columns._PER_JOINT, **columns._SCALAR, **{name: {"": 1.0} for name in columns._TEXTS}}
+    of_joints_first = sorted(columns.QUANTITIES.items(), key=lambda item: not item[1].per_joint)
+    accepted = {name: one.units for name, one in of_joints_first} | {name: {"": 1.0} for name in columns.TEXTS}
     _check("columns", COLUMNS, accepted)
     lines = []
     for meaning, group in itertools.groupby(accepted, COLUMNS.__getitem__):
@@ -262,7 +263,7 @@ def _spelled(quantities: Iterable[str], unit: str) -> str:
     """The columns of quantities in a unit; of those of every joint the first and the last."""
     end = unit and f"_{unit}"
     names = [
-        f"`{name}1{end}` … `{name}N{end}`" if name in columns._PER_JOINT else f"`{name}{end}`" for name in quantities
+        f"`{name}1{end}` … `{name}N{end}`" if columns.is_per_joint(name) else f"`{name}{end}`" for name in quantities
     ]
     return ", ".join(names)
 
@@ -271,7 +272,7 @@ def sidecar_table() -> str:
     """Every key of a sidecar, with what it accepts and what holds without it."""
     defaults = {field.name: field.default for field in fields(RecordingSettings)}
     _check("keys of a sidecar", KEYS, defaults)
-    lines = [(f"`{name}`", KEYS[name], settings._KINDS[name].form, _default(value)) for name, value in defaults.items()]
+    lines = [(f"`{name}`", KEYS[name], settings.form_of(name), _default(value)) for name, value in defaults.items()]
     return _table(("key", "meaning", "accepted", "without it"), lines)
 
 

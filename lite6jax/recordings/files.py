@@ -31,8 +31,7 @@ from lite6jax.recordings.raw import (
 )
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
-from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path, write_settings
+from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
 from lite6jax.recordings.table import Table, arrays_of, tabulated
 from lite6jax.recordings.texts import of_csv
 from lite6jax.recordings.units import without_implausible

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, final
 
+import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
@@ -526,7 +527,8 @@ def _own_settings(recordings: Sequence[Recording], stems: Sequence[str]) -> dict
     for one, stem in zip(recordings, stems, strict=True):
         own = one.settings
         found["contact_distances"] += tuple(
-            replace(each, between=tuple(f"{stem}/{name}" for name in each.between)) for each in own.contact_distances
+            msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
+            for each in own.contact_distances
         )
         for key in ("contact_points", "planes", "anchor_m"):
             given = getattr(own, key)
