@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import Column
 from lite6jax.recordings.files import TABLES, open_table
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import BoardSettings, CameraSettings
@@ -131,8 +130,7 @@ def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
     _, content = open_table(table, (), ArmJoints(), [], TABLES)
     names = list(content.names)
     at = names.index("image") if "image" in names else 0
-    column = Column(names[at], at, "image", 0, "", 1.0)
-    values = content.load({"image": column})["image"]
+    values = content.load({at: "image"})[at]
     if isinstance(values, str):
         raise InputError(f"{table}: column {names[at]}: {values}")
     if "image" not in names:

@@ -28,8 +28,8 @@ class Quantity(NamedTuple):
         common: whether the name without a unit is taken for a misspelling, and not for any column of the user's own.
     """
 
-    units: Mapping[str, float]
-    of_slide: Mapping[str, float] = {}
+    units: dict[str, float]
+    of_slide: dict[str, float] = {}  # noqa: RUF012 (never changed)
     per_joint: bool = False
     array: str = ""
     largest: float = math.inf
@@ -97,7 +97,7 @@ _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.
 _SHOWN = 8
 
 
-def units_of(quantity: str, slides: bool = False) -> Mapping[str, float]:
+def units_of(quantity: str, slides: bool = False) -> dict[str, float]:
     """The accepted units of a quantity, the SI one first, with what to divide by to get there.
 
     Args:
@@ -125,11 +125,16 @@ def spelled(quantity: str, joint: int = 0, unit: str | None = None, slides: bool
 
 
 def columns_of(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> list[str]:
-    """The names in SI units of the columns of an array of a recording; of prismatic joints, counted from 0, their own."""
+    """The names in SI units of the columns of an array of a recording; prismatic joints count from 0."""
     quantities = OF_ARRAY[array]
     if not is_per_joint(quantities[0]):
         return [spelled(quantity) for quantity in quantities]
     return [spelled(quantities[0], joint + 1, slides=joint in sliding) for joint in range(joints)]
+
+
+def is_scalar(array: str) -> bool:
+    """Whether an array of a recording has one number a sample, `(sample,)`."""
+    return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
 
 
 @dataclass(frozen=True)

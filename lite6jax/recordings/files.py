@@ -18,21 +18,11 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.raw import (
-    INFO,
-    SUFFIX,
-    RawTable,
-    of_arrays,
-    of_lerobot,
-    of_parquet,
-    of_stream,
-    one_line,
-    stream_path,
-)
+from lite6jax.recordings.parquet import INFO, SUFFIX, of_lerobot, of_parquet, of_stream, one_line, stream_path
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
-from lite6jax.recordings.table import Table, arrays_of, tabulated
+from lite6jax.recordings.table import RawTable, Table, arrays_of, tabulated
 from lite6jax.recordings.texts import of_csv
 from lite6jax.recordings.units import without_implausible
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
@@ -109,7 +99,7 @@ def open_table(
 def _of_log(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
     """The table of a log, in whose joint states nothing says the unit of efforts."""
     columns = read_bag(path, topics, of_arm, notes)
-    return of_arrays(columns, [name for name in columns if name.startswith("tau")])
+    return RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
 
 
 def _other(kinds: Sequence[str]) -> str:
@@ -366,7 +356,5 @@ def _read(
     path, table = open_table(path, topics, of_arm, notes, kinds)
     dof = of_arm.dof
     renamed = table.renamed(str(path), sidecar.columns)
-    read = tabulated(
-        table.names, str(path), table.load, notes, dof=dof, renamed=renamed, joints_optional=joints_optional
-    )
+    read = tabulated(table, str(path), notes, dof=dof, renamed=renamed, joints_optional=joints_optional)
     return path, read

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import MATRIX, quaternions
+from lite6jax.recordings.columns import MATRIX, OF_ARRAY, columns_of, is_scalar, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import OF_READINGS, Motion, RecordingSettings, declared_settings
@@ -21,10 +21,6 @@ from lite6jax.recordings.units import checked_arrays, missing_rows, real_array, 
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
 
-_JOINED = (
-    *("joint_position", "time", "joint_velocity", "joint_acceleration", "joint_torque", "motor_current"),
-    *("joint_temperature", "commanded_position", "ambient_temperature", "payload", "row"),
-)
 _OF_EACH = ("contact_distances", "contact_points", "planes", "anchor_m")
 """Keys of which each file has its own; of all others they have the same."""
 
@@ -192,17 +188,6 @@ class Recording(PublicResult):
         cls,
         joint_position: ArrayLike,
         *,
-        position: ArrayLike | None = None,
-        quaternion: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        joint_velocity: ArrayLike | None = None,
-        joint_acceleration: ArrayLike | None = None,
-        joint_torque: ArrayLike | None = None,
-        motor_current: ArrayLike | None = None,
-        joint_temperature: ArrayLike | None = None,
-        commanded_position: ArrayLike | None = None,
-        ambient_temperature: ArrayLike | None = None,
-        payload: ArrayLike | None = None,
         run: ArrayLike | None = None,
         row: ArrayLike | None = None,
         settings: RecordingSettings | None = None,
@@ -210,6 +195,7 @@ class Recording(PublicResult):
         notes: tuple[str, ...] = (),
         sliding: tuple[int, ...] | None = None,
         readings: Readings | None = None,
+        **others: ArrayLike | None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
@@ -226,69 +212,57 @@ class Recording(PublicResult):
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
         settings.require_joints(dof, source)
-
-        def shaped(name: str, value: ArrayLike, *rest: int, dtype: type = np.float64) -> np.ndarray:
-            array = real_array(f"{source}: {name}", value) if dtype is np.float64 else np.asarray(value)
-            if array.shape != (samples, *rest):
-                raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples, *rest)}")
-            if dtype is np.int64 and array.dtype.kind not in "iu":
-                raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
-            return array.astype(dtype, copy=False)
-
-        def optional(name: str, value: ArrayLike | None, *rest: int) -> np.ndarray | None:
-            return None if value is None else shaped(name, value, *rest)
-
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
-        if readings is not None and readings.kind == "camera" and position is None:
+        if readings is not None and readings.kind == "camera" and others.get("position") is None:
             readings = readings.with_poses(settings, source)
             assert readings.seen is not None
             T = readings.seen.T
-            position = T[:, :3, 3]
-            quaternion = quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))
-            there = np.isfinite(position[:, 0])
-            if there.sum() < samples:
+            others |= {"position": T[:, :3, 3], "quaternion": quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))}
+            there = int(np.isfinite(T[:, 0, 3]).sum())
+            if there < samples:
                 few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
-                notes += (f"{samples - int(there.sum())} of {samples} images show {few}: they are left out",)
-        quaternion = optional("quaternion", quaternion, 4)
-        if quaternion is not None and position is None:
-            raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
-        row = shaped("row", np.arange(1, samples + 1) if row is None else row, dtype=np.int64)
-        run = shaped("run", np.zeros(samples, dtype=np.int64) if run is None else run, dtype=np.int64)
-        time = optional("time", time)
-        velocity = optional("joint_velocity", joint_velocity, dof)
-        if quaternion is not None:
-            quaternion, note = unit_quaternions(quaternion, row, source)
+                notes += (f"{samples - there} of {samples} images show {few}: they are left out",)
+        given = {"joint_position": q, "payload": np.zeros(samples)}
+        given |= {name: value for name, value in others.items() if value is not None}
+        arrays: dict[str, Any] = {}
+        for name in OF_ARRAY:
+            shape = (samples,) if is_scalar(name) else (samples, len(columns_of(name, dof)))
+            array: Any = given.pop(name, None)
+            array = real_array(f"{source}: {name}", array) if array is not None else None
+            if array is not None and array.shape != shape:
+                raise InputError(f"{source}: {name} has the shape {array.shape}; give {shape}")
+            arrays[name] = array
+        if given:
+            raise TypeError(f"{min(given)}: a recording has no such array")
+        for name, counted, usual in (("run", run, np.zeros(samples, int)), ("row", row, np.arange(1, samples + 1))):
+            array = usual if counted is None else np.asarray(counted)
+            if array.shape != (samples,):
+                raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples,)}")
+            if array.dtype.kind not in "iu":
+                raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
+            arrays[name] = array.astype(np.int64, copy=False)
+        if arrays["quaternion"] is not None:
+            if arrays["position"] is None:
+                raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
+            arrays["quaternion"], note = unit_quaternions(arrays["quaternion"], arrays["row"], source)
             notes += (note,) if note else ()
-        motion = settings.motion
+        motion, time, velocity = settings.motion, arrays["time"], arrays["joint_velocity"]
         if motion is None:
             motion, reason = inferred_motion(time, velocity)
             notes += (f"the motion is not declared and is taken as {motion}: {reason}",)
-        segment = run_segments(run)
-        differentiated = False
+        segment, differentiated = run_segments(arrays["run"]), False
         if velocity is None and time is not None and motion == "trajectory":
             velocity, differentiated = differentiate(q, time, segment), True
+            arrays["joint_velocity"] = velocity
             notes += ("the joint velocities were not recorded and come from differentiating the positions over time",)
         elif velocity is None and motion == "trajectory":
             notes += ("the trajectory has neither times nor velocities: directions of motion follow the row order",)
         return cls(
-            joint_position=q,
+            **arrays,
             direction_of_motion=directions(q, velocity, segment, motion),
             motion=motion,
-            position=optional("position", position, 3),
-            quaternion=quaternion,
-            time=time,
-            joint_velocity=velocity,
             velocity_differentiated=differentiated,
-            joint_acceleration=optional("joint_acceleration", joint_acceleration, dof),
-            joint_torque=optional("joint_torque", joint_torque, dof),
-            motor_current=optional("motor_current", motor_current, dof),
-            joint_temperature=optional("joint_temperature", joint_temperature, dof),
-            commanded_position=optional("commanded_position", commanded_position, dof),
-            ambient_temperature=optional("ambient_temperature", ambient_temperature),
-            payload=shaped("payload", np.zeros(samples) if payload is None else payload),
-            run=run,
-            row=row,
             settings=settings,
             source=source,
             notes=notes,
@@ -419,28 +393,17 @@ class Recording(PublicResult):
 
         What follows from the rest is left out: differentiated velocities, a payload or a run that is zero throughout.
         """
-        velocity = None if self.velocity_differentiated else self.joint_velocity
-        table: dict[str, np.ndarray | None] = {"time_s": self.time}
-        for quantity, unit, of_slide, joints in (
-            ("q", "rad", "m", self.joint_position),
-            ("dq", "rad_per_s", "m_per_s", velocity),
-            ("ddq", "rad_per_s2", "m_per_s2", self.joint_acceleration),
-            ("tau", "Nm", "N", self.joint_torque),
-            ("current", "A", "A", self.motor_current),
-            ("temp", "degC", "degC", self.joint_temperature),
-            ("cmd", "rad", "m", self.commanded_position),
-        ):
-            for i, column in enumerate(() if joints is None else joints.T):
-                table[f"{quantity}{i + 1}_{of_slide if i in self.sliding else unit}"] = column
-        table["ambient_degC"] = self.ambient_temperature
-        table["payload_kg"] = self.payload if self.payload.any() else None
-        table["run"] = self.run if self.run.any() else None
-        if self.readings is not None:
-            table |= self.readings.columns()
-        else:
-            for names, block in (("x_m y_m z_m", self.position), ("qw qx qy qz", self.quaternion)):
-                table |= dict(zip(names.split(), () if block is None else block.T, strict=False))
-        return {name: column for name, column in table.items() if column is not None}
+        table: dict[str, np.ndarray] = {}
+        for name in OF_ARRAY:
+            block = getattr(self, name)
+            if block is None or (name in ("payload", "run") and not block.any()):
+                continue
+            if (name == "joint_velocity" and self.velocity_differentiated) or (
+                name in ("position", "quaternion") and self.readings is not None
+            ):
+                continue
+            table |= dict(zip(columns_of(name, self.dof, self.sliding), np.atleast_2d(block.T), strict=True))
+        return table if self.readings is None else table | self.readings.columns()
 
 
 def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None) -> Recording:
@@ -496,11 +459,11 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     if len({*stems}) < len(stems):
         raise InputError(f"{first.source}: two files are called {stems[0]}; give each a name of its own")
     arrays: dict[str, Any] = {}
-    for name in _JOINED:
+    for name in (*OF_ARRAY, "row"):
         each = [getattr(one, name) for one in recordings]
-        if name == "joint_velocity" and first.velocity_differentiated:
-            continue
-        if all(array is not None for array in each):
+        if all(array is not None for array in each) and not (
+            name == "joint_velocity" and first.velocity_differentiated
+        ):
             arrays[name] = np.concatenate(each)
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
     return Recording.assembled(

@@ -66,8 +66,8 @@ def test_a_sidecar_of_poses_says_nothing_of_readings(tmp_path):
         ("a corner of none", "image,corner,u_px,v_px", ["0,0.5,1,2"], "", "count corners from 0"),
         ("twice", "image,corner,u_px,v_px", ["0,1,1,2", "0,1,3,4"], "", "corner twice"),
         ("no such lens", "contact", ["a"], "camera: {mounted: fixed, fx: 900, fy: 900, cx: 1}", "required field cy"),
-        ("two names", "contact", ["a"], "contact_distances: [{between: [a], distance_m: 1, noise_m: 1.0e-5}]", "between: [a, b]"),
-        ("millimetres", "contact", ["a"], "contact_distances: [{between: [a, b], distance_m: 50, noise_m: 1.0}]", "at [0].distance_m"),
+        ("two names", "contact", ["a"], "contact_distances: [{between: [a], distance_m: 1, noise_m: 1}]", "[a, b]"),
+        ("mm", "contact", ["a"], "contact_distances: [{between: [a, b], distance_m: 50, noise_m: 1}]", "at [0].dist"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path, name, columns, rows, settings, said):

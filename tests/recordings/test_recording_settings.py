@@ -265,7 +265,7 @@ def test_writing_needs_permission_to_replace(tmp_path):
         ),
         (
             "recording: {factory_calibration: a.yaml, factory_uncertainty: {position_m: 1.0e-5}}",
-            "{'position_m': 1e-05} is not accepted (Object missing required field rotation_rad); give {position_m: 1.0e-5, rot",
+            "is not accepted (Object missing required field rotation_rad); give {position_m: 1.0e-5, rotation_rad: 1.0",
         ),
         (
             "recording: {factory_uncertainty: {position_m: 1.0e-5, rotation_rad: 1.0e-5, rotation_deg: 1}}",
