@@ -15,9 +15,15 @@ from lite6jax.errors import InputError
 from lite6jax.recordings.columns import MATRIX, OF_ARRAY, columns_of, is_scalar, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
-from lite6jax.recordings.settings import OF_READINGS, Motion, RecordingSettings, declared_settings
+from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
-from lite6jax.recordings.units import checked_arrays, missing_rows, real_array, unit_quaternions, without_implausible
+from lite6jax.recordings.units import (
+    LARGEST_MISSING_SHARE,
+    checked_arrays,
+    real_array,
+    unit_quaternions,
+    without_implausible,
+)
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
 
@@ -144,12 +150,12 @@ class Recording(PublicResult):
             "commanded_position": commanded_position,
             "ambient_temperature": ambient_temperature,
             "payload": payload,
+            "run": run,
             "readings": readings,
         }
         settings = declared_settings(settings, arm, declared)
-        notes: list[str] = []
-        real = without_implausible(checked_arrays(arrays, arm, settings, source, {}), source, {}, notes)
-        return drop_missing(cls.assembled(**real, run=run, settings=settings, source=source, notes=tuple(notes)))
+        real = checked_arrays(arrays, arm, settings, source, {})
+        return drop_missing(cls.plausible(real, settings, source, {}, []))
 
     @classmethod
     def from_dataframe(
@@ -179,9 +185,24 @@ class Recording(PublicResult):
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes, columns)
         arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
-        arrays = without_implausible(arrays, source, table.spelling, notes)
-        recording = cls.assembled(**arrays, settings=settings, source=source, notes=tuple(notes))
-        return drop_missing(recording, table.spelling)
+        return drop_missing(cls.plausible(arrays, settings, source, table.spelling, notes), table.spelling)
+
+    @classmethod
+    def plausible(
+        cls,
+        arrays: Mapping[str, Any],
+        settings: RecordingSettings,
+        source: str,
+        spelling: Mapping[str, str],
+        notes: list[str],
+    ) -> "Recording":
+        """As `assembled`, with numbers missing that no arm or sensor can give.
+
+        Raises:
+            InputError: as `assembled`, or over half of the rows have such a number.
+        """
+        found = without_implausible(arrays, source, spelling, notes)
+        return cls.assembled(**found, settings=settings, source=source, notes=tuple(notes))
 
     @classmethod
     def assembled(
@@ -330,7 +351,8 @@ class Recording(PublicResult):
     def _chosen(self, rows: Any) -> dict[str, Any]:
         """All that has a sample a row, of these rows."""
         readings = {} if self.readings is None else {"readings": self.readings.select(rows)}
-        return {name: array[rows] for name, array in _arrays(self).items()} | readings
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: array[rows] for name, array in arrays.items() if isinstance(array, np.ndarray)} | readings
 
     @property
     def touches(self) -> Readings | None:
@@ -420,13 +442,21 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
         seen = recording.position
         label = {"contact": "contact", "plane": "plane", "distance": "anchor"}.get(recording.readings.kind, "u_px")
         columns[label] = recording.readings.value if seen is None else seen[:, 0]
-    bad, note = missing_rows(columns, recording.row, recording.source, spelling or {})
-    return replace(recording.select(~bad), notes=(*recording.notes, note)) if note else recording
-
-
-def _arrays(recording: Recording) -> dict[str, np.ndarray]:
-    values = {field.name: getattr(recording, field.name) for field in fields(recording)}
-    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    missing = {name: ~np.isfinite(column) for name, column in columns.items()}
+    bad = np.logical_or.reduce(list(missing.values()))
+    if not (count := int(bad.sum())):
+        return recording
+    first = recording.row[np.argmax(bad)]
+    if count > LARGEST_MISSING_SHARE * recording.samples:
+        worst = max(missing, key=lambda name: int(missing[name].sum()))
+        raise InputError(
+            f"{recording.source}: {count} of {recording.samples} rows have NaN, infinite or empty fields, the first is "
+            f"row {first}, most of them in column {(spelling or {}).get(worst, worst)} ({int(missing[worst].sum())}); "
+            "fill or remove that column, or record again"
+        )
+    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
+    note = f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
+    return replace(recording.select(~bad), notes=(*recording.notes, note))
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
@@ -461,43 +491,35 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     arrays: dict[str, Any] = {}
     for name in (*OF_ARRAY, "row"):
         each = [getattr(one, name) for one in recordings]
-        if all(array is not None for array in each) and not (
-            name == "joint_velocity" and first.velocity_differentiated
-        ):
+        derived = name == "joint_velocity" and first.velocity_differentiated
+        if all(array is not None for array in each) and not derived:
             arrays[name] = np.concatenate(each)
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
+    names: tuple[str, ...] = ()
+    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    groups = []
+    for one, stem in zip(recordings, stems, strict=True):
+        assert one.touches is not None
+        groups.append(one.touches.group + len(names))
+        names += tuple(f"{stem}/{name}" for name in one.touches.names)
+        own["contact_distances"] += tuple(
+            msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
+            for each in one.settings.contact_distances
+        )
+        for key in ("contact_points", "planes", "anchor_m"):
+            given = getattr(one.settings, key)
+            if key == "anchor_m" and isinstance(given, tuple):
+                given = dict.fromkeys(one.touches.names, given)
+            if isinstance(given, Mapping):
+                own[key] |= {f"{stem}/{name}": value for name, value in given.items()}
+    assert first.touches is not None
+    value, pixels = (np.concatenate([getattr(one.touches, key) for one in recordings]) for key in ("value", "pixels"))
+    defaults = {field.name: field.default for field in fields(RecordingSettings)}
     return Recording.assembled(
         **arrays,
-        settings=replace(first.settings, **_own_settings(recordings, stems)),
+        settings=replace(first.settings, **{key: given or defaults[key] for key, given in own.items()}),
         source=first.source,
         notes=tuple(dict.fromkeys(note for one in recordings for note in one.notes)),
         sliding=first.sliding,
-        readings=_joined([one.touches for one in recordings if one.touches is not None], stems),
+        readings=Readings(first.touches.kind, np.concatenate(groups), names, value, pixels),
     )
-
-
-def _joined(readings: Sequence[Readings], stems: Sequence[str]) -> Readings:
-    names = tuple(f"{stem}/{name}" for one, stem in zip(readings, stems, strict=True) for name in one.names)
-    before = np.cumsum([0, *(len(one.names) for one in readings)])
-    group = np.concatenate([one.group + start for one, start in zip(readings, before, strict=False)])
-    value, pixels = (np.concatenate([getattr(one, key) for one in readings]) for key in ("value", "pixels"))
-    return Readings(readings[0].kind, group, names, value, pixels)
-
-
-def _own_settings(recordings: Sequence[Recording], stems: Sequence[str]) -> dict[str, Any]:
-    """What each file says of its own points, planes and anchors, under their new names."""
-    found: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
-    for one, stem in zip(recordings, stems, strict=True):
-        own = one.settings
-        found["contact_distances"] += tuple(
-            msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
-            for each in own.contact_distances
-        )
-        for key in ("contact_points", "planes", "anchor_m"):
-            given = getattr(own, key)
-            if key == "anchor_m" and isinstance(given, tuple) and one.touches is not None:
-                given = dict.fromkeys(one.touches.names, given)
-            if isinstance(given, Mapping):
-                found[key] |= {f"{stem}/{name}": value for name, value in given.items()}
-    defaults = {field.name: field.default for field in fields(RecordingSettings) if field.name in OF_READINGS}
-    return {key: value or defaults[key] for key, value in found.items()}

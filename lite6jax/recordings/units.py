@@ -277,7 +277,12 @@ def checked_arrays(
     if q.ndim != 2:
         return real  # of a wrong shape, which `assembled` refuses
     given = real.get("sliding")
-    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, 0 if given else q.shape[1])
+    if isinstance(arm, Arm):
+        known = arm
+    elif settings.arm is not None:
+        known = read_arm(settings.arm_reference(Path(source).parent))
+    else:  # of the bundled ones of as many joints that with the longest reach
+        known = max(bundled_of(0 if given else q.shape[1]), key=lambda one: one.reach, default=None)
     if known is None:
         return real
     if q.shape[1] != known.dof:
@@ -307,38 +312,6 @@ def checked_arrays(
         place, remedy = said("position", columns_of("position"), "_mm", "millimetres", of_mm)
         require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
     return real
-
-
-def _declared_arm(settings: RecordingSettings, source: str, joints: int) -> Arm | None:
-    """The settings' arm; where none is declared, the bundled one of as many joints with the longest reach, if any."""
-    if settings.arm is not None:
-        return read_arm(settings.arm_reference(Path(source).parent))
-    return max(bundled_of(joints), key=lambda arm: arm.reach, default=None)
-
-
-def missing_rows(
-    table: Mapping[str, np.ndarray], row: Int[np.ndarray, " sample"], source: str, spelling: Mapping[str, str]
-) -> tuple[Bool[np.ndarray, " sample"], str]:
-    """The rows with a number that is not finite, and a note that counts them; empty where there are none.
-
-    Raises:
-        InputError: over half of the rows; the message names the column with most gaps.
-    """
-    missing = {name: ~np.isfinite(column) for name, column in table.items()}
-    bad = np.logical_or.reduce(list(missing.values()))
-    count = int(bad.sum())
-    if not count:
-        return bad, ""
-    first = row[np.argmax(bad)]
-    if count > LARGEST_MISSING_SHARE * len(row):
-        worst = max(missing, key=lambda name: int(missing[name].sum()))
-        raise InputError(
-            f"{source}: {count} of {len(row)} rows have NaN, infinite or empty fields, the first is row {first}, most "
-            f"of them in column {spelling.get(worst, worst)} ({int(missing[worst].sum())}); fill or remove that "
-            "column, or record again"
-        )
-    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
-    return bad, f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
 
 
 def unit_quaternions(
