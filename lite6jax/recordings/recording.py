@@ -172,7 +172,7 @@ class Recording(PublicResult):
 
         Args:
             frame: a pandas or polars `DataFrame`, a pyarrow `Table`, a mapping of column names to `(sample,)` arrays,
-                or what has `__arrow_c_stream__` or `__dataframe__`. Units stand in the names: `q1_rad` or `q1_deg`,
+                or what has `__arrow_c_stream__`. Units stand in the names: `q1_rad` or `q1_deg`,
                 `x_m` or `x_mm`.
             columns: of columns with names of their own, the names that a recording has, as in a sidecar:
                 `{"actual_q_0": "q1_rad", "robot_mode": "ignore"}`.
