@@ -188,7 +188,7 @@ def _check(found: "pose_inspection.Inspection", table: "tabulation.RawTable", pa
             f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
         )
     dof = None if found.arm is None else found.arm.dof
-    tabulation.tabulated(table, str(path), notes, dof=dof, renamed=found.columns)
+    tabulation.tabulate(table, str(path), notes, dof=dof, renamed=found.columns)
 
 
 def _find_gross_faults(

@@ -124,7 +124,7 @@ def spelled(quantity: str, joint: int = 0, unit: str | None = None, slides: bool
     return f"{quantity}{joint or ''}" + (f"_{unit}" if unit else "")
 
 
-def columns_of(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> list[str]:
+def name_columns(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> list[str]:
     """The names in SI units of the columns of an array of a recording; prismatic joints count from 0."""
     quantities = OF_ARRAY[array]
     if not is_per_joint(quantities[0]):
@@ -167,7 +167,7 @@ class _Misspelling(NamedTuple):
     remedy: str
 
 
-def _understood(name: str) -> Column | _Misspelling | None:
+def _parse_name(name: str) -> Column | _Misspelling | None:
     """What a name means; None where nothing."""
     if name in MATRIX:
         return Column(name, 0, name, 0, "", 1.0)
@@ -194,7 +194,7 @@ def _understood(name: str) -> Column | _Misspelling | None:
 
 def known_column(name: str) -> Column | None:
     """What a name of a recording's column says; None where it is none."""
-    found = _understood(name)
+    found = _parse_name(name)
     return found if isinstance(found, Column) else None
 
 
@@ -205,7 +205,7 @@ def is_standard(name: str) -> bool:
 
 def is_refused(name: str) -> bool:
     """Whether a table's column of this name has to be named or ignored by a sidecar."""
-    return not _STD.fullmatch(name) and isinstance(_understood(name), _Misspelling)
+    return not _STD.fullmatch(name) and isinstance(_parse_name(name), _Misspelling)
 
 
 def reading_of(name: str) -> str:
@@ -262,7 +262,7 @@ def recognise(
     found: dict[str, Column] = {}
     ignored: list[str] = []
     problems = [
-        f"column {name[:60]!r} of the sidecar is not in the table; it has {_listed(names)}"
+        f"column {name[:60]!r} of the sidecar is not in the table; it has {_list_names(names)}"
         for name in own
         if name.strip() not in there and name not in there
     ]
@@ -273,7 +273,7 @@ def recognise(
         name = own.get(raw, own.get(stripped, stripped))
         if name == IGNORED or name in TEXTS or _STD.fullmatch(name):
             continue
-        meant = _understood(name)
+        meant = _parse_name(name)
         if meant is None and name != stripped:
             problem = f"the sidecar names it {name[:40]!r}, which means nothing here"
             remedy = f"{nearest_known(name) or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
@@ -296,18 +296,18 @@ def recognise(
         else:
             problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
     for place, others in alike.values():
-        problems[place] += f" (and likewise {_listed(others)})" if others else ""
+        problems[place] += f" (and likewise {_list_names(others)})" if others else ""
     joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
     if not joints and not joints_optional and "q" not in unclear:
         problems.append(
-            f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_listed(names)}"
+            f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_list_names(names)}"
         )
     given, joints = joints, joints or (dof or 0) * joints_optional
     if "q" not in unclear:
-        problems += _of_joints(found, given, joints, unclear)
+        problems += _check_joints(found, given, joints, unclear)
     if joints and dof is not None and joints != dof:
         problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
-    return Recognised(found, joints, ignored, problems + _of_groups(found, unclear))
+    return Recognised(found, joints, ignored, problems + _check_groups(found, unclear))
 
 
 def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
@@ -315,7 +315,7 @@ def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
     return tuple(sorted(column.joint - 1 for column in columns.values() if column.quantity == "q" and column.slides))
 
 
-def _of_joints(found: Mapping[str, Column], given: int, joints: int, unclear: set[str]) -> list[str]:
+def _check_joints(found: Mapping[str, Column], given: int, joints: int, unclear: set[str]) -> list[str]:
     """What is wrong with columns of some joints, or of another kind of joint than its position is."""
     problems = []
     every, positions = set(range(1, joints + 1)), {c.joint: c for c in found.values() if c.quantity == "q"}
@@ -343,7 +343,7 @@ def _of_joints(found: Mapping[str, Column], given: int, joints: int, unclear: se
     return problems
 
 
-def _of_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
+def _check_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
     """What is wrong with positions and orientations in part, twice, or without each other."""
     problems, given = [], []
     for group in (PLACE, QUATERNION, MATRIX, *ANGLES):
@@ -363,7 +363,7 @@ def _together(group: Iterable[str]) -> str:
     return " ".join(map(spelled, group))
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(repr(name[:40]) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
 
 

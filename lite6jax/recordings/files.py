@@ -18,12 +18,12 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.parquet import INFO, SUFFIX, of_lerobot, of_parquet, of_stream, one_line, stream_path
+from lite6jax.recordings.parquet import INFO, SUFFIX, one_line, open_lerobot, open_parquet, open_stream, stream_path
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
-from lite6jax.recordings.table import RawTable, Table, arrays_of, tabulated
-from lite6jax.recordings.texts import of_csv
+from lite6jax.recordings.table import RawTable, Table, make_arrays, tabulate
+from lite6jax.recordings.texts import open_text
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
 
 LOGS = (".mcap", ".db3", ".bag")
@@ -31,9 +31,9 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
 SUFFIXES = (*TABLES, SUFFIX, *LOGS)
 """Of the files that are recordings."""
 _READERS: Mapping[str, Callable[[Path, list[str]], RawTable]] = {
-    **dict.fromkeys(TABLES[:-1], of_csv),
-    ".parquet": lambda path, notes: of_parquet(path),
-    SUFFIX: of_stream,
+    **dict.fromkeys(TABLES[:-1], open_text),
+    ".parquet": lambda path, notes: open_parquet(path),
+    SUFFIX: open_stream,
 }
 """Of all but logs and folders."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
@@ -108,7 +108,7 @@ def open_table(
     try:
         if os.path.isdir(path) and kinds is SUFFIXES and suffix not in SUFFIXES:
             if exists(path / INFO):
-                return path, of_lerobot(path)
+                return path, open_lerobot(path)
             inside = _logs(path)
             if not exists(path / METADATA):
                 if len(inside) > 1:
@@ -204,8 +204,8 @@ def read_recording(
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    arrays = arrays_of(table, str(path), notes)
-    recording = Recording.plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    arrays = make_arrays(table, str(path), notes)
+    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
     recording = drop_missing(recording, table.spelling)
     if joint_limits is not None:
         check_joint_scale(recording, joint_limits, table.spelling, assumed=assume_degrees)
@@ -254,8 +254,8 @@ def read_targets(
     given = "q1_rad" in table.columns
     if not given:
         table.values.update({f"q{joint + 1}_rad": np.zeros(len(table.values["x_m"])) for joint in range(table.joints)})
-    arrays = arrays_of(table, str(path), notes)
-    recording = Recording.plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    arrays = make_arrays(table, str(path), notes)
+    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
@@ -276,7 +276,7 @@ def _read(
 ) -> tuple[Path, Table]:
     path, raw = open_table(path, topics, of_arm, notes, kinds)
     renamed, targets = raw.renamed(str(path), sidecar.columns), kinds is TABLES
-    return path, tabulated(raw, str(path), notes, dof=of_arm.dof, renamed=renamed, joints_optional=targets)
+    return path, tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=renamed, joints_optional=targets)
 
 
 # ------------------------------------------------------------------ writing

@@ -31,11 +31,11 @@ class _Leaf(NamedTuple):
     path: tuple[str | int, ...]
 
 
-def _by_place(name: str, place: int, size: int) -> str:
+def _name_element(name: str, place: int, size: int) -> str:
     return f"{name}[{place}]" if size > 1 else name
 
 
-def of_parquet(*paths: Path, named: Named = _by_place) -> RawTable:
+def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
     """The table of a Parquet file, or of several one after the other; only the columns asked for are read.
 
     Members of structs and elements of lists are a column each: `pose.position.x`, `q[0]`.
@@ -58,7 +58,7 @@ def of_parquet(*paths: Path, named: Named = _by_place) -> RawTable:
         parts = [_parquet(path, lambda file, path=path: _columns(file, names, path)) for path in paths]
         table = pa.concat_tables(parts)
         places = {index: table.column_names.index(str(leaves[index].path[0])) for index in wanted}  # names may be twice
-        return {index: _within(table.column(place), leaves[index].path[1:]) for index, place in places.items()}
+        return {index: _descend(table.column(place), leaves[index].path[1:]) for index, place in places.items()}
 
     return RawTable([leaf.name for leaf in leaves], load)
 
@@ -74,7 +74,7 @@ def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Nam
     kind = values.type
     if types.is_struct(kind):
         for field in kind:
-            yield from _leaves(f"{name}.{field.name}", _within(values, [field.name]), (*path, field.name), named)
+            yield from _leaves(f"{name}.{field.name}", _descend(values, [field.name]), (*path, field.name), named)
         return
     lists = types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
     first = values.drop_null()[:1] if lists else values[:0]
@@ -82,10 +82,10 @@ def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Nam
     if not 0 < size <= LONGEST_LIST:
         yield _Leaf(name, path)
     for part in range(size if size <= LONGEST_LIST else 0):
-        yield from _leaves(named(name, part, size), _within(first, [part]), (*path, part), named)
+        yield from _leaves(named(name, part, size), _descend(first, [part]), (*path, part), named)
 
 
-def _within(values: Any, path: Sequence[str | int]) -> Any:
+def _descend(values: Any, path: Sequence[str | int]) -> Any:
     """What stands in a column under these names of members and numbers of elements; or what is wrong with its lists."""
     for part in path:
         if isinstance(part, str):
@@ -134,7 +134,7 @@ class _Info(msgspec.Struct):
     features: dict[str, dict[str, Any]]
 
 
-def of_lerobot(folder: Path) -> RawTable:
+def open_lerobot(folder: Path) -> RawTable:
     """The frames of all episodes in order; a feature of several numbers is a column for each, by its own names.
 
     A unit that `info.json` states stands behind the name of the column.
@@ -157,7 +157,7 @@ def of_lerobot(folder: Path) -> RawTable:
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
-    return of_parquet(*files, named=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
+    return open_parquet(*files, named=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
 
 
 def _feature(feature: Mapping[str, Any], name: str, place: int, size: int) -> str:
@@ -241,7 +241,7 @@ def _reraise_the_disks(error: Exception) -> None:
         raise error
 
 
-def of_stream(path: Path, notes: list[str]) -> RawTable:
+def open_stream(path: Path, notes: list[str]) -> RawTable:
     """The table of a recording that is being written.
 
     Raises:

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import MATRIX, OF_ARRAY, columns_of, is_scalar, quaternions
+from lite6jax.recordings.columns import MATRIX, OF_ARRAY, is_scalar, name_columns, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
-from lite6jax.recordings.table import arrays_of, read_frame
+from lite6jax.recordings.table import make_arrays, read_frame
 from lite6jax.recordings.units import (
     LARGEST_MISSING_SHARE,
     checked_arrays,
@@ -155,7 +155,7 @@ class Recording(PublicResult):
         }
         settings = declared_settings(settings, arm, declared)
         real = checked_arrays(arrays, arm, settings, source, {})
-        return drop_missing(cls.plausible(real, settings, source, {}, []))
+        return drop_missing(cls.assemble_plausible(real, settings, source, {}, []))
 
     @classmethod
     def from_dataframe(
@@ -184,11 +184,11 @@ class Recording(PublicResult):
         notes: list[str] = []
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes, columns)
-        arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
-        return drop_missing(cls.plausible(arrays, settings, source, table.spelling, notes), table.spelling)
+        arrays = checked_arrays(make_arrays(table, source, notes), arm, settings, source, table.spelling)
+        return drop_missing(cls.assemble_plausible(arrays, settings, source, table.spelling, notes), table.spelling)
 
     @classmethod
-    def plausible(
+    def assemble_plausible(
         cls,
         arrays: Mapping[str, Any],
         settings: RecordingSettings,
@@ -248,7 +248,7 @@ class Recording(PublicResult):
         given |= {name: value for name, value in others.items() if value is not None}
         arrays: dict[str, Any] = {}
         for name in OF_ARRAY:
-            shape = (samples,) if is_scalar(name) else (samples, len(columns_of(name, dof)))
+            shape = (samples,) if is_scalar(name) else (samples, len(name_columns(name, dof)))
             array: Any = given.pop(name, None)
             array = real_array(f"{source}: {name}", array) if array is not None else None
             if array is not None and array.shape != shape:
@@ -424,7 +424,7 @@ class Recording(PublicResult):
                 name in ("position", "quaternion") and self.readings is not None
             ):
                 continue
-            table |= dict(zip(columns_of(name, self.dof, self.sliding), np.atleast_2d(block.T), strict=True))
+            table |= dict(zip(name_columns(name, self.dof, self.sliding), np.atleast_2d(block.T), strict=True))
         return table if self.readings is None else table | self.readings.columns()
 
 

@@ -328,7 +328,7 @@ def parse_setting(key: str, value: Any) -> Any:
         reason = str(error).replace("`", "").replace(" - at $", ", at ").replace("Expected", "expected")
         told = any(word in reason for word in (", got", "enum", "regex", "isoformat"))  # by what is to be given
         reason = "" if told else f" ({reason})"
-        raise InputError(f"{key}: {_shown(value)} is not accepted{reason}; give {form_of(key)}") from error
+        raise InputError(f"{key}: {_shorten(value)} is not accepted{reason}; give {form_of(key)}") from error
     return found
 
 
@@ -363,7 +363,7 @@ def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str
             raise InputError(f"{place}{str(key)[:60]}: unknown key; {remedy}")
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -448,12 +448,12 @@ def read_sidecar(path: str | Path) -> Sidecar:
     settings, columns = ({} if (given := content.get(key)) is None else given for key in ("recording", "columns"))
     for key, given, lines in (("recording", settings, "key: value"), ("columns", columns, "name in the table: q1_rad")):
         if not isinstance(given, dict):
-            raise InputError(f"{path}: {key}: {_shown(given)} is not a mapping; write `{lines}` lines below it")
+            raise InputError(f"{path}: {key}: {_shorten(given)} is not a mapping; write `{lines}` lines below it")
     for name, meaning in columns.items():
         if not isinstance(meaning, str):
             raise InputError(
-                f"{path}: columns.{str(name)[:60]}: {_shown(meaning)} is no name of a column; write one such as q1_rad,"
-                f" or {IGNORED}"
+                f"{path}: columns.{str(name)[:60]}: {_shorten(meaning)} is no name of a column; write one such as "
+                f"q1_rad, or {IGNORED}"
             )
     _reject_unknown(f"{path}: recording.", settings, KEYS)
     for key, value in settings.items():

@@ -17,8 +17,8 @@ from lite6jax.recordings.columns import (
     LABELS,
     OF_ARRAY,
     Column,
-    columns_of,
     is_scalar,
+    name_columns,
     nearest_known,
     recognise,
     sliding_of,
@@ -139,7 +139,7 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
         ticks, per_second, zoned = [], 10**9, set()
         texts = [(text or "").strip() for text in column.to_pylist()]
         for row, text in enumerate(texts, 1):
-            moment = _moment(text) if text else (None, None)
+            moment = _parse_moment(text) if text else (None, None)
             if moment is None:
                 return (
                     f"row {row} holds {text[:40]!r}, which is no clock time of one meaning; write it as "
@@ -154,7 +154,7 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
     return ClockTimes(seconds, first / per_second, texts[ticks.index(first)] if first in ticks else "")
 
 
-def _moment(text: str) -> tuple[int, bool] | None:
+def _parse_moment(text: str) -> tuple[int, bool] | None:
     """Nanoseconds, and whether the text has a zone; None where it is of another form, or no day or hour there is."""
     match = _FORM.fullmatch(text)
     if match is None:
@@ -180,7 +180,7 @@ def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:
     return f"holds {kind}, not numbers; write it as float64"
 
 
-def _counted(values: pa.Array | pa.ChunkedArray) -> tuple[np.ndarray, tuple[str, ...]]:
+def _count_words(values: pa.Array | pa.ChunkedArray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Words as the number of each among all, in the order in which they first stand there; NaN of missing ones."""
     words = [(word or "").strip() for word in values.cast(pa.string()).to_pylist()]
     names = tuple(dict.fromkeys(filter(None, words)))
@@ -214,7 +214,7 @@ class Table(NamedTuple):
         return {name: column.name for name, column in self.columns.items()}
 
 
-def tabulated(
+def tabulate(
     raw: RawTable,
     source: str,
     notes: list[str],
@@ -243,7 +243,7 @@ def tabulated(
         for index, array in loaded.items():
             column = found.columns[name := by_index[index]]
             if column.quantity in LABELS and not isinstance(array, str):
-                values[name], labels[name] = _counted(array)
+                values[name], labels[name] = _count_words(array)
                 continue
             read = _read(array, column.quantity)
             if isinstance(read, str):
@@ -264,7 +264,7 @@ def tabulated(
         problems.append("has column names but no rows; record again")
     else:
         try:  # where joints and poses stand in different rows
-            joints, places = columns_of("joint_position", found.joints), columns_of("position")
+            joints, places = name_columns("joint_position", found.joints), name_columns("position")
             if (whole := streams.merged(values, joints, places, "time_s")) is not None:
                 values, row = whole.columns, whole.rows + 1
                 notes += whole.said
@@ -320,7 +320,7 @@ def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, 
             f"{source}: a {type(frame).__name__} has no named columns; give a data frame with columns q1_rad ... qN_rad"
         )
     raw = RawTable(names, lambda wanted: {index: _arrow(frame[names[index]]) for index in wanted})
-    return tabulated(raw, source, notes, renamed=renamed)
+    return tabulate(raw, source, notes, renamed=renamed)
 
 
 def _arrow(values: Any) -> Values:
@@ -336,7 +336,7 @@ def _arrow(values: Any) -> Values:
         return f"holds {kind}, not numbers; give it as float64"
 
 
-def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
+def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     """The arguments of `Recording.assembled` that a table holds.
 
     Raises:
@@ -344,7 +344,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     """
     values, arrays = with_quaternions(table.values, source), {}
     for name in OF_ARRAY:
-        listed = columns_of(name, table.joints)
+        listed = name_columns(name, table.joints)
         block = [values[column] for column in listed if column in values]
         arrays[name] = None if not block else block[0] if is_scalar(name) else np.stack(block, 1)
     joint_position = arrays["joint_position"]

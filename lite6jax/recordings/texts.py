@@ -392,7 +392,7 @@ class _NoNumberError(InputError):
         self.index, self.text = index, text
 
 
-def of_csv(path: Path, notes: list[str]) -> RawTable:
+def open_text(path: Path, notes: list[str]) -> RawTable:
     """The table in a file of text.
 
     Args:
@@ -515,7 +515,7 @@ def _start(path: Path, notes: list[str]) -> tuple[str, str]:
         start = file.read(HEADER_LIMIT)
     if start.startswith(b"PAR1"):
         raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
-    text, encoding = _decoded(start)
+    text, encoding = _decode(start)
     text = text if len(start) < HEADER_LIMIT else text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     if "\0" in text or not (text or len(start) < HEADER_LIMIT):
         raise InputError(f"{path}: is not a CSV table but binary or of another encoding; write it as UTF-8 text")
@@ -529,7 +529,7 @@ def _start(path: Path, notes: list[str]) -> tuple[str, str]:
     return text, encoding
 
 
-def _decoded(start: bytes) -> tuple[str, str]:
+def _decode(start: bytes) -> tuple[str, str]:
     """The text that bytes are, and its encoding; a zero where they are of no text, or may have several meanings."""
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):

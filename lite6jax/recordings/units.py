@@ -15,7 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import OF_ARRAY, QUANTITIES, columns_of
+from lite6jax.recordings.columns import OF_ARRAY, QUANTITIES, name_columns
 from lite6jax.recordings.settings import RecordingSettings
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows
@@ -201,7 +201,7 @@ def without_implausible(
         if array is None or name == "run" or array.ndim not in (1, 2) or len(array) != samples or not array.size:
             continue
         table = array.reshape(samples, -1)
-        names = columns_of(name, table.shape[1])
+        names = name_columns(name, table.shape[1])
         found = implausible(name, table) if len(names) == table.shape[1] else np.zeros_like(table, bool)
         if found.any():
             row, index = np.argwhere(found)[0]
@@ -309,7 +309,7 @@ def checked_arrays(
     )
     if position is not None and position.shape == (len(q), 3):
         of_mm = "name the columns x_mm y_mm z_mm", "give metres: position / 1000"
-        place, remedy = said("position", columns_of("position"), "_mm", "millimetres", of_mm)
+        place, remedy = said("position", name_columns("position"), "_mm", "millimetres", of_mm)
         require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
     return real
 

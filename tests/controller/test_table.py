@@ -12,7 +12,7 @@ import pytest
 
 from lite6jax.controller.recorder import TableWriter
 from lite6jax.errors import InputError
-from lite6jax.recordings.parquet import of_stream
+from lite6jax.recordings.parquet import open_stream
 
 
 def rows(count, seed=0, columns=20):
@@ -26,7 +26,7 @@ def read(path):
 
 
 def read_stream(path, notes):
-    return dict(of_stream(path, notes).numbers())
+    return dict(open_stream(path, notes).numbers())
 
 
 @contextmanager

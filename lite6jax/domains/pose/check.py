@@ -49,7 +49,7 @@ class Cause:
 
     Attributes:
         code: `default_table`, `nominal_table`, `tool_offset`, `joint_limits`, `geometry`, `one_point`, `outliers` or
-            `drop_missing`.
+            `missing_rows`.
         suspicious: whether it is to be removed before anything is fitted.
         rows: of the file, from 1; empty where all or none are concerned.
         numbers: in SI units, plain JSON values.

@@ -13,7 +13,7 @@ from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.readings import computed_by_controller, digit_step
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.table import RawTable, tabulated
+from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.report.inspection import choice_of_pose, inspection_report, next_steps, sidecar_text
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
@@ -599,7 +599,7 @@ def test_any_table_is_looked_at(seed):
         table = RawTable.of_arrays(frame)
         columns = {name: own for name, own in found.columns.items() if name in frame}
         with contextlib.suppress(InputError):  # of an empty column, or joints of which one is missing
-            tabulated(table, "run7.csv", [], renamed=columns)
+            tabulate(table, "run7.csv", [], renamed=columns)
 
 
 @pytest.mark.parametrize(
