@@ -31,6 +31,7 @@ from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
 from lite6jax.report import remedies
+from lite6jax.report.inspection import KEYS
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
@@ -76,46 +77,6 @@ COLUMNS = {
     "image": "which image a corner was seen in, a word or a number; a row is then a corner",
     "corner": "which corner of the board, counted from 0: at column i mod `columns`",
     **dict.fromkeys("uv", "where a corner was seen in an image"),
-}
-KEYS = {
-    "arm": "the nominal arm; relative paths start at the sidecar",
-    "factory_calibration": "the arm's own calibration. With it, the geometry is exactly that, unless "
-    "`factory_uncertainty` is given; without it, the geometry is fitted",
-    "factory_uncertainty": "one standard deviation of each number of the calibration; the geometry is fitted near it",
-    "joint_source": "whether the columns q are encoder read-outs or commands",
-    "joint_noise_rad": "noise of a joint's read-out",
-    "pose_source": "which sensor measured the poses",
-    "motion": "`static`: the arm stood still at each row; `trajectory`: it moved",
-    "pose_frame": "`base`: positions are in the arm's base frame exactly; `unknown`: in the sensor's, which is fitted",
-    "tool": "`none`: the flange is measured; `unknown`: the measured point is fitted; or its place on the flange",
-    "position_noise_m": "the sensor's noise of a position, along each axis",
-    "orientation_noise_rad": "the sensor's noise of an orientation, about each axis",
-    "payload_com_m": "the payload's centre of mass in the flange's frame",
-    "reference_temperature_degC": "the temperature at which the geometry holds",
-    "gravity_m_per_s2": "gravity in the arm's base frame: change it where the arm hangs or leans",
-    "inertial_uncertainty": "one standard deviation of the masses and their lever arms, relative",
-    "payload_uncertainty_kg": "one standard deviation of the payload's mass",
-    "torque_source": "where torques come from; `estimated` is the controller's own model",
-    "torque_noise_Nm": "noise of the torque of each joint, in N of a prismatic one",
-    "inertial": "for torques: what is known of the masses and inertias of the links",
-    "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included; N/A of a prismatic one",
-    "contact_noise_m": "noise of the touched point about its contact, along each axis",
-    "contact_distances": "known distances between contacts, each with one standard deviation",
-    "contact_points": "contacts whose coordinates are known, in the frame that `pose_frame` says",
-    "plane_noise_m": "noise of the touched point from its plane",
-    "planes": "planes that are known, n · p = offset in the arm's base frame",
-    "distance_noise_m": "noise of a distance",
-    "anchor_m": "where the anchor is in the arm's base frame; of several, by name",
-    "distance_offset": "`unknown`: a constant that is added to each distance is fitted",
-    "axis_noise_m": "noise of a height",
-    "axis": "the direction of heights in the arm's base frame",
-    "pixel_noise_px": "noise of a corner in an image, along each axis",
-    "camera": "the camera by OpenCV's model; `mounted` is `fixed` or `on_flange`, and with `intrinsics: refine` focal "
-    "lengths and centre are fitted",
-    "board": "the board, with one standard deviation of where its corners were printed",
-    "points_m": "the corners of a flat board of another form, in its frame",
-    "date": "the day of the measurement, which a certificate shows",
-    "instrument": "with what it was measured, such as type and serial number, which a certificate shows",
 }
 _JOINTS, _SPEEDS = "`q1_rad` …", "`time_s`, or `dq1_rad_per_s` …"
 _SLIDES, _SLIDE_SPEEDS = "`q1_m` …", "`time_s`, or `dq1_m_per_s` …"
@@ -272,7 +233,7 @@ def sidecar_table() -> str:
     """Every key of a sidecar, with what it accepts and what holds without it."""
     defaults = {field.name: field.default for field in fields(RecordingSettings)}
     _check("keys of a sidecar", KEYS, defaults)
-    lines = [(f"`{name}`", KEYS[name], settings.form_of(name), _default(value)) for name, value in defaults.items()]
+    lines = [(f"`{name}`", KEYS[name][0], settings.form_of(name), _default(value)) for name, value in defaults.items()]
     return _table(("key", "meaning", "accepted", "without it"), lines)
 
 
