@@ -43,15 +43,16 @@ def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
     Raises:
         InputError: damaged, or another kind of file, or one without a column of the first; here and in `load`.
     """
-    schema = _parquet(paths[0], lambda file: file.schema_arrow)
-    nested = [field.name for field in schema if field.type.num_fields]
-    first = _parquet(paths[0], lambda file: next(file.iter_batches(_SAMPLE, columns=nested), None)) if nested else None
-    sampled = {} if first is None else dict(zip(nested, first.columns, strict=True))
-    leaves = [
-        leaf
-        for field in schema
-        for leaf in _leaves(field.name, sampled.get(field.name, pa.nulls(0, field.type)), (field.name,), named)
-    ]
+
+    def describe(file: pa_parquet.ParquetFile) -> list[_Leaf]:
+        fields = list(file.schema_arrow)
+        lists = [field.name for field in fields if "list<" in str(field.type)]
+        first = next(file.iter_batches(_SAMPLE, columns=lists), None) if lists else None
+        sampled = {} if first is None else dict(zip(first.schema.names, first.columns, strict=True))
+        starts = [(field.name, sampled.get(field.name, pa.nulls(0, field.type))) for field in fields]
+        return [leaf for name, values in starts for leaf in _leaves(name, values, (name,), named)]
+
+    leaves: list[_Leaf] = _parquet(paths[0], describe)
 
     def load(wanted: Mapping[int, str]) -> dict[int, Values]:
         names = list(dict.fromkeys(str(leaves[index].path[0]) for index in wanted))
