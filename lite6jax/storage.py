@@ -6,9 +6,9 @@ import re
 import shutil
 import stat
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -226,70 +226,8 @@ def read_yaml(path: str | Path) -> Any:
             that are nested too deeply or too long.
     """
     text = read_text(path, YAML_SIZE_LIMIT)
-    values = _mapping_of_numbers(text)
-    return _parse_yaml(path, text) if values is None else values
-
-
-_NUMBERS_LIMIT = 20_000
-"""Characters, which no file of numbers of one arm has."""
-_ENTRY = re.compile(
-    r"( *)([A-Za-z_][A-Za-z0-9_]{0,63}):"
-    r"(?: +(?:([-+]?[0-9]{1,20}\.[0-9]{0,30}(?:[eE][-+][0-9]{1,4})?)|(0|-?[1-9][0-9]{0,17})))?"
-    r" *(?:\r?\n|\Z)|(?: *(?:#[^\r\n]*)?(?:\r?\n|\Z))"
-)
-"""A line `name:`, `name: number`, or of nothing but a comment."""
-_WORDS = {"yes", "no", "on", "off", "true", "false", "null"}
-"""Names that YAML takes for something else."""
-
-
-def _mapping_of_numbers(text: str) -> dict[str, Any] | None:
-    """What a YAML text holds that is nothing but mappings of numbers in blocks; None of every other text.
-
-    Thousands of factory files are read, and this takes a tenth of the time of a parser of all of YAML.
-    """
-    if len(text) > _NUMBERS_LIMIT:
-        return None
-    root: dict[str, Any] = {}
-    levels: list[tuple[int, dict[str, Any]]] = [(0, root)]
-    opened: dict[str, Any] | None = None
-    at, end = 0, len(text)
-    while at < end:
-        line = _ENTRY.match(text, at)
-        if line is None:
-            return None
-        at = line.end()
-        indent, name, real, whole = line.groups()
-        if name is None:
-            continue
-        depth = len(indent)
-        if opened is not None:
-            if depth <= levels[-1][0] or len(levels) > YAML_DEPTH_LIMIT:
-                return None
-            levels.append((depth, opened))
-            opened = None
-        while depth < levels[-1][0]:
-            levels.pop()
-        column, within = levels[-1]
-        if depth != column or name in within or name.lower() in _WORDS:
-            return None
-        if real is not None:
-            within[name] = float(real)
-        elif whole is not None:
-            within[name] = int(whole)
-        else:
-            within[name] = opened = {}
-    return root if root and opened is None else None
-
-
-def _parse_yaml(path: str | Path, text: str) -> Any:
-    """What a YAML text holds; errors as of `read_yaml`."""
     try:
-        _check_events(path, text)
-        node = yaml.compose(text, Loader=_LOADER)
-        if node is None:
-            raise InputError(f"{path}: is empty")
-        _check_node(path, node, budget=[YAML_NODE_LIMIT])
-        return yaml.constructor.SafeConstructor().construct_document(node)
+        return _construct(path, text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
@@ -298,53 +236,98 @@ def _parse_yaml(path: str | Path, text: str) -> Any:
         too_deep = "nesting depth" in problem
         what = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"
         raise InputError(f"{path}:{where} {what}; correct the file") from error
-    except (RecursionError, ValueError, ArithmeticError) as error:  # numbers and dates that cannot be
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (RecursionError, ValueError, ArithmeticError, TypeError) as error:  # numbers, dates and keys that cannot be
         raise InputError(
             f"{path}: not valid YAML (nested too deeply or a malformed value); correct the file"
         ) from error
 
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_PLAIN_TAGS = {
-    f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
-}
+_RESOLVER, _CONSTRUCTOR = yaml.resolver.Resolver(), yaml.constructor.SafeConstructor()
+_TAG = "tag:yaml.org,2002:"
+_SCALARS = {f"{_TAG}{kind}" for kind in ("str", "int", "float", "bool", "null", "timestamp")}
+_REAL = re.compile(r"[-+]?[0-9]{1,20}\.[0-9]{0,30}(?:[eE][-+][0-9]{1,4})?")
+_WORDS = {"yes", "no", "on", "off", "true", "false", "null"}
+_NO_KEY = object()
 
 
-def _check_events(path: str | Path, text: str) -> None:
-    """Bounds depth and length before anything recursive reads them: in C, too deep a nesting ends the process."""
-    depth = 0
+@dataclass
+class _Level:
+    """A mapping or list that is being read: its anchor, the values before it, and the key that awaits a value."""
+
+    content: Any
+    anchor: str | None
+    before: int = 0
+    key: Any = _NO_KEY
+
+
+def _construct(path: str | Path, text: str) -> Any:
+    """What a YAML text holds, in one pass over its events: of thousands of files, no parser of trees is as fast."""
+    levels, anchors, count = [_Level([], None)], {}, 0
+
+    def refuse(problem: str) -> InputError:
+        return InputError(f"{path}: line {event.start_mark.line + 1}: {problem}")
+
     for event in yaml.parse(text, Loader=_LOADER):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth > YAML_DEPTH_LIMIT:
-                where = f"{path}: line {event.start_mark.line + 1}:"
-                raise InputError(f"{where} nested more than {YAML_DEPTH_LIMIT} levels deep; correct the file")
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-        elif isinstance(event, yaml.ScalarEvent) and len(event.value) > YAML_SCALAR_LIMIT:
-            where = f"{path}: line {event.start_mark.line + 1}:"
-            raise InputError(f"{where} a value of over {YAML_SCALAR_LIMIT} characters; correct the file")
+        kind = type(event)
+        if kind is yaml.ScalarEvent:
+            if len(event.value) > YAML_SCALAR_LIMIT:
+                raise refuse(f"a value of over {YAML_SCALAR_LIMIT} characters; correct the file")
+            value, size, anchor = _scalar(event), 1, event.anchor
+            if value is _NO_KEY:
+                raise refuse(f"the YAML tag {event.tag or '!!merge'!r} is not accepted; write plain values")
+        elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+            if len(levels) > YAML_DEPTH_LIMIT:
+                raise refuse(f"nested more than {YAML_DEPTH_LIMIT} levels deep; correct the file")
+            mapping = kind is yaml.MappingStartEvent
+            if event.tag not in (None, "!", f"{_TAG}{'map' if mapping else 'seq'}"):
+                raise refuse(f"the YAML tag {event.tag!r} is not accepted; write plain values")
+            levels.append(_Level({} if mapping else [], event.anchor, count))
+            continue
+        elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+            whole = levels.pop()
+            value, anchor, size = whole.content, whole.anchor, 1 + count - whole.before
+        elif kind is yaml.AliasEvent:
+            if event.anchor not in anchors:
+                raise refuse(f"not valid YAML (found undefined alias {event.anchor!r}); correct the file")
+            (value, size), anchor = anchors[event.anchor], None
+        else:
+            if kind is yaml.DocumentStartEvent and levels[0].content:
+                raise refuse("not valid YAML (a second document); correct the file")
+            continue
+        count += size if kind is yaml.AliasEvent else 1
+        if count > YAML_NODE_LIMIT:
+            raise InputError(f"{path}: its YAML aliases expand to over {YAML_NODE_LIMIT} values; write them out")
+        if anchor is not None:
+            anchors[anchor] = value, size
+        level = levels[-1]
+        if isinstance(level.content, list):
+            level.content.append(value)
+        elif level.key is not _NO_KEY:
+            level.content[level.key], level.key = value, _NO_KEY
+        elif isinstance(value, dict | list):
+            raise refuse("a key that is not a plain name; write `name: value`")
+        elif value in level.content:
+            raise refuse(f"the key {value!r} is given twice; keep one")
+        else:
+            level.key = value
+    if not levels[0].content:
+        raise InputError(f"{path}: is empty")
+    return levels[0].content[0]
 
 
-def _check_node(path: str | Path, node: yaml.Node, budget: list[int]) -> None:
-    """Checks a node and those below it; `budget` limits their number after the expansion of aliases."""
-    budget[0] -= 1
-    where = f"{path}: line {node.start_mark.line + 1}:"
-    if budget[0] < 0:
-        raise InputError(f"{path}: its YAML aliases expand to over {YAML_NODE_LIMIT} values; write them out")
-    if node.tag not in _PLAIN_TAGS:
-        raise InputError(f"{where} the YAML tag {node.tag!r} is not accepted; write plain values")
-    if isinstance(node, yaml.MappingNode):
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        if len(keys) != len(node.value):
-            raise InputError(f"{where} a key that is not a plain name; write `name: value`")
-        if len(set(keys)) != len(keys):
-            twice = next(key for key, count in Counter(keys).items() if count > 1)
-            raise InputError(f"{where} the key {twice!r} is given twice; keep one")
-        for _, value in node.value:
-            _check_node(path, value, budget)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _check_node(path, value, budget)
+def _scalar(event: yaml.ScalarEvent) -> Any:
+    """A value; `_NO_KEY` of one with a tag of its own."""
+    text, tag = event.value, event.tag
+    if tag is None and event.implicit[0]:
+        if _REAL.fullmatch(text):
+            return float(text)
+        if text[:1].isalpha() and text.lower() not in _WORDS:  # no such scalar is anything but a word
+            return text
+    if tag in (None, "!"):
+        tag = _RESOLVER.resolve(yaml.ScalarNode, text, event.implicit)
+    if tag not in _SCALARS:
+        return _NO_KEY
+    return _CONSTRUCTOR.yaml_constructors[tag](_CONSTRUCTOR, yaml.ScalarNode(tag, text))

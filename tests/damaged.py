@@ -213,26 +213,11 @@ def _factory(folder: Path) -> Path:
 
 
 def _mcap(folder: Path) -> Path:
-    from mcap_ros2.writer import Writer
+    from tests import logs
 
-    path = folder / "run7.mcap"
-    header = "std_msgs/Header header\n{}" + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
-    header += "string frame_id\n" + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-    fields = "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    with open(path, "wb") as file:
-        writer = Writer(file)
-        schema = writer.register_msgdef("sensor_msgs/msg/JointState", header.format(fields))
-        for k, q in enumerate(recording().joint_position):
-            message = {
-                "header": {"stamp": {"sec": 1000 + 8 * k, "nanosec": 0}, "frame_id": "base"},
-                "name": [f"joint{j + 1}" for j in range(len(q))],
-                "position": q.tolist(),
-                "velocity": [],
-                "effort": [],
-            }
-            writer.write_message("/joint_states", schema, message, log_time=8_000_000_000 * k)
-        writer.finish()
-    return path
+    q = recording().joint_position
+    names = [f"joint{joint + 1}" for joint in range(q.shape[1])]
+    return logs.write(folder / "run7.mcap", {"/joint_states": logs.joints(8.0 * np.arange(len(q)), q, names)})
 
 
 CSV = Reader("csv", _written(".csv"), _read_recording)

@@ -87,13 +87,13 @@ from lite6jax.deferred import import_lazily
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.calibration import source
-    from lite6jax.recordings import sidecar
+    from lite6jax.recordings import settings as sidecar
     from lite6jax.arms import entries
-print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-10:])
+print("numpy" in sys.modules, sidecar.__name__, sidecar.__file__[-11:])
 print("YAML" in entries.__doc__)
 print(sidecar.sidecar_path("run.csv"), recordings.recording_file("run.csv"), source.load_nominal("lite6").name)
-print(sidecar is sys.modules["lite6jax.recordings.sidecar"] is recordings.sidecar)
-from lite6jax.recordings.sidecar import sidecar_path
+print(sidecar is sys.modules["lite6jax.recordings.settings"] is recordings.settings)
+from lite6jax.recordings.settings import sidecar_path
 print(sidecar_path is sidecar.sidecar_path, type(sidecar).__name__)
 for wrong in ("sidecar.nothing", "recordings.nothing"):
     try:
@@ -109,12 +109,12 @@ from lite6jax.design import poses
 print(poses.plan_poses.__name__)
 """
     assert in_a_new_process(code) == [
-        "False lite6jax.recordings.sidecar sidecar.py",
+        "False lite6jax.recordings.settings settings.py",
         "True",
         "run.yaml run.csv lite6",
         "True",
         "True module",
-        "module 'lite6jax.recordings.sidecar' has no attribute 'nothing'",
+        "module 'lite6jax.recordings.settings' has no attribute 'nothing'",
         "module 'lite6jax.recordings' has no attribute 'nothing'",
         "lite6jax.design",
         "plan_poses",

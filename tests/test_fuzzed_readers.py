@@ -18,7 +18,7 @@ def trials(tmp_path_factory):
 
     def trial(reader):
         if reader.name == "mcap":
-            pytest.importorskip("mcap_ros2.writer", reason="the package mcap-ros2-support is not installed")
+            pytest.importorskip("rosbags", reason="the package of the extra `rosbag` is not installed")
         if reader.name not in made:
             made[reader.name] = Trial(reader, tmp_path_factory.mktemp("fuzzed"))
         return made[reader.name]

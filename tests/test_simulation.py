@@ -686,9 +686,9 @@ def test_nothing_is_left_where_writing_fails(capsys, tmp_path, monkeypatch):
         ),
         (
             ["--tolerance", "--factory-uncertainty", "0", "0.1"],
-            r"factory_uncertainty: .* is not accepted \(at position_m \(not positive\)\); give .*",
+            r"factory_uncertainty: .* is not accepted \(expected float >= 1e-12, at \.position_m\); give .*",
         ),
-        (["--tool-at", "9000", "0", "0"], r"tool: .* is not accepted \(over 5 m long: millimetres\?\); give .*"),
+        (["--tool-at", "9000", "0", "0"], r"tool: .* is not accepted \(expected float <= 5\.0, at \[0\]\); give .*"),
         (["--payload", "-1"], r"simulation: payload \[-1\.0\]; give masses in kg, 0 or more"),
     ],
 )

@@ -30,7 +30,8 @@ from lite6jax.effects.effect import Effect
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
-from lite6jax.report import inspection, remedies
+from lite6jax.report import remedies
+from lite6jax.report.inspection import KEYS
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
@@ -77,7 +78,6 @@ COLUMNS = {
     "corner": "which corner of the board, counted from 0: at column i mod `columns`",
     **dict.fromkeys("uv", "where a corner was seen in an image"),
 }
-KEYS = {key: meaning for key, (meaning, _) in inspection.KEYS.items()}
 _JOINTS, _SPEEDS = "`q1_rad` …", "`time_s`, or `dq1_rad_per_s` …"
 _SLIDES, _SLIDE_SPEEDS = "`q1_m` …", "`time_s`, or `dq1_m_per_s` …"
 _LOADS = "`q1_rad` …, `payload_kg`; masses of the arm"
@@ -209,7 +209,8 @@ def _shown_in() -> dict[str, list[str]]:
 
 def column_table() -> str:
     """Every column of a recording, with the units that are read."""
-    accepted = {**columns._PER_JOINT, **columns._SCALAR, **{name: {"": 1.0} for name in columns._TEXTS}}
+    of_joints_first = sorted(columns.QUANTITIES.items(), key=lambda item: not item[1].per_joint)
+    accepted = {name: one.units for name, one in of_joints_first} | {name: {"": 1.0} for name in columns.TEXTS}
     _check("columns", COLUMNS, accepted)
     lines = []
     for meaning, group in itertools.groupby(accepted, COLUMNS.__getitem__):
@@ -223,7 +224,7 @@ def _spelled(quantities: Iterable[str], unit: str) -> str:
     """The columns of quantities in a unit; of those of every joint the first and the last."""
     end = unit and f"_{unit}"
     names = [
-        f"`{name}1{end}` … `{name}N{end}`" if name in columns._PER_JOINT else f"`{name}{end}`" for name in quantities
+        f"`{name}1{end}` … `{name}N{end}`" if columns.is_per_joint(name) else f"`{name}{end}`" for name in quantities
     ]
     return ", ".join(names)
 
@@ -232,7 +233,7 @@ def sidecar_table() -> str:
     """Every key of a sidecar, with what it accepts and what holds without it."""
     defaults = {field.name: field.default for field in fields(RecordingSettings)}
     _check("keys of a sidecar", KEYS, defaults)
-    lines = [(f"`{name}`", KEYS[name], settings._KINDS[name].form, _default(value)) for name, value in defaults.items()]
+    lines = [(f"`{name}`", KEYS[name][0], settings.form_of(name), _default(value)) for name, value in defaults.items()]
     return _table(("key", "meaning", "accepted", "without it"), lines)
 
 

@@ -21,7 +21,7 @@ with import_lazily():
     from lite6jax.arms import description
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
-    from lite6jax.recordings import sidecar
+    from lite6jax.recordings import settings as sidecar
     from lite6jax.report import canvas, documents, screen
 
 if TYPE_CHECKING:

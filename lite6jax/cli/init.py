@@ -28,7 +28,7 @@ with import_lazily():
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
-    from lite6jax.recordings import fault, naming, raw
+    from lite6jax.recordings import fault, naming
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
@@ -55,7 +55,7 @@ class _Table(NamedTuple):
     """A table as it is looked at: where it is or will be, its columns, their numbers, and how it was read or made."""
 
     path: Path
-    content: "raw.RawTable"
+    content: "tabulation.RawTable"
     columns: "list[tuple[str, np.ndarray | None]]"
     notes: list[str]
 
@@ -118,7 +118,7 @@ class Init:
             notes: list[str] = []
             joints = recordings.ArmJoints.of(sources.load_nominal(arm))
             place, content = tables.open_table(path, topics, joints, notes)
-            return _Table(place, content, list(content.numbers()), notes)
+            return _Table(place, content, content.numbers(), notes)
 
         def look() -> "pose_inspection.Inspection":
             said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
@@ -176,7 +176,7 @@ class Init:
         return command.DONE
 
 
-def _check(found: "pose_inspection.Inspection", table: "raw.RawTable", path: "Path", notes: list[str]) -> None:
+def _check(found: "pose_inspection.Inspection", table: "tabulation.RawTable", path: "Path", notes: list[str]) -> None:
     """Refuses what the other commands would refuse, before anything is written."""
     q = found.of("q")
     if q is not None and q.unit.reason in ("percent", "ticks"):
@@ -188,7 +188,7 @@ def _check(found: "pose_inspection.Inspection", table: "raw.RawTable", path: "Pa
             f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
         )
     dof = None if found.arm is None else found.arm.dof
-    tabulation.tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
+    tabulation.tabulate(table, str(path), notes, dof=dof, renamed=found.columns)
 
 
 def _find_gross_faults(
@@ -329,8 +329,8 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         whole = pose_joining.join_files(joints, poses, arm)
         notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
         columns = whole.columns
-    made = raw.of_arrays(columns)
-    return _Table(place, made, list(made.numbers()), notes)
+    made = tabulation.RawTable.of_arrays(columns)
+    return _Table(place, made, made.numbers(), notes)
 
 
 def _read_columns(source: str, arm: "arms.Arm | None", only_with_reflectors: bool = False) -> "tuple[Path, Columns]":

@@ -26,7 +26,7 @@ from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
-from lite6jax.recordings.raw import stream_batch, stream_batches, stream_path, stream_start
+from lite6jax.recordings.parquet import stream_batch, stream_batches, stream_path, stream_start
 from lite6jax.storage import check_writable, write_atomically
 
 Columns = Mapping[str, NDArray]

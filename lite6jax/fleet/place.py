@@ -16,7 +16,7 @@ from lite6jax.errors import InputError, InputWarning
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.recordings import sidecar
+    from lite6jax.recordings import settings as sidecar
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
 RECORDINGS = (".csv", ".parquet", ".arrows")

@@ -18,8 +18,13 @@ from lite6jax.recordings.files import Targets, read_recording, read_targets, rec
 from lite6jax.recordings.readings import Readings, readings_from_arrays
 from lite6jax.recordings.recording import Recording, drop_missing, join_recordings
 from lite6jax.recordings.ros import ArmJoints
-from lite6jax.recordings.settings import FactoryUncertainty, RecordingSettings
-from lite6jax.recordings.sidecar import read_settings, sidecar_path, write_settings
+from lite6jax.recordings.settings import (
+    FactoryUncertainty,
+    RecordingSettings,
+    read_settings,
+    sidecar_path,
+    write_settings,
+)
 from lite6jax.recordings.units import require_radians
 
 __all__ = [

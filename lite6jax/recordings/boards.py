@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import Column
 from lite6jax.recordings.files import TABLES, open_table
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import BoardSettings, CameraSettings
@@ -20,7 +19,8 @@ from lite6jax.sensors.camera import FEWEST_CORNERS
 Array = NDArray[np.floating]
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
-_BOARD = re.compile(r"charuco:(\d+)x(\d+),([\d.]+)mm(?:,([\d.]+)mm)?(?:,(?:DICT_)?(\w+))?", re.IGNORECASE)
+_BOARD = re.compile(r"charuco:(\d{1,4})x(\d{1,4}),([\d.]+)mm(?:,([\d.]+)mm)?(?:,(?:DICT_)?(\w+))?", re.IGNORECASE)
+_PARTS = re.compile(r"(\d+)")
 _MARKER = 0.75
 """Of a square's side, where a marker's is not said."""
 _FEWEST_IMAGES = 3
@@ -84,14 +84,12 @@ def parse_board(text: str) -> Board:
     columns, rows, square, marker, dictionary = match.groups()
     try:
         side = float(square) / 1e3
-        board = Board(
-            int(columns), int(rows), side, float(marker) / 1e3 if marker else _MARKER * side, dictionary or ""
-        )
+        markers = float(marker) / 1e3 if marker else _MARKER * side
     except ValueError as error:
         raise InputError(f"--board {text[:60]}: {error}; give sides in mm") from error
-    if min(board.columns, board.rows) < 3 or not 0 < board.marker < board.square:
+    if min(int(columns), int(rows)) < 3 or not 0 < markers < side:
         raise InputError(f"--board {text[:60]}: give 3 squares or more a side, and markers smaller than these")
-    return board._replace(dictionary=(board.dictionary or "4X4_50").upper())
+    return Board(int(columns), int(rows), side, markers, (dictionary or "4X4_50").upper())
 
 
 def list_images(sources: Sequence[str | Path]) -> list[Path]:
@@ -102,22 +100,15 @@ def list_images(sources: Sequence[str | Path]) -> list[Path]:
     """
     found: list[Path] = []
     for source in map(Path, sources):
+        inside = [source] if source.is_file() else []
         if source.is_dir():
             inside = [file for file in source.iterdir() if file.suffix.lower() in _IMAGES]
-            if not inside:
-                raise InputError(f"{source}: holds no images ({', '.join(_IMAGES)}); name their folder")
-            found += sorted(inside, key=_numbered)
-        elif source.is_file():
-            found.append(source)
-        else:
-            raise InputError(f"{source}: no such file or folder; name images or their folder")
+            inside.sort(key=lambda file: [int(part) if part.isdecimal() else part for part in _PARTS.split(file.name)])
+        if not inside:
+            holds = f"holds no images ({', '.join(_IMAGES)})" if source.is_dir() else "no such file or folder"
+            raise InputError(f"{source}: {holds}; name images or their folder")
+        found += inside
     return found
-
-
-def _numbered(file: Path) -> list[tuple[str, int]]:
-    """The words of a name, each with the number after it."""
-    words = re.split(r"(\d+)", file.name)
-    return [(word, int(number)) for word, number in zip(words[::2], [*words[1::2], "0"], strict=True)]
 
 
 def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
@@ -131,8 +122,7 @@ def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
     _, content = open_table(table, (), ArmJoints(), [], TABLES)
     names = list(content.names)
     at = names.index("image") if "image" in names else 0
-    column = Column(names[at], at, "image", 0, "", 1.0)
-    values = content.load({"image": column})["image"]
+    values = content.load({at: "image"})[at]
     if isinstance(values, str):
         raise InputError(f"{table}: column {names[at]}: {values}")
     if "image" not in names:

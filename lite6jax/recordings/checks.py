@@ -12,7 +12,7 @@ from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
-from lite6jax.recordings.units import far_joint, limits_of, require_metres, unlikely_joint
+from lite6jax.recordings.units import require_metres, require_near
 
 
 def check_joint_scale(
@@ -33,21 +33,16 @@ def check_joint_scale(
         raise InputError(
             f"{recording.source}: has {recording.dof} joints, the arm {len(given)}; choose the arm it is of"
         )
-    found = far_joint(recording.joint_position, given)
-    if found is None:
-        return
-    sample, joint = found
-    name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-    if joint in recording.sliding:
-        remedy = f"are these millimetres? name the column q{joint + 1}_mm"
-    elif not name.endswith("_rad") or assumed:
-        remedy = "check the unit"
-    else:
+
+    def said(joint: int) -> tuple[str, str]:
+        name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
         remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees"
-    place, row = f"{recording.source}: column {name}", f"row {recording.row[sample]}"
-    value, limits = recording.joint_position[found], limits_of(recording.dof, given)
-    unit = "m" if joint in recording.sliding else "rad"
-    raise InputError(unlikely_joint(place, row, value, joint, limits, remedy, unit))
+        remedy = "check the unit" if not name.endswith("_rad") or assumed else remedy
+        if joint in recording.sliding:
+            remedy = f"are these millimetres? name the column q{joint + 1}_mm"
+        return f"{recording.source}: column {name}", remedy
+
+    require_near(recording.joint_position, given, said, recording.row, recording.sliding)
 
 
 def check_position_scale(

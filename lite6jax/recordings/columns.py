@@ -1,5 +1,6 @@
 """The columns of a recording: which quantity, joint and unit a name means, all that is wrong, and orientations."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,50 +13,38 @@ from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
 
-# quantity -> accepted units, the SI one first, each with the divisor that leads to it: dividing by 1000 rounds
-# correctly, multiplying by 0.001 does not
-_ANGLE = {"rad": 1.0, "deg": 180 / pi}
-_PER_JOINT = {
-    "q": _ANGLE,
-    "dq": {"rad_per_s": 1.0, "deg_per_s": 180 / pi},
-    "ddq": {"rad_per_s2": 1.0, "deg_per_s2": 180 / pi},
-    "tau": {"Nm": 1.0, "mNm": 1e3},
-    "current": {"A": 1.0, "mA": 1e3},
-    "temp": {"degC": 1.0},
-    "cmd": _ANGLE,
-}
-_SLIDE = {
-    "q": {"m": 1.0, "mm": 1e3},
-    "cmd": {"m": 1.0, "mm": 1e3},
-    "dq": {"m_per_s": 1.0, "mm_per_s": 1e3},
-    "ddq": {"m_per_s2": 1.0, "mm_per_s2": 1e3},
-    "tau": {"N": 1.0, "kN": 1e-3},
-}
-"""The units of the same quantities of a prismatic joint."""
+Array = NDArray[np.floating]
+
+
+class Quantity(NamedTuple):
+    """What a column may hold.
+
+    Attributes:
+        units: by name, the SI one first, each with the divisor that leads to it: dividing by 1000 rounds correctly.
+        of_slide: those of a prismatic joint; none where they are no others.
+        per_joint: whether there is a column for each joint.
+        array: of a recording, to which the column belongs.
+        largest: magnitude in SI units, beyond which no arm or sensor gives it.
+        common: whether the name without a unit is taken for a misspelling, and not for any column of the user's own.
+    """
+
+    units: dict[str, float]
+    of_slide: dict[str, float] = {}  # noqa: RUF012 (never changed)
+    per_joint: bool = False
+    array: str = ""
+    largest: float = math.inf
+    common: bool = True
+
+
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
 """The other forms of an orientation (`quaternions`)."""
-_OF_ANGLES = tuple(part for form in ANGLES for part in form)
-_ONLY_WITH_UNIT = (*_OF_ANGLES, "cmd", "distance", "axis", "u", "v")
-"""Quantities that without their unit are any column of the user's own."""
+VECTOR, RPY, XYZ, ZYZ = ANGLES
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
 """A rotation matrix, row by row."""
-_SCALAR = {
-    "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
-    **{axis: {"m": 1.0, "mm": 1e3} for axis in "xyz"},
-    **{part: {"": 1.0} for part in (*QUATERNION, *MATRIX)},
-    **dict.fromkeys(_OF_ANGLES, _ANGLE),
-    "ambient": {"degC": 1.0},
-    "payload": {"kg": 1.0},
-    "run": {"": 1.0},
-    "missing": {"": 1.0},
-    "distance": {"m": 1.0, "mm": 1e3},
-    "axis": {"m": 1.0, "mm": 1e3},
-    "corner": {"": 1.0},
-    "u": {"px": 1.0},
-    "v": {"px": 1.0},
-    **{label: {"": 1.0} for label in ("contact", "plane", "anchor", "image")},
-}
+PLACE = ("x", "y", "z")
+LABELS = ("contact", "plane", "anchor", "image")
+"""Columns of words that tell rows of one point, plane, anchor or image from the others."""
 READINGS = {
     "contact": ("contact",),
     "plane": ("plane",),
@@ -64,16 +53,88 @@ READINGS = {
     "camera": ("u", "v", "image", "corner"),
 }
 """The quantities of each kind of reading; the first tells of the kind."""
-LABELS = ("contact", "plane", "anchor", "image")
-"""Columns of words that tell rows of one point, plane, anchor or image from the others."""
-_TEXTS = ("gap",)
+IGNORED = "ignore"
+"""What a sidecar says of a column that is not to be read."""
+
+_ANGLE, _LENGTH = {"rad": 1.0, "deg": 180 / pi}, {"m": 1.0, "mm": 1e3}
+_RATE = {"rad_per_s": 1.0, "deg_per_s": 180 / pi}, {"m_per_s": 1.0, "mm_per_s": 1e3}
+_RATE2 = {"rad_per_s2": 1.0, "deg_per_s2": 180 / pi}, {"m_per_s2": 1.0, "mm_per_s2": 1e3}
+_NONE = {"": 1.0}
+QUANTITIES: Mapping[str, Quantity] = {
+    "time": Quantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12),
+    "q": Quantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi),  # a joint that counts its turns on and on
+    "dq": Quantity(*_RATE, True, "joint_velocity", 1e4),
+    "ddq": Quantity(*_RATE2, True, "joint_acceleration", 1e7),
+    "tau": Quantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5),
+    "current": Quantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5),
+    "temp": Quantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4),
+    "cmd": Quantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
+    "ambient": Quantity({"degC": 1.0}, array="ambient_temperature", largest=1e4),
+    "payload": Quantity({"kg": 1.0}, array="payload", largest=1e5),
+    "run": Quantity(_NONE, array="run"),
+    **dict.fromkeys(PLACE, Quantity(_LENGTH, array="position", largest=1e7)),  # which a float resolves to nanometres
+    **dict.fromkeys(QUATERNION, Quantity(_NONE, array="quaternion")),
+    **dict.fromkeys(MATRIX, Quantity(_NONE)),
+    **{part: Quantity(_ANGLE, common=False) for form in ANGLES for part in form},
+    "missing": Quantity(_NONE),
+    "distance": Quantity(_LENGTH, common=False),
+    "axis": Quantity(_LENGTH, common=False),
+    "corner": Quantity(_NONE),
+    **dict.fromkeys(("u", "v"), Quantity({"px": 1.0}, common=False)),
+    **dict.fromkeys(LABELS, Quantity(_NONE)),
+}
+OF_ARRAY: dict[str, tuple[str, ...]] = {
+    one.array: tuple(name for name, other in QUANTITIES.items() if other.array == one.array)
+    for one in QUANTITIES.values()
+    if one.array
+}
+"""The quantities of each array of a recording."""
+TEXTS = ("gap",)
 """Columns of words, for people."""
 _STD = re.compile(r"[a-z]+\d*_std_[a-zA-Z]+")
 """Standard deviations, as `predict` and `compensate` write them beside what can be read again."""
-IGNORED = "ignore"
-"""What a sidecar says of a column that is not to be read."""
 _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII)
 _SHOWN = 8
+
+
+def units_of(quantity: str, slides: bool = False) -> dict[str, float]:
+    """The accepted units of a quantity, the SI one first, with what to divide by to get there.
+
+    Args:
+        quantity: such as `q` or `x`.
+        slides: whether it is that of a prismatic joint.
+    """
+    one = QUANTITIES[quantity]
+    return one.of_slide if slides and one.of_slide else one.units
+
+
+def differs_by_joint(quantity: str) -> bool:
+    """Whether a prismatic joint has other units of it than a revolute one."""
+    return bool(QUANTITIES[quantity].of_slide)
+
+
+def is_per_joint(quantity: str) -> bool:
+    """Whether there is one column for each joint."""
+    return quantity in QUANTITIES and QUANTITIES[quantity].per_joint
+
+
+def spelled(quantity: str, joint: int = 0, unit: str | None = None, slides: bool = False) -> str:
+    """The name of a column: of a joint counted from 1, in a unit, the SI one where none is given."""
+    unit = next(iter(units_of(quantity, slides))) if unit is None else unit
+    return f"{quantity}{joint or ''}" + (f"_{unit}" if unit else "")
+
+
+def name_columns(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> list[str]:
+    """The names in SI units of the columns of an array of a recording; prismatic joints count from 0."""
+    quantities = OF_ARRAY[array]
+    if not is_per_joint(quantities[0]):
+        return [spelled(quantity) for quantity in quantities]
+    return [spelled(quantities[0], joint + 1, slides=joint in sliding) for joint in range(joints)]
+
+
+def is_scalar(array: str) -> bool:
+    """Whether an array of a recording has one number a sample, `(sample,)`."""
+    return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
 
 
 @dataclass(frozen=True)
@@ -95,7 +156,73 @@ class Column:
     @property
     def slides(self) -> bool:
         """Whether its unit is one of a prismatic joint."""
-        return self.unit in _SLIDE.get(self.quantity, ())
+        return self.unit in QUANTITIES[self.quantity].of_slide
+
+
+class _Misspelling(NamedTuple):
+    """A name that is nearly one of a recording's: of which quantity, what is wrong, and what to write."""
+
+    quantity: str
+    problem: str
+    remedy: str
+
+
+def _parse_name(name: str) -> Column | _Misspelling | None:
+    """What a name means; None where nothing."""
+    if name in MATRIX:
+        return Column(name, 0, name, 0, "", 1.0)
+    match = _NAME.fullmatch(name)
+    quantity = match["quantity"].lower() if match else ""
+    if match is None or quantity not in QUANTITIES or (match["joint"] and not is_per_joint(quantity)):
+        return None
+    joint, one = int(match["joint"][:3] or 0), QUANTITIES[quantity]
+    for unit, divisor in (*one.units.items(), *one.of_slide.items()):
+        if name == spelled(quantity, joint, unit) and (joint or not one.per_joint):
+            return Column(name, 0, quantity, joint, unit, divisor)
+    if not one.common:
+        return None
+    if one.per_joint and not joint:
+        problem = "joints are numbered from 1"
+    elif match["quantity"] != quantity or (match["unit"] or "") in one.units:
+        problem = "is not spelled as it must be"
+    elif match["unit"]:
+        problem = f"the unit {match['unit'][:40]!r} is unknown"
+    else:
+        problem = "has no unit" if "" in one.units else "the unit is missing"
+    return _Misspelling(quantity, problem, _forms(quantity, joint or 1))
+
+
+def known_column(name: str) -> Column | None:
+    """What a name of a recording's column says; None where it is none."""
+    found = _parse_name(name)
+    return found if isinstance(found, Column) else None
+
+
+def is_standard(name: str) -> bool:
+    """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
+    return name in TEXTS or _STD.fullmatch(name) is not None or known_column(name) is not None
+
+
+def is_refused(name: str) -> bool:
+    """Whether a table's column of this name has to be named or ignored by a sidecar."""
+    return not _STD.fullmatch(name) and isinstance(_parse_name(name), _Misspelling)
+
+
+def reading_of(name: str) -> str:
+    """The kind of reading that a column of this name belongs to; empty of any other."""
+    column = known_column(name)
+    return next((kind for kind, parts in READINGS.items() if column and column.quantity in parts), "")
+
+
+def nearest_known(name: str) -> str | None:
+    """The column that an ignored one may have meant."""
+    if name in {part for form in ANGLES for part in form}:
+        return spelled(name)
+    known = [spelled(quantity, int(is_per_joint(quantity))) for quantity in QUANTITIES]
+    return next(iter(get_close_matches(name, known, n=1, cutoff=0.8)), None)
+
+
+# ------------------------------------------------------------------ the columns of a table
 
 
 class Recognised(NamedTuple):
@@ -112,11 +239,6 @@ class Recognised(NamedTuple):
     joints: int
     ignored: list[str]
     problems: list[str]
-
-    @property
-    def sliding(self) -> tuple[int, ...]:
-        """The joints, counted from 0, whose positions are lengths."""
-        return sliding_of(self.columns)
 
 
 def recognise(
@@ -136,42 +258,56 @@ def recognise(
         joints_optional: whether joint positions may be absent; then `dof` is to be known.
         renamed: of columns with names of their own, the names that they would have here, or `IGNORED`.
     """
-    own = renamed or {}
+    own, there = renamed or {}, {*names, *(name.strip() for name in names)}
     found: dict[str, Column] = {}
     ignored: list[str] = []
-    problems = _Problems()
-    for name in own:
-        if name not in names and name.strip() not in map(str.strip, names):
-            problems.say(f"column {name[:60]!r} of the sidecar is not in the table; it has {_listed(names)}")
+    problems = [
+        f"column {name[:60]!r} of the sidecar is not in the table; it has {_list_names(names)}"
+        for name in own
+        if name.strip() not in there and name not in there
+    ]
+    alike: dict[tuple[str, str], tuple[int, list[str]]] = {}  # the place of a problem, and the next columns with it
+    unclear: set[str] = set()
     for index, raw in enumerate(names):
-        name = own.get(raw, own.get(raw.strip(), raw.strip()))
-        if name == IGNORED or name in _TEXTS or _STD.fullmatch(name):
+        stripped = raw.strip()
+        name = own.get(raw, own.get(stripped, stripped))
+        if name == IGNORED or name in TEXTS or _STD.fullmatch(name):
             continue
-        column = _column(name, raw.strip(), index, problems)
-        if column is None:
-            if not problems.about(index):
-                ignored.append(raw)
-        elif (twin := found.get(column.si_name)) is None:
-            found[column.si_name] = column
-        elif twin.name == column.name:
-            problems.say(f"column {column.name} stands there twice; keep one")
+        meant = _parse_name(name)
+        if meant is None and name != stripped:
+            problem = f"the sidecar names it {name[:40]!r}, which means nothing here"
+            remedy = f"{nearest_known(name) or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
+            meant, name = _Misspelling(name, problem, remedy), stripped
+        if meant is None:
+            ignored.append(raw)
+        elif isinstance(meant, _Misspelling):
+            unclear.add(meant.quantity)
+            group = next((parts[0] for parts in (PLACE, QUATERNION) if meant.quantity in parts), meant.quantity)
+            shown = stripped if stripped == name else f"{stripped} ({name})"
+            if (key := (group, meant.problem)) in alike:
+                alike[key][1].append(shown)
+                continue
+            alike[key] = len(problems), []
+            problems.append(f"column {shown[:60]!r}: {meant.problem}; write {meant.remedy}")
+        elif (twin := found.get(meant.si_name)) is None:
+            found[meant.si_name] = Column(stripped, index, meant.quantity, meant.joint, meant.unit, meant.divisor)
+        elif twin.name == stripped:
+            problems.append(f"column {stripped} stands there twice; keep one")
         else:
-            problems.say(f"columns {twin.name} and {column.name} give the same quantity; keep one")
-    joints = _joints(found, names, dof if joints_optional else None, problems)
+            problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
+    for place, others in alike.values():
+        problems[place] += f" (and likewise {_list_names(others)})" if others else ""
+    joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
+    if not joints and not joints_optional and "q" not in unclear:
+        problems.append(
+            f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_list_names(names)}"
+        )
+    given, joints = joints, joints or (dof or 0) * joints_optional
+    if "q" not in unclear:
+        problems += _check_joints(found, given, joints, unclear)
     if joints and dof is not None and joints != dof:
-        problems.say(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
-    _check_joints(found, joints, problems)
-    _check_kinds(found, problems)
-    _check_groups(found, problems)
-    return Recognised(found, joints, ignored, problems.listed())
-
-
-def one_line(source: str, problems: Sequence[str], remedy: str = "") -> str:
-    """The message that names all problems of a table, numbered where there are several."""
-    if len(problems) == 1:
-        return f"{source}: {problems[0]}{remedy}"
-    numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
-    return f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}"
+        problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
+    return Recognised(found, joints, ignored, problems + _check_groups(found, unclear))
 
 
 def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
@@ -179,227 +315,67 @@ def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
     return tuple(sorted(column.joint - 1 for column in columns.values() if column.quantity == "q" and column.slides))
 
 
-class _Problems:
-    """Problems in the order in which they were found; those of columns that differ in their number only are one."""
-
-    def __init__(self) -> None:
-        self._texts: list[str] = []
-        self._alike: dict[tuple[str, str], tuple[int, list[str]]] = {}
-        self._indices: set[int] = set()
-        self.quantities: set[str] = set()
-
-    def say(self, text: str) -> None:
-        self._texts.append(text)
-
-    def column(self, name: str, index: int, quantity: str, problem: str, remedy: str) -> None:
-        """A problem of one column; of the next ones with the same only the names are added."""
-        self._indices.add(index)
-        self.quantities.add(quantity)
-        group = self._group(quantity)
-        if (group, problem) in self._alike:
-            self._alike[group, problem][1].append(name)
-            return
-        self._alike[group, problem] = (len(self._texts), [])
-        self._texts.append(f"column {name[:60]!r}: {problem}; write {remedy}")
-
-    def about(self, index: int) -> bool:
-        return index in self._indices
-
-    def listed(self) -> list[str]:
-        texts = list(self._texts)
-        for place, others in self._alike.values():
-            if others:
-                texts[place] += f" (and likewise {_listed(others)})"
-        return texts
-
-    @staticmethod
-    def _group(quantity: str) -> str:
-        return next((group[0] for group in (("x", "y", "z"), QUATERNION) if quantity in group), quantity)
-
-
-def _column(name: str, own: str, index: int, problems: _Problems) -> Column | None:
-    """The column that a name means; `own` is its name in the file, for messages."""
-    if name in MATRIX:
-        return Column(own, index, name, 0, "", 1.0)
-    match = _NAME.fullmatch(name)
-    quantity = match["quantity"].lower() if match else ""
-    per_joint = quantity in _PER_JOINT
-    known = match is not None and (per_joint or (quantity in _SCALAR and not match["joint"]))
-    if known:
-        assert match is not None
-        joint = int(match["joint"][:9] or 0)
-        for number, (accepted, divisor) in enumerate(units_of(quantity).items()):
-            if name == spelled(quantity, joint, number) and (joint or not per_joint):
-                return Column(own, index, quantity, joint, accepted, divisor)
-        for accepted, divisor in _SLIDE.get(quantity, {}).items():
-            if joint and name == f"{quantity}{joint}_{accepted}":
-                return Column(own, index, quantity, joint, accepted, divisor)
-    if known and quantity not in _ONLY_WITH_UNIT:
-        assert match is not None
-        forms = _forms(quantity, int(match["joint"][:9] or 0) or 1)
-        problem = _misspelling(match, quantity, per_joint)
-        problems.column(_shown(own, name), index, quantity, problem, forms)
-    elif name != own:
-        near = nearest_known(name)
-        remedy = f"{near or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
-        problems.column(own, index, name, f"the sidecar names it {name[:40]!r}, which means nothing here", remedy)
-    return None
-
-
-def _shown(own: str, name: str) -> str:
-    return own if own == name else f"{own} ({name})"
-
-
-def _misspelling(match: re.Match[str], quantity: str, per_joint: bool) -> str:
-    units, unit = units_of(quantity), match["unit"]
-    if per_joint and not int(match["joint"][:9] or 0):
-        return "joints are numbered from 1"
-    if match["quantity"] != quantity or (unit or "") in units:
-        return "is not spelled as it must be"
-    if unit:
-        return f"the unit {unit[:40]!r} is unknown"
-    return "the unit is missing" if "" not in units else "has no unit"
-
-
-def _joints(found: dict[str, Column], names: Sequence[str], dof: int | None, problems: _Problems) -> int:
-    """How many joints there are; `dof` where that is known and there need be no columns of them."""
-    joints = {column.joint for column in found.values() if column.quantity == "q"}
-    if not joints:
-        if dof is None and "q" not in problems.quantities:
-            problems.say(
-                f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_listed(names)}"
-            )
-        return dof or 0
-    if "q" not in problems.quantities:
-        for joint in range(1, max(joints)):
-            if joint not in joints:
-                problems.say(f"{_forms('q', joint)} is missing while q{max(joints)} is there; give every joint")
-    return max(joints)
-
-
-def _check_joints(found: Mapping[str, Column], joints: int, problems: _Problems) -> None:
-    for quantity in _PER_JOINT:
+def _check_joints(found: Mapping[str, Column], given: int, joints: int, unclear: set[str]) -> list[str]:
+    """What is wrong with columns of some joints, or of another kind of joint than its position is."""
+    problems = []
+    every, positions = set(range(1, joints + 1)), {c.joint: c for c in found.values() if c.quantity == "q"}
+    problems += [
+        f"{_forms('q', joint)} is missing while q{given} is there; give every joint"
+        for joint in sorted(set(range(1, given)) - positions.keys())
+    ]
+    for quantity in (name for name, one in QUANTITIES.items() if one.per_joint and name != "q"):
         present = {column.joint for column in found.values() if column.quantity == quantity}
-        if not joints or quantity in problems.quantities or "q" in problems.quantities:
+        if not joints or not present or quantity in unclear:
             continue
-        if surplus := present - set(range(1, joints + 1)):
-            problems.say(
+        if surplus := present - every:
+            problems.append(
                 f"column {_forms(quantity, min(surplus))}: the joint positions end with q{joints}; "
                 f"add q{min(surplus)} or remove the column"
             )
-        if quantity != "q" and present and (missing := set(range(1, joints + 1)) - present):
-            problems.say(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
-
-
-def _check_kinds(found: Mapping[str, Column], problems: _Problems) -> None:
-    """What is of a prismatic joint beside what is of a revolute one."""
-    slides = {column.joint: column for column in found.values() if column.quantity == "q"}
+        if missing := every - present:
+            problems.append(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
     for column in found.values():
-        position = slides.get(column.joint)
-        if column.quantity in _SLIDE and position is not None and column.slides != position.slides:
-            units = _SLIDE[column.quantity] if position.slides else _PER_JOINT[column.quantity]
-            forms = " or ".join(f"{column.quantity}{column.joint}_{unit}" for unit in units)
-            problems.say(f"column {column.name} does not fit {position.name}; write {forms}")
+        position, other = positions.get(column.joint), QUANTITIES[column.quantity].of_slide
+        if other and position is not None and column.slides != position.slides:
+            forms = " or ".join(spelled(column.quantity, column.joint, unit)
+                                for unit in units_of(column.quantity, position.slides))  # fmt: skip
+            problems.append(f"column {column.name} does not fit {position.name}; write {forms}")
+    return problems
 
 
-def _check_groups(found: Mapping[str, Column], problems: _Problems) -> None:
-    given = []
-    for group in (("x", "y", "z"), QUATERNION, MATRIX, *ANGLES):
+def _check_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
+    """What is wrong with positions and orientations in part, twice, or without each other."""
+    problems, given = [], []
+    for group in (PLACE, QUATERNION, MATRIX, *ANGLES):
         missing = [quantity for quantity in group if spelled(quantity) not in found]
-        if len(missing) < len(group) and group != ("x", "y", "z"):
+        if len(missing) < len(group) and group != PLACE:
             given.append(group)
-        if missing and len(missing) < len(group) and not problems.quantities & set(group):
-            problems.say(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
+        if 0 < len(missing) < len(group) and not unclear & set(group):
+            problems.append(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
     if len(given) > 1:
-        problems.say(f"has the orientation twice, {_together(given[0])} and {_together(given[1])}; keep one")
-    if given and "x_m" not in found and not problems.quantities & {"x", "y", "z"}:
-        problems.say(f"has the orientation {_together(given[0])} without a position; add x_m y_m z_m")
+        problems.append(f"has the orientation twice, {_together(given[0])} and {_together(given[1])}; keep one")
+    if given and "x_m" not in found and not unclear & set(PLACE):
+        problems.append(f"has the orientation {_together(given[0])} without a position; add x_m y_m z_m")
+    return problems
 
 
 def _together(group: Iterable[str]) -> str:
     return " ".join(map(spelled, group))
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(repr(name[:40]) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
 
 
-def spelled(quantity: str, joint: int = 0, number: int = 0) -> str:
-    """The name of a column: of a joint counted from 1, and in the unit of this number in `units_of`."""
-    unit = list(units_of(quantity))[number]
-    return f"{quantity}{joint or ''}" + (f"_{unit}" if unit else "")
-
-
 def _forms(quantity: str, joint: int) -> str:
-    if quantity not in _PER_JOINT:
-        joint = 0
-    return " or ".join(spelled(quantity, joint, number) for number in range(len(units_of(quantity))))
-
-
-def units_of(quantity: str, slides: bool = False) -> dict[str, float]:
-    """The accepted units of a quantity, the SI one first, with what to divide by to get there.
-
-    Args:
-        quantity: such as `q` or `x`.
-        slides: whether it is that of a prismatic joint.
-    """
-    if slides and quantity in _SLIDE:
-        return _SLIDE[quantity]
-    return _PER_JOINT[quantity] if quantity in _PER_JOINT else _SCALAR[quantity]
-
-
-def differs_by_joint(quantity: str) -> bool:
-    """Whether a prismatic joint has other units of it than a revolute one."""
-    return quantity in _SLIDE
-
-
-def is_per_joint(quantity: str) -> bool:
-    """Whether there is one column for each joint."""
-    return quantity in _PER_JOINT
-
-
-def is_standard(name: str) -> bool:
-    """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
-    return name in _TEXTS or _STD.fullmatch(name) is not None or _column(name, name, 0, _Problems()) is not None
-
-
-def known_column(name: str) -> Column | None:
-    """What a name of a recording's column says; None where it is none."""
-    return _column(name, name, 0, _Problems())
-
-
-def reading_of(name: str) -> str:
-    """The kind of reading that a column of this name belongs to; empty of any other."""
-    column = known_column(name)
-    return next((kind for kind, parts in READINGS.items() if column and column.quantity in parts), "")
-
-
-def is_refused(name: str) -> bool:
-    """Whether a table's column of this name has to be named or ignored by a sidecar."""
-    if _STD.fullmatch(name):
-        return False
-    _column(name, name, 0, problems := _Problems())
-    return bool(problems.listed())
-
-
-def nearest_known(name: str) -> str | None:
-    """The column that an ignored one may have meant."""
-    if name in _OF_ANGLES:
-        return spelled(name)
-    known = [spelled(quantity, 1 if quantity in _PER_JOINT else 0) for quantity in (*_PER_JOINT, *_SCALAR)]
-    return next(iter(get_close_matches(name, known, n=1, cutoff=0.8)), None)
+    return " or ".join(spelled(quantity, joint * is_per_joint(quantity), unit) for unit in units_of(quantity))
 
 
 # ------------------------------------------------------------------ forms of orientations
 
 
-Array = NDArray[np.floating]
-
-VECTOR, RPY, XYZ, ZYZ = ANGLES
 _EULER: dict[tuple[str, ...], str] = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
 """Intrinsic sequences in SciPy's spelling, in the order of the columns; of `RPY` in the reverse order."""
-
-
 NEARLY = 0.02
 """Of R Rᵀ from the identity: as far off is a matrix of which two digits are written."""
 

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import pi
 from pathlib import Path
 from typing import NamedTuple
@@ -18,36 +18,40 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.raw import (
-    INFO,
-    SUFFIX,
-    RawTable,
-    of_arrays,
-    of_lerobot,
-    of_parquet,
-    of_stream,
-    one_line,
-    stream_path,
-)
+from lite6jax.recordings.parquet import INFO, SUFFIX, one_line, open_lerobot, open_parquet, open_stream, stream_path
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
-from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path, write_settings
-from lite6jax.recordings.table import Table, arrays_of, tabulated
-from lite6jax.recordings.texts import of_csv
-from lite6jax.recordings.units import without_implausible
+from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
+from lite6jax.recordings.table import RawTable, Table, make_arrays, tabulate
+from lite6jax.recordings.texts import open_text
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
 
 LOGS = (".mcap", ".db3", ".bag")
-TEXTS = (".csv", ".tsv", ".txt", ".dat", ".log")
-TABLES = (*TEXTS, ".parquet")
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
 SUFFIXES = (*TABLES, SUFFIX, *LOGS)
 """Of the files that are recordings."""
-KINDS = "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
+_READERS: Mapping[str, Callable[[Path, list[str]], RawTable]] = {
+    **dict.fromkeys(TABLES[:-1], open_text),
+    ".parquet": lambda path, notes: open_parquet(path),
+    SUFFIX: open_stream,
+}
+"""Of all but logs and folders."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
-_ARMS = (".urdf", ".xacro", ".xml", ".mjcf")
-_EXCEL = (".xlsx", ".xls", ".xlsm", ".ods")
-_ARRAYS = (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather")
+_STRANGERS = {
+    **dict.fromkeys(
+        (".urdf", ".xacro", ".xml", ".mjcf"),
+        "describes an arm and holds no measurements; name a recording, and the arm with --arm {name}",
+    ),
+    **dict.fromkeys(
+        (".xlsx", ".xls", ".xlsm", ".ods"),
+        "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `{init}`",
+    ),
+    **dict.fromkeys(
+        (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather"),
+        "is no recording; write it as {stem}.csv or .parquet with a name for each column",
+    ),
+}
+"""What helps where a file is of a kind that people take for a recording's."""
 
 
 def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
@@ -63,12 +67,23 @@ def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 def recording_file(path: str | Path) -> Path | None:
     """The file or folder that a recording's name names, without topics; None where it is no recording's name."""
     file, _ = split_topics(path)
-    return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or _is_lerobot(file) else None
+    return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or exists(file / INFO) else None
 
 
-def is_log(path: Path) -> bool:
-    """Whether a file or folder is a log of ROS."""
-    return path.suffix.lower() in LOGS or _is_bag(path)
+def stranger(path: str | Path) -> str:
+    """What helps where a file or folder is of a kind that people take for a recording's; empty for every other."""
+    path = Path(str(path).partition("#")[0])
+    if not os.path.isdir(path):
+        init = command_line("init", path.with_suffix(".csv"))
+        return _STRANGERS.get(path.suffix.lower(), "").format(name=path.name, stem=path.stem, init=init)
+    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (".csv", ".parquet", ".mcap"))
+    if tables:
+        every = command_line("fleet", path)
+        return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{every}`"
+    return (
+        "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
+        "(meta/info.json), no table; name the file of a recording"
+    )
 
 
 def open_table(
@@ -78,7 +93,7 @@ def open_table(
 
     Args:
         path: the file or folder.
-        topics: of a log, as in `ros.read_log`.
+        topics: of a log, as in `ros.read_bag`.
         of_arm: the joints of the arm, as far as known, of which a log says less than a table.
         notes: what was chosen, assumed and dropped is added here.
         kinds: the suffixes accepted.
@@ -86,81 +101,42 @@ def open_table(
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
-    suffix = path.suffix.lower()
+    suffix, log = path.suffix.lower(), path
     if suffix == ".parquet" and not exists(path) and exists(growing := stream_path(path)):
         notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
         path, suffix = growing, SUFFIX
     try:
-        if os.path.isdir(path) and set(LOGS) <= set(kinds) and suffix not in SUFFIXES:
-            return path, _of_folder(path, topics, of_arm, notes)
-        if not suffix and not exists(path):
+        if os.path.isdir(path) and kinds is SUFFIXES and suffix not in SUFFIXES:
+            if exists(path / INFO):
+                return path, open_lerobot(path)
+            inside = _logs(path)
+            if not exists(path / METADATA):
+                if len(inside) > 1:
+                    raise InputError(
+                        f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
+                    )
+                if not inside:
+                    raise InputError(f"{path}: {stranger(path)}")
+                log = inside[0]  # a recorder that was ended writes no metadata
+        elif not suffix and not exists(path):
             raise InputError(f"{path}: no such file or folder; check the name")
-        if suffix not in kinds:
-            raise InputError(f"{path}: {stranger(path) or _other(kinds)}")
-        check_readable(path)
-        if suffix in LOGS:
-            return path, _of_log(path, topics, of_arm, notes)
-        if suffix == ".parquet":
-            return path, of_parquet(path)
-        return path, of_csv(path, notes) if suffix in TEXTS else of_stream(path, notes)
+        elif suffix not in kinds:
+            other = "targets end in .csv or .parquet"
+            if kinds is SUFFIXES:
+                other = (
+                    "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot "
+                    "data set"
+                )
+            raise InputError(f"{path}: {stranger(path) or f'{other}; convert it or correct the name'}")
+        elif suffix in _READERS:
+            return path, _READERS[suffix](check_readable(path), notes)
+        else:
+            check_readable(path)
+        columns = read_bag(log, topics, of_arm, notes)
+        # nothing says the unit of efforts
+        return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
-
-
-def _of_log(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
-    """The table of a log, in whose joint states nothing says the unit of efforts."""
-    columns = read_bag(path, topics, of_arm, notes)
-    return of_arrays(columns, [name for name in columns if name.startswith("tau")])
-
-
-def _other(kinds: Sequence[str]) -> str:
-    if set(LOGS) <= set(kinds):
-        return f"{KINDS}; convert it or correct the name"
-    return "targets end in .csv or .parquet; convert it or correct the name"
-
-
-def stranger(path: str | Path) -> str:
-    """What helps where a file or folder is of a kind that people take for a recording's; empty for every other."""
-    path = Path(str(path).partition("#")[0])
-    suffix, name = path.suffix.lower(), path.name
-    if os.path.isdir(path):
-        return _of_no_recording(path)
-    if suffix in _ARMS:
-        return f"describes an arm and holds no measurements; name a recording, and the arm with --arm {name}"
-    if suffix in _EXCEL:
-        table = path.with_suffix(".csv")
-        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `{command_line('init', table)}`"
-    if suffix in _ARRAYS:
-        return f"is no recording; write it as {path.stem}.csv or .parquet with a name for each column"
-    return ""
-
-
-def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
-    if _is_lerobot(path):
-        return of_lerobot(path)
-    if exists(path / METADATA):
-        return _of_log(path, topics, of_arm, notes)
-    logs = _logs(path)
-    if len(logs) == 1:  # a recorder that was ended writes no metadata
-        return _of_log(logs[0], topics, of_arm, notes)
-    if logs:
-        raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
-    raise InputError(f"{path}: {_of_no_recording(path)}")
-
-
-def _of_no_recording(path: Path) -> str:
-    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (".csv", ".parquet", ".mcap"))
-    if not tables:
-        return (
-            "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
-            "(meta/info.json), no table; name the file of a recording"
-        )
-    all_of_them = command_line("fleet", path)
-    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{all_of_them}`"
-
-
-def _is_lerobot(path: Path) -> bool:
-    return exists(path / INFO)
 
 
 def _is_bag(path: Path) -> bool:
@@ -169,36 +145,6 @@ def _is_bag(path: Path) -> bool:
 
 def _logs(path: Path) -> list[Path]:
     return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
-
-
-# ------------------------------------------------------------------ writing
-
-
-def write_table(table: pa.Table, path: Path) -> None:
-    """Writes a table so that every number reads back bit for bit; Parquet has a checksum in each page.
-
-    Raises:
-        OSError: the disk refuses.
-    """
-    if path.suffix.lower() == ".parquet":
-        pa_parquet.write_table(table, path, use_dictionary=False, compression="zstd", write_page_checksum=True)
-        return
-    with open(path, "wb") as file:  # Arrow would put the names in quotes
-        file.write(",".join(table.column_names).encode() + b"\n")
-        pa_csv.write_csv(table, file, pa_csv.WriteOptions(include_header=False, quoting_style="none"))
-
-
-def write_with_settings(table: pa.Table, settings: RecordingSettings, path: Path, overwrite: bool) -> Path:
-    """Writes a table, and the sidecar beside it.
-
-    Raises:
-        InputError: as `storage.write_atomically` of either.
-    """
-    for file in (path, sidecar_path(path)):
-        check_writable(file, overwrite)
-    write_atomically(path, lambda target: write_table(table, target), overwrite)
-    write_settings(settings, sidecar_path(path), overwrite)
-    return path
 
 
 # ------------------------------------------------------------------ whole recordings
@@ -238,14 +184,14 @@ def read_recording(
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
-    if is_log(path) and not of_arm.names:  # a diagnosis does not keep the names of the joints
-        declared = _declared_joints(path, sidecar)
+    if (path.suffix.lower() in LOGS or _is_bag(path)) and not of_arm.names:  # a diagnosis does not keep the names
+        named = sidecar.settings.arm_reference(path.parent) if sidecar.settings.arm is not None else None
+        declared = ArmJoints.of(None if named is None else read_arm(named))._replace(dof=None)
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
     columns, values = table.columns, table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
-
     degrees = [
         name
         for name, column in columns.items()
@@ -253,19 +199,18 @@ def read_recording(
     ]
     millimetres = [name for name, column in columns.items() if assume_millimetres and column.unit == "m"]
     for names, divisor, unit in ((degrees, 180 / pi, "degrees"), (millimetres, 1e3, "millimetres")):
-        for name in names:
-            values[name] = values[name] / divisor
+        values |= {name: values[name] / divisor for name in names}
         if names:
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    recording = _assembled(table, path, sidecar.settings, notes)
-    spelling = table.spelling
-    recording = drop_missing(recording, spelling)
+    arrays = make_arrays(table, str(path), notes)
+    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    recording = drop_missing(recording, table.spelling)
     if joint_limits is not None:
-        check_joint_scale(recording, joint_limits, spelling, assumed=assume_degrees)
+        check_joint_scale(recording, joint_limits, table.spelling, assumed=assume_degrees)
     if reach is not None:
-        check_position_scale(recording, reach, spelling, assumed=assume_millimetres)
+        check_position_scale(recording, reach, table.spelling, assumed=assume_millimetres)
     return recording
 
 
@@ -303,14 +248,14 @@ def read_targets(
     path, notes = Path(path), []
     sidecar = read_sidecar(sidecar_path(path))
     named = sidecar._replace(columns=columns or sidecar.columns)
-    path, table = _read(path, (), named, ArmJoints(dof), notes, TABLES, joints_optional=True)
-    found, joints, values = table.columns, table.joints, table.values
-    if "x_m" not in found:
+    path, table = _read(path, (), named, ArmJoints(dof), notes, TABLES)
+    if "x_m" not in table.columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
-    given = "q1_rad" in found
+    given = "q1_rad" in table.columns
     if not given:
-        values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
-    recording = _assembled(table, path, sidecar.settings, notes)
+        table.values.update({f"q{joint + 1}_rad": np.zeros(len(table.values["x_m"])) for joint in range(table.joints)})
+    arrays = make_arrays(table, str(path), notes)
+    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
@@ -319,6 +264,22 @@ def read_targets(
     if reach is not None:
         check_position_scale(recording, reach, table.spelling, assumed=True)
     return Targets(recording, recording.joint_position if given else None)
+
+
+def _read(
+    path: Path,
+    topics: Sequence[str],
+    sidecar: Sidecar,
+    of_arm: ArmJoints,
+    notes: list[str],
+    kinds: Sequence[str] = SUFFIXES,
+) -> tuple[Path, Table]:
+    path, raw = open_table(path, topics, of_arm, notes, kinds)
+    renamed, targets = raw.renamed(str(path), sidecar.columns), kinds is TABLES
+    return path, tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=renamed, joints_optional=targets)
+
+
+# ------------------------------------------------------------------ writing
 
 
 def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> Path:
@@ -343,31 +304,28 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     return write_with_settings(pa.table(columns), settings, path, overwrite)
 
 
-def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:
-    arrays = without_implausible(arrays_of(table, str(path), notes), str(path), table.spelling, notes)
-    return Recording.assembled(**arrays, settings=settings, source=str(path), notes=tuple(notes))
+def write_with_settings(table: pa.Table, settings: RecordingSettings, path: Path, overwrite: bool) -> Path:
+    """Writes a table, and the sidecar beside it.
+
+    Raises:
+        InputError: as `storage.write_atomically` of either.
+    """
+    for file in (path, sidecar_path(path)):
+        check_writable(file, overwrite)
+    write_atomically(path, lambda target: write_table(table, target), overwrite)
+    write_settings(settings, sidecar_path(path), overwrite)
+    return path
 
 
-def _declared_joints(path: Path, sidecar: Sidecar) -> ArmJoints:
-    """Those of the arm that a sidecar declares; nothing is known of them where it declares none."""
-    settings = sidecar.settings
-    arm = None if settings.arm is None else read_arm(settings.arm_reference(path.parent))
-    return ArmJoints.of(arm)._replace(dof=None)
+def write_table(table: pa.Table, path: Path) -> None:
+    """Writes a table so that every number reads back bit for bit; Parquet has a checksum in each page.
 
-
-def _read(
-    path: Path,
-    topics: Sequence[str],
-    sidecar: Sidecar,
-    of_arm: ArmJoints,
-    notes: list[str],
-    kinds: Sequence[str] = SUFFIXES,
-    joints_optional: bool = False,
-) -> tuple[Path, Table]:
-    path, table = open_table(path, topics, of_arm, notes, kinds)
-    dof = of_arm.dof
-    renamed = table.renamed(str(path), sidecar.columns)
-    read = tabulated(
-        table.names, str(path), table.load, notes, dof=dof, renamed=renamed, joints_optional=joints_optional
-    )
-    return path, read
+    Raises:
+        OSError: the disk refuses.
+    """
+    if path.suffix.lower() == ".parquet":
+        pa_parquet.write_table(table, path, use_dictionary=False, compression="zstd", write_page_checksum=True)
+        return
+    with open(path, "wb") as file:  # Arrow would put the names in quotes
+        file.write(",".join(table.column_names).encode() + b"\n")
+        pa_csv.write_csv(table, file, pa_csv.WriteOptions(include_header=False, quoting_style="none"))

@@ -21,57 +21,47 @@ from lite6jax.recordings.sizes import Sureness
 VECTOR, RPY, XYZ, ZYZ = ANGLES
 Role = Literal["controller", "sensor"]
 
-_MEASURED = {"actual", "measured", "feedback", "real", "act", "meas", "present", "ist"}
-_WANTED = {"target", "commanded", "command", "cmd", "desired", "goal", "setpoint", "reference", "ref", "action", "des"}
-_WANTED |= {"computed", "leader", "master", "soll"}
+
+def _words(text: str) -> set[str]:
+    return set(text.split())
+
+
+_MEASURED = _words("actual measured feedback real act meas present ist")
+_WANTED = _words(
+    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll"
+)
 _WANTED |= {"d"}  # libfranka
-_UNUSED = {
-    *("force", "wrench", "ft", "error", "err", "residual", "std", "sigma", "var", "cov", "covariance", "status"),
-    *("mode", "bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success"),
-    *("task", "next", "frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist"),
-    *("linear", "angular", "offset", "inertia", "cog", "com", "imu", "gyro", "mag", "gravity", "normal"),
-}
+_UNUSED = _words(
+    "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
+    "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
+    "angular offset inertia cog com imu gyro mag gravity normal"
+)
 _QUANTITIES = {
-    "temp": {"temp", "temperature", "temperatures"},
-    "current": {"current", "currents", "amps"},
-    "tau": {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "moments", "qfrc"},
-    "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot", "qacc"},
-    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
+    "temp": _words("temp temperature temperatures"),
+    "current": _words("current currents amps"),
+    "tau": _words("tau torque torques effort efforts eff trq moment moments qfrc"),
+    "ddq": _words("ddq qdd qddot acc accel acceleration accelerations ddot qacc"),
+    "dq": _words("dq qd qdot vel velocity velocities speed speeds dot dtheta qvel"),
 }
-_JOINT = {"q", "joint", "joints", "jnt", "jt", "axis", "achse", "gelenk", "qpos", "theta", "th", "angle", "angles"}
-_JOINT |= {"servo", "motor", "j"}
-_EXTERNAL = {"ext", "external", "extax", "eax"}
+_JOINT = _words("q joint joints jnt jt axis achse gelenk qpos theta th angle angles servo motor j")
+_EXTERNAL = _words("ext external extax eax")
 """Axes beside the arm, and torques from outside."""
-_PLACE = {"position", "positions", "pos"}
-_MOVED = {"translation", "trans", "tvec", "xyz"}
-_TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "rvec", "euler", "rpy", "attitude", "ori"}
-_CONTROLLER = {"tcp", "tool", "ee", "eef", "effector", "flange", "robot", "controller", "fk", "rtde"}
-_SENSOR = {
-    *("tracker", "marker", "leica", "laser", "lt", "faro", "vicon", "optitrack", "mocap", "motive", "qualisys", "tag"),
-    *(
-        "apriltag",
-        "aruco",
-        "charuco",
-        "board",
-        "camera",
-        "cam",
-        "sensor",
-        "reflector",
-        "smr",
-        "probe",
-        "polaris",
-        "ndi",
-    ),
-    *("meas", "measured"),
-}
-_POSE = {"pose", "cartesian", "cart", "point", "tracker", "marker"} | (_CONTROLLER - {"robot", "controller", "rtde"})
-_SHARED = _PLACE | _MOVED | _TURNED | {"pose", "cartesian", "cart", "point", "data", "header", "matrix", "transform"}
+_PLACE = _words("position positions pos")
+_MOVED = _words("translation trans tvec xyz")
+_TURNED = _words("orientation quaternion quat rotation rot rotvec rvec euler rpy attitude ori")
+_CONTROLLER = _words("tcp tool ee eef effector flange robot controller fk rtde")
+_SENSOR = _words(
+    "tracker marker leica laser lt faro vicon optitrack mocap motive qualisys tag apriltag aruco charuco board camera "
+    "cam sensor reflector smr probe polaris ndi meas measured"
+)
+_POSE = _words("pose cartesian cart point tracker marker") | (_CONTROLLER - {"robot", "controller", "rtde"})
+_SHARED = _PLACE | _MOVED | _TURNED | _words("pose cartesian cart point data header matrix transform")
 """Words that do not say whose a pose is."""
-_TIMES = {"time", "timestamp", "datetime", "stamp", "elapsed", "clock"}
-_CLOCKS = {"t", "index", "s", "header", "robot", "ros", "sys", "system", "host", "pc", "local", "unix", "epoch", "rel"}
+_TIMES = _words("time timestamp datetime stamp elapsed clock")
+_CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch rel")
 """Beside which `t` is a time still."""
-_AIR = {"ambient", "amb", "room", "air", "env", "environment"}
-_RUNS = {"run", "episode", "trial", "segment"}
+_AIR = _words("ambient amb room air env environment")
+_RUNS = _words("run episode trial segment")
 _LENGTHS = {
     "rad": "rad radian radians",
     "deg": "deg degree degrees °",

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,13 @@ Array = NDArray[np.floating]
 Kind = Literal["contact", "plane", "distance", "axis", "camera"]
 
 _NUMBERS: dict[str, int] = {"contact": 3, "plane": 1, "distance": 1, "axis": 1, "camera": 6}
-_COLUMNS = {"contact": "contact", "plane": "plane", "distance_m": "distance", "axis_m": "axis", "u_px": "camera"}
+_COLUMNS: dict[str, Kind] = {
+    "contact": "contact",
+    "plane": "plane",
+    "distance_m": "distance",
+    "axis_m": "axis",
+    "u_px": "camera",
+}
 """The column that tells of a kind of reading."""
 LARGEST_CORNER = 10_000
 
@@ -93,11 +99,6 @@ class Readings:
         return {"image": image.astype(str).astype(object), **repeated, "corner": corner, "u_px": u, "v_px": v}
 
 
-class _Found(NamedTuple):
-    kind: Kind
-    column: str
-
-
 def readings_from_arrays(
     kind: Kind, *, value: Any = None, labels: Sequence[str] | None = None, pixels: Any = None
 ) -> Readings:
@@ -111,14 +112,10 @@ def readings_from_arrays(
     """
     samples = next(len(each) for each in (value, labels, pixels) if each is not None)
     names = tuple(dict.fromkeys(labels or ())) or (kind,)
-    place = {name: k for k, name in enumerate(names)}
-    group = np.zeros(samples, np.int64) if labels is None else np.array([place[name] for name in labels], np.int64)
+    group = np.zeros(samples, np.int64) if labels is None else np.array([names.index(label) for label in labels])
+    value = np.zeros(samples) if value is None else np.asarray(value, float)
     return Readings(
-        kind,
-        group,
-        names,
-        np.zeros(samples) if value is None else np.asarray(value, float),
-        np.zeros((samples, 0, 2)) if pixels is None else np.asarray(pixels, float),
+        kind, group, names, value, np.zeros((samples, 0, 2)) if pixels is None else np.asarray(pixels, float)
     )
 
 
@@ -141,30 +138,28 @@ def with_readings(
     Raises:
         InputError: readings of several kinds, or an image with corners twice or joints that differ.
     """
-    found = [_Found(kind, column) for column, kind in _COLUMNS.items() if column in values]  # type: ignore[arg-type]
+    found = [column for column in _COLUMNS if column in values]
     if not found:
         return arrays
     if arrays["position"] is not None:
-        listed = ", ".join(column for _, column in found)
+        listed = ", ".join(found)
         notes.append(f"the poses x_m y_m z_m are read, and not the readings {listed}; name the others `ignore`")
         return arrays
     if len(found) > 1:
         raise InputError(
-            f"{source}: has readings of several kinds, columns {found[0].column} and {found[1].column}; write each "
-            "kind to a file of its own, and name both files: `lite6jax diagnose a.csv b.csv`"
+            f"{source}: has readings of several kinds, columns {found[0]} and {found[1]}; write each kind to a file of "
+            "its own, and name both files: `lite6jax diagnose a.csv b.csv`"
         )
-    (kind, column), samples = found[0], len(arrays["joint_position"])
+    kind, samples = _COLUMNS[found[0]], len(arrays["joint_position"])
     if kind == "camera":
         return _of_corners(arrays, values, source)
-    grouped = {"contact": "contact", "plane": "plane", "distance": "anchor", "axis": ""}[kind]
-    names, group, missing = (kind,), np.zeros(samples, np.int64), np.zeros(samples, bool)
-    if grouped in labels:
-        missing = ~np.isfinite(values[grouped])
-        names, group = labels[grouped], np.where(missing, 0, values[grouped]).astype(np.int64)
-    value = np.zeros(samples) if kind in ("contact", "plane") else values[column]
-    value = np.where(missing, np.nan, value)
-    readings = Readings(kind, group, names, value, np.zeros((samples, 0, 2)))
-    return arrays | {"readings": readings}
+    value = np.zeros(samples) if kind in ("contact", "plane") else values[found[0]]
+    names, group, label = (kind,), np.zeros(samples, np.int64), "anchor" if kind == "distance" else kind
+    if label in labels:
+        missing = ~np.isfinite(values[label])
+        names, group = labels[label], np.where(missing, 0, values[label]).astype(np.int64)
+        value = np.where(missing, np.nan, value)
+    return arrays | {"readings": Readings(kind, group, names, value, np.zeros((samples, 0, 2)))}
 
 
 def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str) -> dict[str, Any]:

@@ -5,25 +5,28 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, final
 
+import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import MATRIX, quaternions
+from lite6jax.recordings.columns import MATRIX, OF_ARRAY, is_scalar, name_columns, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
-from lite6jax.recordings.settings import OF_READINGS, Motion, RecordingSettings, declared_settings
-from lite6jax.recordings.table import arrays_of, read_frame
-from lite6jax.recordings.units import checked_arrays, missing_rows, real_array, unit_quaternions, without_implausible
+from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
+from lite6jax.recordings.table import make_arrays, read_frame
+from lite6jax.recordings.units import (
+    LARGEST_MISSING_SHARE,
+    checked_arrays,
+    real_array,
+    unit_quaternions,
+    without_implausible,
+)
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
 
-_JOINED = (
-    *("joint_position", "time", "joint_velocity", "joint_acceleration", "joint_torque", "motor_current"),
-    *("joint_temperature", "commanded_position", "ambient_temperature", "payload", "row"),
-)
 _OF_EACH = ("contact_distances", "contact_points", "planes", "anchor_m")
 """Keys of which each file has its own; of all others they have the same."""
 
@@ -147,12 +150,12 @@ class Recording(PublicResult):
             "commanded_position": commanded_position,
             "ambient_temperature": ambient_temperature,
             "payload": payload,
+            "run": run,
             "readings": readings,
         }
         settings = declared_settings(settings, arm, declared)
-        notes: list[str] = []
-        real = without_implausible(checked_arrays(arrays, arm, settings, source, {}), source, {}, notes)
-        return drop_missing(cls.assembled(**real, run=run, settings=settings, source=source, notes=tuple(notes)))
+        real = checked_arrays(arrays, arm, settings, source, {})
+        return drop_missing(cls.assemble_plausible(real, settings, source, {}, []))
 
     @classmethod
     def from_dataframe(
@@ -169,7 +172,7 @@ class Recording(PublicResult):
 
         Args:
             frame: a pandas or polars `DataFrame`, a pyarrow `Table`, a mapping of column names to `(sample,)` arrays,
-                or what has `__arrow_c_stream__` or `__dataframe__`. Units stand in the names: `q1_rad` or `q1_deg`,
+                or what has `__arrow_c_stream__`. Units stand in the names: `q1_rad` or `q1_deg`,
                 `x_m` or `x_mm`.
             columns: of columns with names of their own, the names that a recording has, as in a sidecar:
                 `{"actual_q_0": "q1_rad", "robot_mode": "ignore"}`.
@@ -181,27 +184,31 @@ class Recording(PublicResult):
         notes: list[str] = []
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes, columns)
-        arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
-        arrays = without_implausible(arrays, source, table.spelling, notes)
-        recording = cls.assembled(**arrays, settings=settings, source=source, notes=tuple(notes))
-        return drop_missing(recording, table.spelling)
+        arrays = checked_arrays(make_arrays(table, source, notes), arm, settings, source, table.spelling)
+        return drop_missing(cls.assemble_plausible(arrays, settings, source, table.spelling, notes), table.spelling)
+
+    @classmethod
+    def assemble_plausible(
+        cls,
+        arrays: Mapping[str, Any],
+        settings: RecordingSettings,
+        source: str,
+        spelling: Mapping[str, str],
+        notes: list[str],
+    ) -> "Recording":
+        """As `assembled`, with numbers missing that no arm or sensor can give.
+
+        Raises:
+            InputError: as `assembled`, or over half of the rows have such a number.
+        """
+        found = without_implausible(arrays, source, spelling, notes)
+        return cls.assembled(**found, settings=settings, source=source, notes=tuple(notes))
 
     @classmethod
     def assembled(
         cls,
         joint_position: ArrayLike,
         *,
-        position: ArrayLike | None = None,
-        quaternion: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-        joint_velocity: ArrayLike | None = None,
-        joint_acceleration: ArrayLike | None = None,
-        joint_torque: ArrayLike | None = None,
-        motor_current: ArrayLike | None = None,
-        joint_temperature: ArrayLike | None = None,
-        commanded_position: ArrayLike | None = None,
-        ambient_temperature: ArrayLike | None = None,
-        payload: ArrayLike | None = None,
         run: ArrayLike | None = None,
         row: ArrayLike | None = None,
         settings: RecordingSettings | None = None,
@@ -209,6 +216,7 @@ class Recording(PublicResult):
         notes: tuple[str, ...] = (),
         sliding: tuple[int, ...] | None = None,
         readings: Readings | None = None,
+        **others: ArrayLike | None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
@@ -225,69 +233,57 @@ class Recording(PublicResult):
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
         settings.require_joints(dof, source)
-
-        def shaped(name: str, value: ArrayLike, *rest: int, dtype: type = np.float64) -> np.ndarray:
-            array = real_array(f"{source}: {name}", value) if dtype is np.float64 else np.asarray(value)
-            if array.shape != (samples, *rest):
-                raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples, *rest)}")
-            if dtype is np.int64 and array.dtype.kind not in "iu":
-                raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
-            return array.astype(dtype, copy=False)
-
-        def optional(name: str, value: ArrayLike | None, *rest: int) -> np.ndarray | None:
-            return None if value is None else shaped(name, value, *rest)
-
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
-        if readings is not None and readings.kind == "camera" and position is None:
+        if readings is not None and readings.kind == "camera" and others.get("position") is None:
             readings = readings.with_poses(settings, source)
             assert readings.seen is not None
             T = readings.seen.T
-            position = T[:, :3, 3]
-            quaternion = quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))
-            there = np.isfinite(position[:, 0])
-            if there.sum() < samples:
+            others |= {"position": T[:, :3, 3], "quaternion": quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))}
+            there = int(np.isfinite(T[:, 0, 3]).sum())
+            if there < samples:
                 few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
-                notes += (f"{samples - int(there.sum())} of {samples} images show {few}: they are left out",)
-        quaternion = optional("quaternion", quaternion, 4)
-        if quaternion is not None and position is None:
-            raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
-        row = shaped("row", np.arange(1, samples + 1) if row is None else row, dtype=np.int64)
-        run = shaped("run", np.zeros(samples, dtype=np.int64) if run is None else run, dtype=np.int64)
-        time = optional("time", time)
-        velocity = optional("joint_velocity", joint_velocity, dof)
-        if quaternion is not None:
-            quaternion, note = unit_quaternions(quaternion, row, source)
+                notes += (f"{samples - there} of {samples} images show {few}: they are left out",)
+        given = {"joint_position": q, "payload": np.zeros(samples)}
+        given |= {name: value for name, value in others.items() if value is not None}
+        arrays: dict[str, Any] = {}
+        for name in OF_ARRAY:
+            shape = (samples,) if is_scalar(name) else (samples, len(name_columns(name, dof)))
+            array: Any = given.pop(name, None)
+            array = real_array(f"{source}: {name}", array) if array is not None else None
+            if array is not None and array.shape != shape:
+                raise InputError(f"{source}: {name} has the shape {array.shape}; give {shape}")
+            arrays[name] = array
+        if given:
+            raise TypeError(f"{min(given)}: a recording has no such array")
+        for name, counted, usual in (("run", run, np.zeros(samples, int)), ("row", row, np.arange(1, samples + 1))):
+            array = usual if counted is None else np.asarray(counted)
+            if array.shape != (samples,):
+                raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples,)}")
+            if array.dtype.kind not in "iu":
+                raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
+            arrays[name] = array.astype(np.int64, copy=False)
+        if arrays["quaternion"] is not None:
+            if arrays["position"] is None:
+                raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
+            arrays["quaternion"], note = unit_quaternions(arrays["quaternion"], arrays["row"], source)
             notes += (note,) if note else ()
-        motion = settings.motion
+        motion, time, velocity = settings.motion, arrays["time"], arrays["joint_velocity"]
         if motion is None:
             motion, reason = inferred_motion(time, velocity)
             notes += (f"the motion is not declared and is taken as {motion}: {reason}",)
-        segment = run_segments(run)
-        differentiated = False
+        segment, differentiated = run_segments(arrays["run"]), False
         if velocity is None and time is not None and motion == "trajectory":
             velocity, differentiated = differentiate(q, time, segment), True
+            arrays["joint_velocity"] = velocity
             notes += ("the joint velocities were not recorded and come from differentiating the positions over time",)
         elif velocity is None and motion == "trajectory":
             notes += ("the trajectory has neither times nor velocities: directions of motion follow the row order",)
         return cls(
-            joint_position=q,
+            **arrays,
             direction_of_motion=directions(q, velocity, segment, motion),
             motion=motion,
-            position=optional("position", position, 3),
-            quaternion=quaternion,
-            time=time,
-            joint_velocity=velocity,
             velocity_differentiated=differentiated,
-            joint_acceleration=optional("joint_acceleration", joint_acceleration, dof),
-            joint_torque=optional("joint_torque", joint_torque, dof),
-            motor_current=optional("motor_current", motor_current, dof),
-            joint_temperature=optional("joint_temperature", joint_temperature, dof),
-            commanded_position=optional("commanded_position", commanded_position, dof),
-            ambient_temperature=optional("ambient_temperature", ambient_temperature),
-            payload=shaped("payload", np.zeros(samples) if payload is None else payload),
-            run=run,
-            row=row,
             settings=settings,
             source=source,
             notes=notes,
@@ -355,7 +351,8 @@ class Recording(PublicResult):
     def _chosen(self, rows: Any) -> dict[str, Any]:
         """All that has a sample a row, of these rows."""
         readings = {} if self.readings is None else {"readings": self.readings.select(rows)}
-        return {name: array[rows] for name, array in _arrays(self).items()} | readings
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: array[rows] for name, array in arrays.items() if isinstance(array, np.ndarray)} | readings
 
     @property
     def touches(self) -> Readings | None:
@@ -418,28 +415,17 @@ class Recording(PublicResult):
 
         What follows from the rest is left out: differentiated velocities, a payload or a run that is zero throughout.
         """
-        velocity = None if self.velocity_differentiated else self.joint_velocity
-        table: dict[str, np.ndarray | None] = {"time_s": self.time}
-        for quantity, unit, of_slide, joints in (
-            ("q", "rad", "m", self.joint_position),
-            ("dq", "rad_per_s", "m_per_s", velocity),
-            ("ddq", "rad_per_s2", "m_per_s2", self.joint_acceleration),
-            ("tau", "Nm", "N", self.joint_torque),
-            ("current", "A", "A", self.motor_current),
-            ("temp", "degC", "degC", self.joint_temperature),
-            ("cmd", "rad", "m", self.commanded_position),
-        ):
-            for i, column in enumerate(() if joints is None else joints.T):
-                table[f"{quantity}{i + 1}_{of_slide if i in self.sliding else unit}"] = column
-        table["ambient_degC"] = self.ambient_temperature
-        table["payload_kg"] = self.payload if self.payload.any() else None
-        table["run"] = self.run if self.run.any() else None
-        if self.readings is not None:
-            table |= self.readings.columns()
-        else:
-            for names, block in (("x_m y_m z_m", self.position), ("qw qx qy qz", self.quaternion)):
-                table |= dict(zip(names.split(), () if block is None else block.T, strict=False))
-        return {name: column for name, column in table.items() if column is not None}
+        table: dict[str, np.ndarray] = {}
+        for name in OF_ARRAY:
+            block = getattr(self, name)
+            if block is None or (name in ("payload", "run") and not block.any()):
+                continue
+            if (name == "joint_velocity" and self.velocity_differentiated) or (
+                name in ("position", "quaternion") and self.readings is not None
+            ):
+                continue
+            table |= dict(zip(name_columns(name, self.dof, self.sliding), np.atleast_2d(block.T), strict=True))
+        return table if self.readings is None else table | self.readings.columns()
 
 
 def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None) -> Recording:
@@ -456,13 +442,21 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
         seen = recording.position
         label = {"contact": "contact", "plane": "plane", "distance": "anchor"}.get(recording.readings.kind, "u_px")
         columns[label] = recording.readings.value if seen is None else seen[:, 0]
-    bad, note = missing_rows(columns, recording.row, recording.source, spelling or {})
-    return replace(recording.select(~bad), notes=(*recording.notes, note)) if note else recording
-
-
-def _arrays(recording: Recording) -> dict[str, np.ndarray]:
-    values = {field.name: getattr(recording, field.name) for field in fields(recording)}
-    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    missing = {name: ~np.isfinite(column) for name, column in columns.items()}
+    bad = np.logical_or.reduce(list(missing.values()))
+    if not (count := int(bad.sum())):
+        return recording
+    first = recording.row[np.argmax(bad)]
+    if count > LARGEST_MISSING_SHARE * recording.samples:
+        worst = max(missing, key=lambda name: int(missing[name].sum()))
+        raise InputError(
+            f"{recording.source}: {count} of {recording.samples} rows have NaN, infinite or empty fields, the first is "
+            f"row {first}, most of them in column {(spelling or {}).get(worst, worst)} ({int(missing[worst].sum())}); "
+            "fill or remove that column, or record again"
+        )
+    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
+    note = f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
+    return replace(recording.select(~bad), notes=(*recording.notes, note))
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
@@ -495,44 +489,37 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     if len({*stems}) < len(stems):
         raise InputError(f"{first.source}: two files are called {stems[0]}; give each a name of its own")
     arrays: dict[str, Any] = {}
-    for name in _JOINED:
+    for name in (*OF_ARRAY, "row"):
         each = [getattr(one, name) for one in recordings]
-        if name == "joint_velocity" and first.velocity_differentiated:
-            continue
-        if all(array is not None for array in each):
+        derived = name == "joint_velocity" and first.velocity_differentiated
+        if all(array is not None for array in each) and not derived:
             arrays[name] = np.concatenate(each)
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
+    names: tuple[str, ...] = ()
+    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    groups = []
+    for one, stem in zip(recordings, stems, strict=True):
+        assert one.touches is not None
+        groups.append(one.touches.group + len(names))
+        names += tuple(f"{stem}/{name}" for name in one.touches.names)
+        own["contact_distances"] += tuple(
+            msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
+            for each in one.settings.contact_distances
+        )
+        for key in ("contact_points", "planes", "anchor_m"):
+            given = getattr(one.settings, key)
+            if key == "anchor_m" and isinstance(given, tuple):
+                given = dict.fromkeys(one.touches.names, given)
+            if isinstance(given, Mapping):
+                own[key] |= {f"{stem}/{name}": value for name, value in given.items()}
+    assert first.touches is not None
+    value, pixels = (np.concatenate([getattr(one.touches, key) for one in recordings]) for key in ("value", "pixels"))
+    defaults = {field.name: field.default for field in fields(RecordingSettings)}
     return Recording.assembled(
         **arrays,
-        settings=replace(first.settings, **_own_settings(recordings, stems)),
+        settings=replace(first.settings, **{key: given or defaults[key] for key, given in own.items()}),
         source=first.source,
         notes=tuple(dict.fromkeys(note for one in recordings for note in one.notes)),
         sliding=first.sliding,
-        readings=_joined([one.touches for one in recordings if one.touches is not None], stems),
+        readings=Readings(first.touches.kind, np.concatenate(groups), names, value, pixels),
     )
-
-
-def _joined(readings: Sequence[Readings], stems: Sequence[str]) -> Readings:
-    names = tuple(f"{stem}/{name}" for one, stem in zip(readings, stems, strict=True) for name in one.names)
-    before = np.cumsum([0, *(len(one.names) for one in readings)])
-    group = np.concatenate([one.group + start for one, start in zip(readings, before, strict=False)])
-    value, pixels = (np.concatenate([getattr(one, key) for one in readings]) for key in ("value", "pixels"))
-    return Readings(readings[0].kind, group, names, value, pixels)
-
-
-def _own_settings(recordings: Sequence[Recording], stems: Sequence[str]) -> dict[str, Any]:
-    """What each file says of its own points, planes and anchors, under their new names."""
-    found: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
-    for one, stem in zip(recordings, stems, strict=True):
-        own = one.settings
-        found["contact_distances"] += tuple(
-            replace(each, between=tuple(f"{stem}/{name}" for name in each.between)) for each in own.contact_distances
-        )
-        for key in ("contact_points", "planes", "anchor_m"):
-            given = getattr(own, key)
-            if key == "anchor_m" and isinstance(given, tuple) and one.touches is not None:
-                given = dict.fromkeys(one.touches.names, given)
-            if isinstance(given, Mapping):
-                found[key] |= {f"{stem}/{name}": value for name, value in given.items()}
-    defaults = {field.name: field.default for field in fields(RecordingSettings) if field.name in OF_READINGS}
-    return {key: value or defaults[key] for key, value in found.items()}

@@ -1,9 +1,9 @@
 """Logs of ROS, which the package rosbags reads: joint states and stamped poses or transforms as one table."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings import streams
+from lite6jax.recordings.columns import PLACE, QUATERNION, spelled
 
 Array = NDArray[np.floating]
-Stamps = NDArray[np.int64]
 
 JOINT_STATE = "sensor_msgs/JointState"
 POSE_STAMPED = "geometry_msgs/PoseStamped"
 TRANSFORM = "geometry_msgs/TransformStamped"
 TF = "tf2_msgs/TFMessage"
-POSES = (POSE_STAMPED, TRANSFORM, TF)
-"""Messages from which poses are taken; transforms of TF only where no topic has the others, or by name."""
+"""Of whose transforms poses are taken only where no topic has the others, or by name."""
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
+METADATA = "metadata.yaml"
+"""In the folder of a rosbag2."""
 _SHOWN = 8
 
 
@@ -51,27 +52,6 @@ class ArmJoints(NamedTuple):
         return self._replace(names=other.names) if len(other.names) == self.dof else self
 
 
-class _JointState(NamedTuple):
-    name: tuple[str, ...]
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
-
-
-class _Pose(NamedTuple):
-    position: tuple[float, ...]
-    quaternion: tuple[float, ...]
-    frames: tuple[str, str]
-
-
-class _Series(NamedTuple):
-    """Messages of one topic in the order of the log, and by what clock they are stamped."""
-
-    messages: list[Any]
-    stamp: Stamps
-    clock: str
-
-
 class _Chosen(NamedTuple):
     """A topic, and of transforms the frame whose poses are wanted; None where there is only one."""
 
@@ -83,71 +63,24 @@ class _Chosen(NamedTuple):
         return self.topic + (f":{self.child}" if self.child else "")
 
 
-@final
-class Messages:
-    """What a log says on some topics, as it is read message by message."""
+class _Series(NamedTuple):
+    """Messages of one topic in the order of the log, their stamps in ns, and by what clock they are stamped."""
 
-    def __init__(self, topics: Sequence[str]) -> None:
-        self._found: dict[str, list[tuple[Any, int, int]]] = {topic: [] for topic in topics}
-
-    def add(self, topic: str, logged: int, message: Any) -> None:
-        """One message: decoded, of any of the types here, and the ns at which it was logged."""
-        for part in getattr(message, "transforms", [message]):
-            stamp = part.header.stamp
-            header = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-            self._found[topic].append((_plain(part), header, logged))
-
-    def series(self, path: Path, chosen: _Chosen) -> _Series:
-        """The messages of a topic with their stamps in ns: the headers', or the log's where no header has any.
-
-        Raises:
-            InputError: there are none, or transforms to several frames of which none is chosen.
-        """
-        found = self._found[chosen.topic]
-        if not found:
-            raise InputError(f"{path}: topic {chosen.topic} has no messages; record again")
-        pairs = list(dict.fromkeys(part.frames for part, _, _ in found if isinstance(part, _Pose)))
-        children = list(dict.fromkeys(child for _, child in pairs))
-        if chosen.child is not None:
-            found = [entry for entry in found if entry[0].frames[1] == chosen.child]
-            parents = [parent for parent, child in pairs if child == chosen.child]
-            if len(parents) != 1:
-                said = f"no transform to {chosen.child}" if not parents else f"{chosen.child} in {', '.join(parents)}"
-                raise InputError(f"{path}: topic {chosen.topic} has {said}; it has {_listed(_arrows(pairs))}")
-        elif len(pairs) > 1:
-            raise InputError(
-                f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {_listed(_arrows(pairs))}; choose the "
-                f"frame that was measured, as in {path.name}#/joint_states,{chosen.topic}:{children[0]}"
-            )
-        stamped = any(header for _, header, _ in found)
-        clock = "the header stamps" if stamped else "the log times (no header stamps)"
-        stamps = [header if stamped else logged for _, header, logged in found]
-        return _Series([part for part, _, _ in found], np.array(stamps, np.int64), clock)
+    messages: list[Any]
+    stamp: NDArray[np.int64]
+    clock: str
 
 
-Read = Callable[[Sequence[str]], Messages]
-"""The messages on topics of a log."""
+def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
+    """The table of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`: a row per pose.
 
-
-def read_log(
-    path: Path,
-    types: Mapping[str, str],
-    read: Read,
-    topics: Sequence[str],
-    of_arm: ArmJoints,
-    notes: list[str],
-) -> dict[str, Array]:
-    """The table of a log: a row per pose, with the joints interpolated to its stamp (`streams.join`).
-
-    Joints are named q1 … qN by the names of the arm's joints, along Universal Robots' arm, by the numbers in their
-    names, or in order of appearance. Positions of prismatic joints are in m.
-    Times count from the first row. Velocities and efforts are taken along where every message has them. Efforts of the
-    only joint states are read without poses.
+    The joints are interpolated to its stamp (`streams.join`). They are named q1 … qN by the names of the arm's joints,
+    along Universal Robots' arm, by the numbers in their names, or in order of appearance. Positions of prismatic joints
+    are in m. Times count from the first row. Velocities and efforts are taken along where every message has them.
+    Efforts of the only joint states are read without poses.
 
     Args:
-        path: of the log, for messages.
-        types: of each topic, `sensor_msgs/JointState` or with `/msg/`.
-        read: the messages on topics.
+        path: of the log.
         topics: of the joint states and of the poses, where there are several of a type; `/tf:tool0` for the poses of a
             frame; of the joint states alone for a motion without poses; none where the types decide.
         of_arm: what is known of the arm's joints, to put them in order and to leave a gripper's out.
@@ -157,99 +90,75 @@ def read_log(
         SI column name to `(sample,)` values.
 
     Raises:
-        InputError: topics are missing or several, or poses and joint states do not overlap in time.
-    """
-    short = {topic: kind.replace("/msg/", "/") for topic, kind in sorted(types.items())}
-    joints, poses = _chosen(path, short, topics)
-    messages = read([choice.topic for choice in (joints, poses) if choice is not None])
-    moved = messages.series(path, joints)
-    measured = None if poses is None else messages.series(path, poses)
-    state = _joint_states(path, joints.topic, moved, of_arm, notes)
-    said = f"times are {moved.clock} of {joints.topic}"
-    notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
-    if poses is None and not topics:
-        if not any(name.startswith("tau") for name in state.columns):
-            raise InputError(
-                f"{path}: has no topic of {POSE_STAMPED}; {_topics_of(short)}; record one with these types, or name "
-                f"{path.name}#{joints.name} for a motion or torques without poses"
-            )
-        notes.append(f"there are no poses: {joints.topic} is read for its efforts, as {path.name}#{joints.name}")
-    if poses is None or measured is None:
-        return {"time_s": _seconds(state.stamp, state.stamp[0]), **state.columns}
-    if short[poses.topic] == TF:
-        parent, child = measured.messages[0].frames
-        notes.append(
-            f"the poses are those of {child} in {parent} on {poses.topic}; a robot_state_publisher computes such "
-            "transforms from the joints, which measures nothing"
-        )
-    kept, columns = _at_poses(path, state, measured.stamp, notes)
-    stamp = measured.stamp[kept]
-    table = {"time_s": _seconds(stamp, stamp[0]), **columns}
-    position, quaternion = (
-        np.array([getattr(message, part) for message in measured.messages], float)
-        for part in ("position", "quaternion")
-    )
-    table |= dict(zip(("x_m", "y_m", "z_m"), position[kept].T, strict=True))
-    if (quaternion == quaternion[0]).all() and len(quaternion) > 1:
-        notes.append(f"the orientations of {poses.name} never change: they are taken as not measured")
-    else:
-        table |= dict(zip(("qw", "qx", "qy", "qz"), quaternion[kept].T, strict=True))
-    return table
-
-
-METADATA = "metadata.yaml"
-"""In the folder of a rosbag2."""
-
-
-def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
-    """The table of a log, as `read_log`: of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`.
-
-    Raises:
-        InputError: the package rosbags is missing, the log is damaged or of another kind, or as `read_log`.
+        InputError: the package rosbags is missing, the log is damaged or of another kind, topics are missing or
+            several, or poses and joint states do not overlap in time.
     """
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise InputError(f"{path}: bags take the package rosbags; pip install 'lite6jax[rosbag]'") from error
-
-    def read(chosen: Sequence[str]) -> Messages:
-        messages = Messages(chosen)
-        connections = [connection for connection in reader.connections if connection.topic in chosen]
-        try:
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            types = {one.topic: str(one.msgtype).replace("/msg/", "/") for one in reader.connections}
+            joints, poses = _choose(path, dict(sorted(types.items())), topics)
+            found: dict[str, list[tuple[Any, int, int]]] = {one.topic: [] for one in (joints, poses) if one is not None}
+            connections = [one for one in reader.connections if one.topic in found]
             for connection, logged, content in reader.messages(connections=connections):
-                messages.add(connection.topic, logged, reader.deserialize(content, connection.msgtype))
-        except Exception as error:  # the package raises whatever the damaged bytes lead to
-            raise _damaged(path, error) from error
-        return messages
-
-    try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except Exception as error:  # as above
-        raise _damaged(path, error) from error
-    try:
-        types = {connection.topic: connection.msgtype for connection in reader.connections}
-        return read_log(path, types, read, topics, of_arm, notes)
-    finally:
-        reader.close()
-
-
-def _damaged(path: Path, error: Exception) -> InputError:
-    problem = " ".join(f"{type(error).__name__} {error}".split())[:100]
-    tool = {".mcap": "recover what is left with `mcap recover`", ".bag": "check it with `rosbag info`"}
-    remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
-    return InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again")
-
-
-def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
-    """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
-    there = _topics_of(types)
-    wanted = [_split(name, types) for name in named]
-    for choice in wanted:
-        if types.get(choice.topic) not in (JOINT_STATE, *POSES):
+                message: Any = reader.deserialize(content, connection.msgtype)
+                for part in getattr(message, "transforms", [message]):
+                    stamp = part.header.stamp
+                    header = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                    found[connection.topic].append((part, header, logged))
+    except InputError:
+        raise
+    except Exception as error:  # the package raises whatever the damaged bytes lead to
+        problem = " ".join(f"{type(error).__name__} {error}".split())[:100]
+        tool = {".mcap": "recover what is left with `mcap recover`", ".bag": "check it with `rosbag info`"}
+        remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
+        raise InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again") from error
+    moved = _series(path, joints, found[joints.topic])
+    measured = None if poses is None else _series(path, poses, found[poses.topic])
+    stamp, columns = _joint_states(path, joints.topic, moved, of_arm, notes)
+    said = f"times are {moved.clock} of {joints.topic}"
+    notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
+    if poses is None or measured is None:
+        if not topics and not any(name.startswith("tau") for name in columns):
             raise InputError(
-                f"{path}: no topic {choice.topic} of {JOINT_STATE} or {POSE_STAMPED}; {there}; name those to be read"
+                f"{path}: has no topic of {POSE_STAMPED}; {_topics_of(types)}; record one with these types, or name "
+                f"{path.name}#{joints.name} for a motion or torques without poses"
+            )
+        if not topics:
+            notes.append(f"there are no poses: {joints.topic} is read for its efforts, as {path.name}#{joints.name}")
+        return {"time_s": _seconds(stamp, stamp[0]), **columns}
+    if types[poses.topic] == TF:
+        parent, child = _frames(measured.messages[0])
+        notes.append(
+            f"the poses are those of {child} in {parent} on {poses.topic}; a robot_state_publisher computes such "
+            "transforms from the joints, which measures nothing"
+        )
+    kept, columns = _at_poses(path, stamp, columns, measured.stamp, notes)
+    at = measured.stamp[kept]
+    position, quaternion = (part[kept] for part in _poses(measured.messages))
+    table = {"time_s": _seconds(at, at[0]), **columns, **dict(zip(map(spelled, PLACE), position.T, strict=True))}
+    if (quaternion == quaternion[0]).all() and len(measured.messages) > 1:
+        notes.append(f"the orientations of {poses.name} never change: they are taken as not measured")
+        return table
+    return table | dict(zip(QUATERNION, quaternion.T, strict=True))
+
+
+# ------------------------------------------------------------------ topics
+
+
+def _choose(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
+    """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
+    there, wanted = _topics_of(types), []
+    for name in named:
+        topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
+        wanted.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))
+        if types.get(wanted[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
+            raise InputError(
+                f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {there}; name those to be read"
             )
     candidates = wanted or [_Chosen(topic) for topic in types]
     joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
@@ -259,62 +168,76 @@ def _chosen(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple
     ]
     if not joints:
         raise InputError(f"{path}: has no topic of {JOINT_STATE}; {there}; record one with these types")
-    pair = [*(choice.name for choice in joints[:1]), *(choice.name for choice in poses[:1])]
-    if len(joints) > 1:
-        raise InputError(_several(path, JOINT_STATE, joints, pair))
-    if len(poses) > 1:
-        raise InputError(_several(path, types[poses[0].topic], poses, pair))
+    pair = ",".join(choice.name for choice in (*joints[:1], *poses[:1]))
+    for listed in (joints, poses):
+        if len(listed) > 1:
+            raise InputError(
+                f"{path}: has {len(listed)} topics of {types[listed[0].topic]}: "
+                f"{', '.join(choice.name for choice in listed)}; choose, as in {path.name}#{pair}"
+            )
     return joints[0], poses[0] if poses else None
 
 
 def _topics_of(types: Mapping[str, str]) -> str:
-    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in types.items()], " and {} more")
+    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(types.items())], " and {} more")
     return f"it has {shown}" if types else "it has no topics at all"
-
-
-def _split(name: str, types: Mapping[str, str]) -> _Chosen:
-    topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
-    return _Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name)
-
-
-def _several(path: Path, kind: str, found: Sequence[_Chosen], pair: Sequence[str]) -> str:
-    return (
-        f"{path}: has {len(found)} topics of {kind}: {', '.join(choice.name for choice in found)}; choose, as in "
-        f"{path.name}#{','.join(pair)}"
-    )
 
 
 def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
     return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
 
 
-def _arrows(pairs: Sequence[tuple[str, str]]) -> list[str]:
-    return [f"{child} in {parent}" for parent, child in pairs]
+def _series(path: Path, chosen: _Chosen, found: list[tuple[Any, int, int]]) -> _Series:
+    """The messages of a topic with their stamps: the headers', or the log's where no header has any.
+
+    Raises:
+        InputError: there are none, or transforms to several frames of which none is chosen.
+    """
+    if not found:
+        raise InputError(f"{path}: topic {chosen.topic} has no messages; record again")
+    pairs = list(dict.fromkeys(_frames(part) for part, _, _ in found if not hasattr(part, "name")))
+    listed = _listed([f"{child} in {parent}" for parent, child in pairs])
+    if chosen.child is not None:
+        found = [entry for entry in found if _frames(entry[0])[1] == chosen.child]
+        parents = [parent for parent, child in pairs if child == chosen.child]
+        if len(parents) != 1:
+            said = f"no transform to {chosen.child}" if not parents else f"{chosen.child} in {', '.join(parents)}"
+            raise InputError(f"{path}: topic {chosen.topic} has {said}; it has {listed}")
+    elif len(pairs) > 1:
+        raise InputError(
+            f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {listed}; choose the "
+            f"frame that was measured, as in {path.name}#/joint_states,{chosen.topic}:{pairs[0][1]}"
+        )
+    stamped = any(header for _, header, _ in found)
+    clock = "the header stamps" if stamped else "the log times (no header stamps)"
+    stamps = [header if stamped else logged for _, header, logged in found]
+    return _Series([part for part, _, _ in found], np.array(stamps, np.int64), clock)
 
 
-class _JointStates(NamedTuple):
-    """What the joints did, in order of time: the columns to be interpolated."""
-
-    stamp: Stamps
-    columns: dict[str, Array]
+def _frames(message: Any) -> tuple[str, str]:
+    """The frame in which a pose is, and the one that it is of, where that is said."""
+    return str(getattr(message.header, "frame_id", "")), str(getattr(message, "child_frame_id", ""))
 
 
-def _plain(message: Any) -> _JointState | _Pose:
-    frames = (str(getattr(message.header, "frame_id", "")), str(getattr(message, "child_frame_id", "")))
-    if hasattr(message, "pose"):
-        return _pose(message.pose.position, message.pose.orientation, frames)
-    if hasattr(message, "transform"):
-        return _pose(message.transform.translation, message.transform.rotation, frames)
-    numbers = (tuple(map(float, part)) for part in (message.position, message.velocity, message.effort))
-    return _JointState(tuple(map(str, message.name)), *numbers)
+def _poses(messages: Sequence[Any]) -> tuple[Array, Array]:
+    """Positions `(message, 3)` and quaternions `(message, 4)`, scalar first, of stamped poses or transforms."""
+    if hasattr(messages[0], "pose"):
+        parts = [(one.pose.position, one.pose.orientation) for one in messages]
+    else:
+        parts = [(one.transform.translation, one.transform.rotation) for one in messages]
+    position = [(at.x, at.y, at.z) for at, _ in parts]
+    quaternion = [(turn.w, turn.x, turn.y, turn.z) for _, turn in parts]
+    return np.array(position, float), np.array(quaternion, float)
 
 
-def _pose(at: Any, turn: Any, frames: tuple[str, str]) -> _Pose:
-    return _Pose((float(at.x), float(at.y), float(at.z)), tuple(map(float, (turn.w, turn.x, turn.y, turn.z))), frames)
+# ------------------------------------------------------------------ joints
 
 
-def _joint_states(path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str]) -> _JointStates:
-    seen = list(dict.fromkeys(name for message in series.messages for name in message.name))
+def _joint_states(
+    path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str]
+) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """What the joints did, in order of time: the stamps, and the columns to be interpolated."""
+    seen = list(dict.fromkeys(str(name) for message in series.messages for name in message.name))
     if not seen:
         raise InputError(f"{path}: the messages of {topic} name no joints; record them with names")
     names, order = _ordered(seen, of_arm)
@@ -334,67 +257,54 @@ def _joint_states(path: Path, topic: str, series: _Series, of_arm: ArmJoints, no
     if not whole:
         raise InputError(f"{path}: no message of {topic} has the positions of all of {', '.join(names)}; record again")
     whole = [whole[k] for k in np.unique(series.stamp[whole], return_index=True)[1]]  # in order of time, each once
+    messages = [series.messages[k] for k in whole]
+    place = [[list(message.name).index(name) for name in names] for message in messages]
     slides = [name for joint, name in enumerate(names) if joint in of_arm.sliding]
     if slides:
         notes.append(f"positions of {_listed(slides)} are taken as lengths in m: prismatic joints of the arm")
     columns: dict[str, Array] = {}
     for field, pattern in (("position", "q{}_rad"), ("velocity", "dq{}_rad_per_s"), ("effort", "tau{}_Nm")):
-        block = _block([series.messages[k] for k in whole], names, field)
-        if field != "position" and (block is None or not block.any() or not np.isfinite(block).all()):
+        if any(len(getattr(message, field)) != len(message.name) for message in messages):
             continue
-        assert block is not None
-        for joint in range(len(names)):
-            columns[joint_unit(pattern.format(joint + 1), joint in of_arm.sliding)] = block[:, joint]
+        block = np.array([np.asarray(getattr(m, field), float)[at] for m, at in zip(messages, place, strict=True)])
+        if field != "position" and not (block.any() and np.isfinite(block).all()):
+            continue
+        for joint, column in enumerate(block.T):
+            columns[joint_unit(pattern.format(joint + 1), joint in of_arm.sliding)] = column
         if field == "effort":
             forces = f", those of {_listed(slides)} as forces in N" if slides else ""
             notes.append(f"the efforts of {topic} are taken as torques in N m{forces}: assumed, as they state no unit")
-    return _JointStates(series.stamp[whole], columns)
-
-
-def _block(messages: Sequence[Any], names: Sequence[str], field: str) -> Array | None:
-    """`(message, joint)`; None where a message does not give the field of every joint."""
-    if any(len(getattr(message, field)) != len(message.name) for message in messages):
-        return None
-    rows = []
-    for message in messages:
-        place = {name: index for index, name in enumerate(message.name)}
-        rows.append([getattr(message, field)[place[name]] for name in names])
-    return np.array(rows, float)
+    return series.stamp[whole], columns
 
 
 def _ordered(seen: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], str]:
     """The arm's joints along it, and in words by what order."""
-    dof = of_arm.dof
     if of_arm.names and set(of_arm.names) <= set(seen):
         return list(of_arm.names), "by the names of the arm's joints"
     along = {part: [name for name in seen if re.fullmatch(rf"(.*?){part}(_joint)?", name)] for part in UR_JOINTS}
     if all(len(found) == 1 for found in along.values()):
         return [found[0] for found in along.values()], "in the order of Universal Robots' arms"
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, list[tuple[int, str]]] = {}
     for name in seen:
-        if re.search(r"\d", name):
-            groups.setdefault(re.sub(r"\d+(?!.*\d)", "#", name), []).append(name)
-    numbered = sorted(max(groups.values(), key=len, default=[]), key=_number)
-    complete = [_number(name) for name in numbered] in ([*range(1, len(numbered) + 1)], [*range(len(numbered))])
-    if numbered and (len(numbered) in (len(seen), dof) or (dof is None and complete and len(numbered) > 1)):
-        return numbered, "by the numbers in their names"
+        if numbers := re.findall(r"\d+", name):
+            groups.setdefault(re.sub(r"\d+(?!.*\d)", "#", name), []).append((int(numbers[-1]), name))
+    numbered = sorted(max(groups.values(), key=len, default=[]))
+    complete = [number for number, _ in numbered] in ([*range(1, len(numbered) + 1)], [*range(len(numbered))])
+    whole = len(numbered) in (len(seen), of_arm.dof) or (of_arm.dof is None and complete and len(numbered) > 1)
+    if numbered and whole:
+        return [name for _, name in numbered], "by the numbers in their names"
     return list(seen), "in order of appearance"
 
 
-def _number(name: str) -> int:
-    return int(re.findall(r"\d+", name)[-1])
-
-
 def _at_poses(
-    path: Path, state: _JointStates, stamp: Stamps, notes: list[str]
+    path: Path, stamp: NDArray[np.int64], columns: Mapping[str, Array], at: NDArray[np.int64], notes: list[str]
 ) -> tuple[NDArray[np.bool_], dict[str, Array]]:
     """Which poses have joint states around them, and the joints' columns there."""
-    if len(state.stamp) < 2:
-        raise InputError(f"{path}: has {len(state.stamp)} joint states at different times; record at least 2")
-    base = min(state.stamp[0], stamp.min())
-    times = _seconds(state.stamp, base), _seconds(stamp, base)
-    joints = [name for name in state.columns if re.match(r"q\d", name)]
-    joined = streams.join(times[0], state.columns, joints, times[1])
+    if len(stamp) < 2:
+        raise InputError(f"{path}: has {len(stamp)} joint states at different times; record at least 2")
+    base = min(stamp[0], at.min())
+    times = _seconds(stamp, base), _seconds(at, base)
+    joined = streams.join(times[0], columns, [name for name in columns if re.match(r"q\d", name)], times[1])
     if not joined.kept.any():
         moved, measured = (f"{time.min():.3f} to {time.max():.3f} s" for time in times)
         raise InputError(
@@ -404,6 +314,6 @@ def _at_poses(
     return joined.kept, joined.columns
 
 
-def _seconds(stamp: Any, start: Any) -> Any:
+def _seconds(stamp: NDArray[np.int64], start: np.int64) -> Array:
     """Seconds from a start: the difference is taken in whole ns, of which a float would lose hundreds."""
     return (stamp - start) / 1e9

@@ -69,15 +69,12 @@ class Merged(NamedTuple):
     Attributes:
         columns: by their names, `(kept,)` each.
         rows: `(kept,)`, the rows of the table, counted from 0.
-        poses, states: rows with poses, and with joints.
-        joined: how.
+        said: what was done, in sentences.
     """
 
     columns: dict[str, Array]
     rows: NDArray[np.integer]
-    poses: int
-    states: int
-    joined: Joined
+    said: list[str]
 
 
 @final
@@ -219,14 +216,10 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
     rows = poses[joined.kept]
     if not joined.resolved or not rows.size:
+        why = "no pose lies between joint states" if joined.resolved else "the joints move too far from one to the next"
         raise InputError(
-            f"{len(poses)} poses and {len(states)} joint states stand in different rows, and "
-            + (
-                "no pose lies between joint states"
-                if joined.resolved
-                else "the joints move too far from one to the next"
-            )
-            + "; record both in one row, or joint states more often"
+            f"{len(poses)} poses and {len(states)} joint states stand in different rows, and {why}; record both in one "
+            "row, or joint states more often"
         )
     found = dict(joined.columns)
     for name in columns.keys() - found.keys():
@@ -234,7 +227,9 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
         own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
         elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
         found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
-    return Merged({name: found[name] for name in columns}, rows, len(poses), len(states), joined)
+    first, *dropped = said_of(joined)
+    said = f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}"
+    return Merged({name: found[name] for name in columns}, rows, [said, *dropped])
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:
@@ -262,12 +257,6 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
             "joint states are too far apart to follow the motion: what is interpolated between them is not known"
         )
     return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
-
-
-def said_of_merged(found: Merged) -> list[str]:
-    """The same of a table, which begins with what was found."""
-    first, *dropped = said_of(found.joined)
-    return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
 
 
 def _unwrapped(position: Array) -> Array:
@@ -322,8 +311,7 @@ def _between(time: Array, values: Array, at: Array, slopes: Array | None = None)
 
 def _slopes(time: Array, q: Array, joined: Flags) -> Array:
     """`(state, joint)` per second; zero where the joints of a state are not finite, and so is what lies around it."""
-    segment = np.concatenate([[0], np.cumsum(~joined)])
-    return np.nan_to_num(differentiate(q, time, segment))
+    return np.nan_to_num(differentiate(q, time, np.concatenate([[0], np.cumsum(~joined)])))
 
 
 def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:

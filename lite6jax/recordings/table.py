@@ -8,15 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import streams
 from lite6jax.recordings.columns import (
+    IGNORED,
     LABELS,
+    OF_ARRAY,
     Column,
-    Recognised,
+    is_scalar,
+    name_columns,
     nearest_known,
-    one_line,
     recognise,
     sliding_of,
     with_quaternions,
@@ -25,13 +28,83 @@ from lite6jax.recordings.readings import with_readings
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
 
+Values = pa.Array | pa.ChunkedArray | str
+"""A column, or what is wrong with it."""
+Load = Callable[[Mapping[int, str]], Mapping[int, Values]]
+"""Columns by their place, of which the quantity is given: a time may be a clock's, and labels are words."""
+LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
 _FORM = re.compile(
     r"(\d{4}-\d\d-\d\d)[Tt ] *(\d\d:\d\d:\d\d)(?:[.,](\d{1,9})\d*)? *(Z|z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?", re.ASCII
 )
 _LIKE_A_CLOCK = re.compile(r"\d:\d|\d[-/.]\d+[-/.]\d")
-_REMEDY = "write it as 2026-11-21T10:00:00.123Z, with or without a zone, or as seconds"
-_EPOCH = datetime(1970, 1, 1)
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+
+
+class RawTable(NamedTuple):
+    """The columns of a file or folder, by whatever names, read when they are asked for.
+
+    Attributes:
+        names: of all columns, in order.
+        load: the values of some.
+        nameless: whether the file names no column, so that they are `column_1`, `column_2`, ….
+        assumed: names whose unit the file does not state.
+    """
+
+    names: Sequence[str]
+    load: Load
+    nameless: bool = False
+    assumed: tuple[str, ...] = ()
+
+    @classmethod
+    def of_arrays(cls, values: Mapping[str, np.ndarray], assumed: Sequence[str] = ()) -> "RawTable":
+        """Columns in memory."""
+        arrays = list(values.values())
+        return cls([*values], lambda wanted: {k: pa.array(arrays[k]) for k in wanted}, assumed=tuple(assumed))
+
+    def renamed(self, source: str, given: Mapping[str, str], in_order: str = "") -> dict[str, str]:
+        """The names that columns are to have, by those that they have in the table.
+
+        Args:
+            source: what messages begin with.
+            given: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one alone.
+            in_order: of a table without names, the names of all columns between commas, empty for `IGNORED`.
+
+        Raises:
+            InputError: a table without names gets none, or not one for each column; or a table has them already.
+        """
+        listed = [name.strip() or IGNORED for name in in_order.split(",")] if in_order else []
+        if listed and not self.nameless:
+            raise InputError(f"{source}: names its columns already; say what they are by --column NAME=MEANING")
+        if listed and len(listed) != len(self.names):
+            raise InputError(
+                f"{source}: --names gives {len(listed)} names for {len(self.names)} columns; give each one"
+            )
+        if self.nameless and not (listed or given):
+            command = command_line("init", source, "--names", "q1_deg,q2_deg,...")
+            raise InputError(f"{source}: its first row holds numbers, and no line names the columns; `{command}` does")
+        of_part: dict[str, list[str]] = {}
+        for name in self.names:
+            of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
+        found = {}
+        for name, meaning in given.items():
+            alike = [] if name in self.names else of_part.get(name, [])
+            found[alike[0] if len(alike) == 1 else name] = meaning
+        return dict(zip(self.names, listed, strict=False)) | found
+
+    def numbers(self) -> list[tuple[str, np.ndarray | None]]:
+        """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.
+
+        Of clock times the numbers are seconds since 1970.
+        """
+        found = []
+        for index, values in self.load(dict.fromkeys(range(len(self.names)), "time")).items():
+            read = _read(values, "time")
+            read = read.start + read.seconds if isinstance(read, ClockTimes) else read
+            found.append((self.names[index].strip(), None if isinstance(read, str) else read))
+        return found
+
+
+# ------------------------------------------------------------------ clock times
 
 
 class ClockTimes(NamedTuple):
@@ -48,12 +121,6 @@ class ClockTimes(NamedTuple):
     first: str
 
 
-def holds_clock_times(kind: pa.DataType) -> bool:
-    """Whether columns of a type may hold clock times."""
-    text = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
-    return text or pa.types.is_timestamp(kind)
-
-
 def like_a_clock(text: str) -> bool:
     """Whether text that is no number may be a date or a time of day, in whatever form."""
     return _LIKE_A_CLOCK.search(text) is not None
@@ -64,61 +131,64 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
 
     What would be a guess is refused: the order of day and month, a time of day alone, a zone in some rows only.
     """
-    if pa.types.is_timestamp(column.type):
+    ticks: list[int | None]
+    if types.is_timestamp(column.type):
         ticks, per_second = column.cast(pa.int64()).to_pylist(), _PER_SECOND[column.type.unit]
-        return _since_first(ticks, per_second, lambda row: str(np.datetime64(ticks[row], column.type.unit)))
-    texts = [(text or "").strip() for text in column.to_pylist()]
-    ticks: list[int | None] = []
-    zoned: set[bool] = set()
-    for row, text in enumerate(texts, 1):
-        if not text:
-            ticks.append(None)
-            continue
-        found = _moment(text)
-        if found is None:
-            return f"row {row} holds {text[:40]!r}, which is no clock time of one meaning; {_REMEDY}"
-        ticks.append(found[0])
-        zoned.add(found[1])
-        if len(zoned) > 1:
-            return f"row {row} holds {text!r}, but not all rows have a zone; give each row one, or none"
-    return _since_first(ticks, 10**9, texts.__getitem__)
+        texts = ["" if tick is None else str(np.datetime64(tick, column.type.unit)) for tick in ticks]
+    else:
+        ticks, per_second, zoned = [], 10**9, set()
+        texts = [(text or "").strip() for text in column.to_pylist()]
+        for row, text in enumerate(texts, 1):
+            moment = _parse_moment(text) if text else (None, None)
+            if moment is None:
+                return (
+                    f"row {row} holds {text[:40]!r}, which is no clock time of one meaning; write it as "
+                    "2026-11-21T10:00:00.123Z, with or without a zone, or as seconds"
+                )
+            ticks.append(moment[0])
+            zoned |= {moment[1]} - {None}
+            if len(zoned) > 1:
+                return f"row {row} holds {text!r}, but not all rows have a zone; give each row one, or none"
+    first = min((tick for tick in ticks if tick is not None), default=0)
+    seconds = np.array([np.nan if tick is None else (tick - first) / per_second for tick in ticks])
+    return ClockTimes(seconds, first / per_second, texts[ticks.index(first)] if first in ticks else "")
 
 
-def _since_first(ticks: Sequence[int | None], per_second: int, shown: Callable[[int], str]) -> ClockTimes:
-    there = [tick for tick in ticks if tick is not None]
-    if not there:
-        return ClockTimes(np.full(len(ticks), np.nan), 0.0, "")
-    first = min(there)
-    seconds = [np.nan if tick is None else (tick - first) / per_second for tick in ticks]
-    return ClockTimes(np.array(seconds), first / per_second, shown(ticks.index(first)))
-
-
-def _moment(text: str) -> tuple[int, bool] | None:
+def _parse_moment(text: str) -> tuple[int, bool] | None:
     """Nanoseconds, and whether the text has a zone; None where it is of another form, or no day or hour there is."""
     match = _FORM.fullmatch(text)
     if match is None:
         return None
     day, time, part, zone = match.groups()
     try:
-        since = datetime.fromisoformat(f"{day}T{time}") - _EPOCH
+        moment = datetime.fromisoformat(f"{day}T{time}{zone if zone and zone[0] in '+-' else '+00:00'}")
     except ValueError:
         return None
-    seconds = 86400 * since.days + since.seconds - _later(zone or "")
-    return 10**9 * seconds + int((part or "0").ljust(9, "0")), zone is not None
+    return 10**9 * round(moment.timestamp()) + int((part or "0").ljust(9, "0")), zone is not None
 
 
-def _later(zone: str) -> int:
-    """The seconds by which a zone such as +01:00 is later than UTC."""
-    if zone[:1] not in ("+", "-"):
-        return 0
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    return (1 if zone[0] == "+" else -1) * (3600 * int(digits[:2]) + 60 * int(digits[2:]))
+def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:
+    """A column as `(sample,)` float64, NaN where empty; or what is wrong with it. A time may be given by a clock."""
+    if isinstance(values, str):
+        return values
+    kind = values.type
+    text = types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind)
+    if quantity == "time" and (text or types.is_timestamp(kind)):
+        return clock_times(values)
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind):
+        return values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return f"holds {kind}, not numbers; write it as float64"
+
+
+def _count_words(values: pa.Array | pa.ChunkedArray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Words as the number of each among all, in the order in which they first stand there; NaN of missing ones."""
+    words = [(word or "").strip() for word in values.cast(pa.string()).to_pylist()]
+    names = tuple(dict.fromkeys(filter(None, words)))
+    place = {name: float(k) for k, name in enumerate(names)} | {"": np.nan}
+    return np.array([place[word] for word in words]), names
 
 
 # ------------------------------------------------------------------ columns and arrays
-
-
-LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
 
 
 class Table(NamedTuple):
@@ -144,14 +214,9 @@ class Table(NamedTuple):
         return {name: column.name for name, column in self.columns.items()}
 
 
-Loaded = Mapping[str, pa.Array | pa.ChunkedArray | str]
-"""A column, or what is wrong with it, by its SI name."""
-
-
-def tabulated(
-    names: Sequence[str],
+def tabulate(
+    raw: RawTable,
     source: str,
-    load: Callable[[Mapping[str, Column]], Loaded],
     notes: list[str],
     *,
     dof: int | None = None,
@@ -161,53 +226,65 @@ def tabulated(
     """The columns of a table that a recording has, or one line with all that is wrong with them.
 
     Args:
-        names: of all columns.
+        raw: the table.
         source: what messages begin with.
-        load: of recognised columns, their values.
-        notes: gets a sentence on the columns that are ignored.
+        notes: gets a sentence on the columns that are ignored, and on clock times.
         dof, renamed, joints_optional: as in `recognise`.
 
     Raises:
         InputError: problems of names as `recognise`, columns that hold no numbers, no rows; where there are several
             problems, or several columns are over half empty, all are named.
     """
-    found = recognise(names, dof, joints_optional, renamed)
-    problems, arrays = list(found.problems), {}
+    found = recognise(raw.names, dof, joints_optional, renamed)
+    problems, values, labels, row = list(found.problems), {}, {}, None
+    by_index = {column.index: name for name, column in found.columns.items()}
     try:
-        for name, array in (load(found.columns) if found.columns else {}).items():
-            column = found.columns[name]
-            read = array if isinstance(array, str) or column.quantity in LABELS else _numbers(array, column, notes)
+        loaded = raw.load({index: found.columns[name].quantity for index, name in by_index.items()})
+        for index, array in loaded.items():
+            column = found.columns[name := by_index[index]]
+            if column.quantity in LABELS and not isinstance(array, str):
+                values[name], labels[name] = _count_words(array)
+                continue
+            read = _read(array, column.quantity)
             if isinstance(read, str):
                 problems.append(f"column {column.name}: {read}")
+            elif isinstance(read, ClockTimes):
+                values[name] = read.seconds
+                notes.append(f"{column.name} holds clock times: they are counted from the first, {read.first}")
             else:
-                arrays[name] = read
+                values[name] = read if column.divisor == 1.0 else read / column.divisor
     except InputError as error:  # of the table as a whole
         if not problems:
             raise
         problems.append(str(error).removeprefix(f"{source}: "))
-    labels, row = {}, None
-    for name in LABELS:
-        if name in arrays:
-            arrays[name], labels[name] = _counted(arrays[name])
-    values = si_values(found.columns, arrays)
     lengths = {len(column) for column in values.values()}
     if len(lengths) > 1:
         problems.append(f"its columns have unequal lengths, {min(lengths)} to {max(lengths)}; give one each")
     elif lengths == {0} and not problems:
         problems.append("has column names but no rows; record again")
     else:
-        try:
-            if (whole := _with_joined_streams(values, found.joints)) is not None:
+        try:  # where joints and poses stand in different rows
+            joints, places = name_columns("joint_position", found.joints), name_columns("position")
+            if (whole := streams.merged(values, joints, places, "time_s")) is not None:
                 values, row = whole.columns, whole.rows + 1
-                notes += streams.said_of_merged(whole)
+                notes += whole.said
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
-        empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
-        empty = [said for said in empty if said]
+        empty = []
+        for name, column in values.items():
+            count = int(np.sum(~np.isfinite(column)))
+            if count > LARGEST_MISSING_SHARE * len(column):
+                said = f"{count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
+                empty.append(f"column {found.columns[name].name}: {said}")
         # one alone is reported with the rows that are left out for it; targets keep their rows
         problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
-        raise InputError(one_line(source, problems, _remedy(source, found)))
+        named = any("write " in problem or "name their columns" in problem for problem in found.problems)
+        remedy = f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
+        if len(problems) == 1:
+            raise InputError(f"{source}: {problems[0]}{remedy}")
+        numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
+        raise InputError(f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}")
     if found.ignored:
         shown = ", ".join(
             f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in found.ignored[:6]
@@ -217,43 +294,12 @@ def tabulated(
     return Table(found.columns, found.joints, values, row, labels)
 
 
-def _with_joined_streams(values: Mapping[str, np.ndarray], joints: int) -> streams.Merged | None:
-    """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
-    if "time_s" not in values:
-        return None
-    return streams.merged(values, [f"q{joint}_rad" for joint in range(1, joints + 1)], ("x_m", "y_m", "z_m"), "time_s")
-
-
-def _numbers(array: pa.Array | pa.ChunkedArray, column: Column, notes: list[str]) -> pa.Array | pa.ChunkedArray | str:
-    """The column as numbers in its unit: of clock times since the first of them; or what is wrong with it."""
-    if not holds_clock_times(array.type):
-        return array
-    times = clock_times(array)
-    if isinstance(times, str):
-        return times
-    notes.append(f"{column.name} holds clock times: they are counted from the first, {times.first}")
-    return pa.array(times.seconds * column.divisor)
-
-
-def _remedy(source: str, found: Recognised) -> str:
-    """What names the columns of a file, where their names are the problem."""
-    named = any("write " in problem or "name their columns" in problem for problem in found.problems)
-    return f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
-
-
-def _empty(name: str, column: np.ndarray) -> str:
-    count = int(np.sum(~np.isfinite(column)))
-    if count <= LARGEST_MISSING_SHARE * len(column):
-        return ""
-    return f"column {name}: {count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
-
-
 def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None) -> Table:
     """The columns of a data frame that a recording has.
 
     Args:
         frame: anything with named columns: a pandas or polars `DataFrame`, a pyarrow `Table`, a mapping of names to
-            arrays, or what has `__arrow_c_stream__` or `__dataframe__`.
+            arrays, or what has `__arrow_c_stream__`.
         source: for messages.
         notes: gets a sentence on the columns that are ignored.
         renamed: of columns with names of their own, the names that a recording has, as in a sidecar.
@@ -262,94 +308,51 @@ def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, 
         InputError: no named columns, no rows, columns of unequal length, or a column that does not hold numbers; names
             as `recognise`.
     """
-    frame, names = _named(frame)
+    names = list(frame) if isinstance(frame, Mapping) else None
+    for attribute in ("column_names", "columns"):
+        names = getattr(frame, attribute, None) if names is None else names
+    if names is None and hasattr(frame, "__arrow_c_stream__"):
+        frame = pa.table(frame)
+        names = frame.column_names
+    names = [] if names is None else list(names)
     if not names or not all(isinstance(name, str) for name in names):
         raise InputError(
             f"{source}: a {type(frame).__name__} has no named columns; give a data frame with columns q1_rad ... qN_rad"
         )
-    return tabulated(
-        names,
-        source,
-        lambda columns: {name: _arrow(frame[column.name], column.quantity) for name, column in columns.items()},
-        notes,
-        renamed=renamed,
-    )
+    raw = RawTable(names, lambda wanted: {index: _arrow(frame[names[index]]) for index in wanted})
+    return tabulate(raw, source, notes, renamed=renamed)
 
 
-def _named(frame: Any) -> tuple[Any, list[Any]]:
-    """What gives a column by its name, and the names."""
-    if isinstance(frame, Mapping):
-        return frame, list(frame)
-    listed = getattr(frame, "column_names", None)
-    listed = getattr(frame, "columns", None) if listed is None else listed
-    if listed is not None:
-        return frame, list(listed)
+def _arrow(values: Any) -> Values:
+    """One column of any data frame as Arrow's, or what is wrong with it."""
     try:
-        if hasattr(frame, "__arrow_c_stream__"):
-            frame = pa.table(frame)
-        elif hasattr(frame, "__dataframe__"):
-            from pyarrow.interchange import from_dataframe  # files do without it
-
-            frame = from_dataframe(frame)
-    except (pa.ArrowException, TypeError, ValueError, NotImplementedError):
-        return frame, []
-    return (frame, frame.column_names) if isinstance(frame, pa.Table) else (frame, [])
-
-
-def no_numbers(kind: pa.DataType, quantity: str) -> str:
-    """What is wrong with a column of text, truth values, dates or complex numbers; empty where it may be read.
-
-    A time may be given by a clock.
-    """
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind):
-        return ""
-    if quantity == "time" and holds_clock_times(kind):
-        return ""
-    if quantity in LABELS and (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
-        return ""
-    return f"holds {kind}, not numbers; write it as float64"
+        if isinstance(values, pa.Array | pa.ChunkedArray):
+            return values
+        if hasattr(values, "__arrow_c_stream__"):
+            return pa.chunked_array(values)
+        return pa.array(values, from_pandas=True)
+    except (pa.ArrowException, TypeError, ValueError):
+        kind = getattr(values, "dtype", type(values).__name__)
+        return f"holds {kind}, not numbers; give it as float64"
 
 
-def _counted(array: pa.Array | pa.ChunkedArray) -> tuple[pa.Array, tuple[str, ...]]:
-    """Words as the number of each among all, in the order in which they first stand there; missing ones are null."""
-    words = [None if word is None or not word.strip() else word.strip() for word in array.cast(pa.string()).to_pylist()]
-    names = tuple(dict.fromkeys(word for word in words if word is not None))
-    place = {name: k for k, name in enumerate(names)}
-    return pa.array([None if word is None else float(place[word]) for word in words], pa.float64()), names
-
-
-def si_values(columns: Mapping[str, Column], table: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """`(sample,)` float64 in SI units of Arrow columns; an absent value becomes NaN."""
-    values = {}
-    for name, arrow in table.items():
-        array = arrow.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-        divisor = columns[name].divisor
-        values[name] = array if divisor == 1.0 else array / divisor
-    return values
-
-
-def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
+def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     """The arguments of `Recording.assembled` that a table holds.
 
     Raises:
         InputError: a run that is not a whole number.
     """
-    columns, joints = table.columns, table.joints
-    values = with_quaternions(table.values, source)
-
-    def block(*names: str) -> np.ndarray | None:
-        return np.column_stack([values[name] for name in names]) if names[0] in values else None
-
-    def per_joint(pattern: str) -> np.ndarray | None:
-        return block(*(pattern.format(joint) for joint in range(1, joints + 1)))
-
-    joint_position = per_joint("q{}_rad")
+    values, arrays = with_quaternions(table.values, source), {}
+    for name in OF_ARRAY:
+        listed = name_columns(name, table.joints)
+        block = [values[column] for column in listed if column in values]
+        arrays[name] = None if not block else block[0] if is_scalar(name) else np.stack(block, 1)
+    joint_position = arrays["joint_position"]
     assert joint_position is not None  # `recognise` requires it
     if (missing := values.get("missing")) is not None and (gaps := int((missing > 0).sum())):
         total = f"{np.nansum(missing):.0f} reports of the controller are missing"
         notes.append(f"{total}, in {gaps} gap{'s' if gaps > 1 else ''}; the columns missing and gap say where and why")
-    run = values.get("run")
-    if run is not None:
+    if (run := arrays["run"]) is not None:
         given = np.isfinite(run)
         wrong = np.flatnonzero(given & ((run != np.round(run)) | (np.abs(run) > 2**53)))
         if wrong.size:
@@ -357,43 +360,12 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         # a row without a run belongs to none and is dropped with its joints; meanwhile it must not split its neighbours
         joint_position[~given] = np.nan
         last = np.maximum.accumulate(np.where(given, np.arange(len(run)), 0))
-        run = np.where(given[last], run[last], 0.0).astype(np.int64)
-    time = values.get("time_s")
-    if time is not None:
+        arrays["run"] = np.where(given[last], run[last], 0.0).astype(np.int64)
+    if (time := arrays["time"]) is not None:
         start = np.min(time, where=np.isfinite(time) & ~implausible("time", time[:, None])[:, 0], initial=np.inf)
         if LATEST_START_S < start < np.inf:
-            time = time - start
-            notes.append(f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s")
-    arrays = {
-        "sliding": sliding_of(columns),
-        "joint_position": joint_position,
-        "position": block("x_m", "y_m", "z_m"),
-        "quaternion": block("qw", "qx", "qy", "qz"),
-        "time": time,
-        "joint_velocity": per_joint("dq{}_rad_per_s"),
-        "joint_acceleration": per_joint("ddq{}_rad_per_s2"),
-        "joint_torque": per_joint("tau{}_Nm"),
-        "motor_current": per_joint("current{}_A"),
-        "joint_temperature": per_joint("temp{}_degC"),
-        "commanded_position": per_joint("cmd{}_rad"),
-        "ambient_temperature": values.get("ambient_degC"),
-        "payload": values.get("payload_kg"),
-        "run": run,
-        "row": table.row,
-    }
+            arrays["time"] = time - start
+            name = table.columns["time_s"].name
+            notes.append(f"{name} is a clock's: times are counted from the first, {start:.0f} s")
+    arrays |= {"sliding": sliding_of(table.columns), "row": table.row}
     return with_readings(arrays, values, table.labels, source, notes)
-
-
-def _arrow(values: Any, quantity: str) -> pa.Array | pa.ChunkedArray | str:
-    """One column of any data frame as Arrow's, or what is wrong with it."""
-    try:
-        if isinstance(values, pa.Array | pa.ChunkedArray):
-            array = values
-        elif hasattr(values, "__arrow_c_stream__"):
-            array = pa.chunked_array(values)
-        else:
-            array = pa.array(values, from_pandas=True)
-    except (pa.ArrowException, TypeError, ValueError):
-        kind = getattr(values, "dtype", type(values).__name__)
-        return f"holds {kind}, not numbers; give it as float64"
-    return no_numbers(array.type, quantity) or array

@@ -9,6 +9,7 @@ import csv
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -17,10 +18,10 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import LABELS, Column, is_standard
+from lite6jax.recordings.columns import LABELS, is_standard
 from lite6jax.recordings.naming import unit_of
-from lite6jax.recordings.raw import RawTable, one_line
-from lite6jax.recordings.table import Loaded, like_a_clock
+from lite6jax.recordings.parquet import one_line
+from lite6jax.recordings.table import RawTable, Values, like_a_clock
 
 LINES = 120
 """Looked at, from the start of a file."""
@@ -35,11 +36,11 @@ _QUOTED_LIST = re.compile(
 )
 _LIST = re.compile(r"(?<![^,;|\t\r\n]) *([\[(](?=[^\[\]()]*\d)[-+\d.,;eEnaif\s]*[\])]) *(?![^,;|\t\r\n])")
 _ELEMENT = "\x01"
-_NO_UNITS = {"-", "--", "—", "1", "%"}
+_BRACKETS = "[](){}<> "
+_NO_UNITS = {"", "-", "--", "—", "1", "%"}
 _OTHER_UNITS = {"cm", "µm", "um", "in", "inch", "k", "v", "w", "hz", "rpm", "bar", "count", "counts", "ticks", "bool"}
 _LABELS = {"type", "name", "id", "parent"}
 _WITHOUT_A_NAME = {"type", "id", "parent"}
-_MARKERS = re.compile(r"MARKER_NAMES\t", re.IGNORECASE)
 _LENGTHS = re.compile(r"\bLength Units\W+(\w+)", re.IGNORECASE)
 _ANGLES = re.compile(r"\bRotation Type\W+([XYZ]{3})\b", re.IGNORECASE)
 
@@ -113,7 +114,9 @@ def _without_names(table: Layout, lines: Sequence[str], rows: Sequence[Row], col
     named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
     if named and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
         return table._replace(names=_unique(above, []), fields=len(above), nameless=False)
-    if numbered := len(rows) > body + 1 and _counts(rows[body]) and "number" in map(_kind, rows[body + 1]):
+    counted = [str(k) for k in range(len(rows[body]) + 1)]
+    numbered = rows[body] in (counted[:-1], counted[1:]) and "number" in map(_kind, (rows[body + 1 :] or [[]])[0])
+    if numbered:
         notes.append(f"line {body + 1} counts the columns and is not read")
     _say_above(lines[:body], notes)
     return table._replace(names=tuple(f"column_{k + 1}" for k in range(columns)), skip=body + numbered)
@@ -223,9 +226,6 @@ def _header(lines: Sequence[str], body: int, delimiter: str, width: int, filled:
             break
     while header and width > 1 and not any(header[-1][1:]):  # the name of an index, or a title
         header.pop()
-    if not header and (markers := next((line.split("\t")[1:] for line in lines[:body] if _MARKERS.match(line)), [])):
-        names = [f"{name.strip()} {axis}" for name in markers for axis in "XYZ"]
-        return body, [names] if len(names) == width else []
     return top if header else body, header
 
 
@@ -259,12 +259,9 @@ def _names(header: list[Row], above: Sequence[str], source: str, lines: range, n
         added = f", which are added to the names, such as {example!r}" if example else ""
         notes.append(f"line {lines[-1]} holds units{added}")
     if len(parts) > 1:
-        notes.append(f"names are joined from lines {lines[0]} to {lines[-1]}, such as {max(names, key=_depth)!r}")
+        deepest = max(names, key=lambda name: name.count("/"))
+        notes.append(f"names are joined from lines {lines[0]} to {lines[-1]}, such as {deepest!r}")
     return names
-
-
-def _depth(name: str) -> int:
-    return name.count("/")
 
 
 def _group_names(row: Row) -> Row | None:
@@ -298,18 +295,20 @@ def _with_heads(names: Sequence[str]) -> list[str]:
 
 def _of_units(row: Iterable[str]) -> bool:
     """Whether all that a row holds are units."""
-    cells = [cell for cell in row if cell]
-    plain = [cell.strip("[](){}<> ") for cell in cells]
-    known = [unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS for unit in plain]
-    bracketed = [cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text"
-                 for cell, unit in zip(cells, plain, strict=True)]  # fmt: skip
-    none = [unit in _NO_UNITS or not unit for unit in plain]
-    return any(known + bracketed) and all(map(any, zip(known, bracketed, none, strict=True)))
+    some = False
+    for cell in filter(None, row):
+        unit = cell.strip(_BRACKETS)
+        named = unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
+        named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
+        if not named and unit not in _NO_UNITS:
+            return False
+        some = some or named
+    return some
 
 
 def _with_unit(name: str, cell: str, source: str) -> str:
-    unit = cell.strip("[](){}<> ")
-    if not unit or unit in _NO_UNITS:
+    unit = cell.strip(_BRACKETS)
+    if unit in _NO_UNITS:
         return name
     own, stated = unit_of(name), unit_of(f"x [{unit}]")
     if own is not None and own == stated:
@@ -349,12 +348,6 @@ def _unique(names: Iterable[str], notes: list[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _counts(row: Row) -> bool:
-    """Whether a row holds 0, 1, 2, … or 1, 2, 3, … and nothing else."""
-    cells = row[1:] if row and not row[0] else row
-    return len(cells) > 2 and cells in ([str(k) for k in range(len(cells))], [str(k + 1) for k in range(len(cells))])
-
-
 def _decimal(rows: Iterable[Row], delimiter: str) -> str:
     """A comma where more numbers have one than a point, whatever stands in texts and dates."""
     cells = [part for row in rows for cell in row for part in cell.split(_ELEMENT)] if delimiter != "," else []
@@ -389,7 +382,6 @@ HEADER_LIMIT = 1 << 20
 _LATIN = {*b"\xb0\xb1\xb2\xb3\xb5\xb7", *range(0xC0, 0xD7), *range(0xD9, 0xF7), *range(0xF9, 0x100)}
 """Bytes that are °, ±, ², ³, µ, · and letters in Latin-1, and are rare in text of other encodings."""
 _MARKUP = re.compile(r"\s*(\{|<[?!\w][^,;\t\r\n]*>\s*$)", re.MULTILINE)
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d*)?")
 
 
 class _NoNumberError(InputError):
@@ -400,7 +392,7 @@ class _NoNumberError(InputError):
         self.index, self.text = index, text
 
 
-def of_csv(path: Path, notes: list[str]) -> RawTable:
+def open_text(path: Path, notes: list[str]) -> RawTable:
     """The table in a file of text.
 
     Args:
@@ -422,21 +414,20 @@ def of_csv(path: Path, notes: list[str]) -> RawTable:
     plain = encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
     rewritten = cache(lambda: _rewritten(path, layout, encoding))
 
-    def load(columns: Mapping[str, Column]) -> Loaded:
-        wanted, wrong = [column.index for column in columns.values()], {}
-        times = {column.index for column in columns.values() if column.quantity == "time"}
-        texts = {column.index for column in columns.values() if column.quantity in LABELS}
+    def load(columns: Mapping[int, str]) -> dict[int, Values]:
+        wanted, wrong = [*columns], {}
+        texts = {index for index, quantity in columns.items() if quantity in LABELS}
         while True:
             try:
                 table = _read(path, layout, wanted, tail if plain else rewritten(), texts, plain)
                 break
             except _NoNumberError as error:
-                if error.index in times and like_a_clock(error.text):
+                if columns[error.index] == "time" and like_a_clock(error.text):
                     texts.add(error.index)
                     continue
                 wrong[error.index] = str(error)  # the others may hold numbers
                 wanted.remove(error.index)
-        return {key: wrong.get(column.index) or table[str(column.index)] for key, column in columns.items()}
+        return {index: wrong.get(index) or table[str(index)] for index in columns}
 
     return RawTable(layout.names, load, layout.nameless)
 
@@ -496,19 +487,13 @@ def _read(
 
 
 def _no_number(row: int, index: int, text: str, layout: Layout) -> _NoNumberError:
-    shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
-    point = "point" if layout.decimal == "." else "comma"
     if text.strip() and text.strip() == layout.names[index]:
         problem = f"row {row} repeats the names of the columns; remove it, and give each recording a file"
-    elif _THOUSANDS.fullmatch(text.strip()):
-        problem = (
-            f"row {row} holds {shown}, which may have a mark of thousands; give numbers with a decimal {point}, and "
-            "without marks of thousands"
-        )
     else:
+        shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
         problem = (
-            f"row {row} holds {shown}, which is no number; give numbers with a decimal {point}, and leave missing ones "
-            "empty"
+            f"row {row} holds {shown}, which is no number; give numbers with a decimal "
+            f"{'point' if layout.decimal == '.' else 'comma'}, and leave missing ones empty"
         )
     return _NoNumberError(problem, index, text)
 
@@ -528,15 +513,10 @@ def _start(path: Path, notes: list[str]) -> tuple[str, str]:
     """The first whole lines of a text, and its encoding."""
     with open(path, "rb") as file:
         start = file.read(HEADER_LIMIT)
-    if not start.strip():
-        raise InputError(f"{path}: is empty; record again")
     if start.startswith(b"PAR1"):
         raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
-    encoding = _encoding(start)
-    text = "\0"
-    if encoding:
-        text = codecs.getincrementaldecoder(encoding)().decode(start)
-        text = text if len(start) < HEADER_LIMIT else text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
+    text, encoding = _decode(start)
+    text = text if len(start) < HEADER_LIMIT else text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     if "\0" in text or not (text or len(start) < HEADER_LIMIT):
         raise InputError(f"{path}: is not a CSV table but binary or of another encoding; write it as UTF-8 text")
     if not text.strip():
@@ -549,13 +529,12 @@ def _start(path: Path, notes: list[str]) -> tuple[str, str]:
     return text, encoding
 
 
-def _encoding(start: bytes) -> str:
-    """What bytes are decoded by; empty where they are of no text, or of text that may have several meanings."""
+def _decode(start: bytes) -> tuple[str, str]:
+    """The text that bytes are, and its encoding; a zero where they are of no text, or may have several meanings."""
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ["utf-16"] if marked else ["utf-8-sig"]:
-        try:
-            codecs.getincrementaldecoder(encoding)().decode(start)
-            return encoding
-        except UnicodeDecodeError:
-            pass
-    return "latin-1" if not marked and {byte for byte in start if byte > 0x7F} <= _LATIN else ""
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
+        with suppress(UnicodeDecodeError):
+            text = codecs.getincrementaldecoder(encoding)().decode(start)
+            if encoding != "latin-1" or {byte for byte in start if byte > 0x7F} <= _LATIN:
+                return text, encoding
+    return "\0", ""

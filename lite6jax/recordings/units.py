@@ -3,8 +3,7 @@
 Every public call that takes joint positions comes here, and so does every reader of a file.
 """
 
-from collections.abc import Mapping
-from math import pi
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
+from lite6jax.recordings.columns import OF_ARRAY, QUANTITIES, name_columns
 from lite6jax.recordings.settings import RecordingSettings
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows
@@ -54,14 +54,43 @@ def require_radians(
     Raises:
         InputError: complex numbers, or degrees by `far_joint`.
     """
-    q = np.atleast_1d(real_array(name, joint_position))
+    remedy = f"are these degrees? give radians: np.deg2rad({name.rpartition(': ')[2]})"
+    require_near(np.atleast_1d(real_array(name, joint_position)), joint_limits, lambda _: (name, remedy))
+
+
+def require_near(
+    q: NDArray[np.float64],
+    joint_limits: ArrayLike | None,
+    said: Callable[[int], tuple[str, str]],
+    row: NDArray[np.integer] | None = None,
+    sliding: Iterable[int] = (),
+) -> None:
+    """Refuses joint positions so far outside the limits that they must be degrees, or millimetres.
+
+    Args:
+        q: as in `far_joint`, with the limits.
+        joint_limits: likewise.
+        said: of a joint, counted from 0, what the message begins with, and the remedy.
+        row: the number of each sample; from 1 where not given.
+        sliding: the prismatic joints.
+
+    Raises:
+        InputError: as said; the message names a row.
+    """
     found = far_joint(q, joint_limits)
-    if found is not None:
-        *place, joint = found
-        at = f"row {place[-1] + 1}" if len(place) == 1 else f"sample {tuple(k + 1 for k in place)}" if place else "it"
-        limits = limits_of(q.shape[-1], joint_limits)
-        remedy = f"are these degrees? give radians: np.deg2rad({name.rpartition(': ')[2]})"
-        raise InputError(unlikely_joint(name, at, q[found], joint, limits, remedy))
+    if found is None:
+        return
+    *at, joint = found
+    place, remedy = said(joint)
+    named = f"sample {tuple(k + 1 for k in at)}" if at else "it"
+    if len(at) == 1:
+        named = f"row {at[0] + 1 if row is None else row[at[0]]}"
+    low, high = limits_of(q.shape[-1], joint_limits)[joint]
+    unit = "m" if joint in sliding else "rad"
+    raise InputError(
+        f"{place}: {named} is at {q[found]:.5g} {unit} while the arm's joint {joint + 1} goes from {low:.4g} to "
+        f"{high:.4g} {unit}; {remedy}"
+    )
 
 
 def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | None = None) -> tuple[int, ...] | None:
@@ -87,16 +116,6 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
     joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))
     first = np.argwhere(np.atleast_1d(far[..., joint]))[0]
     return (*map(int, first[: q.ndim - 1]), joint)
-
-
-def unlikely_joint(
-    place: str, row: str, value: float, joint: int, limits: NDArray[np.float64], remedy: str, unit: str = "rad"
-) -> str:
-    """The line that refuses a joint position; `joint` counts from 0."""
-    return (
-        f"{place}: {row} is at {value:.5g} {unit} while the arm's joint {joint + 1} goes from {limits[joint, 0]:.4g} "
-        f"to {limits[joint, 1]:.4g} {unit}; {remedy}"
-    )
 
 
 def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> str:
@@ -150,28 +169,12 @@ def require_metres(position: NDArray[np.float64], reach: float, *, from_base: bo
 # ------------------------------------------------------------------ numbers that no arm or sensor can give
 
 
-MOST_TURNS = 1000
-"""Turns of a joint that counts them on and on."""
 LONGEST_DISTANCE_M = 100.0
 """From the median of the positions, which may be far from the sensor; a laser tracker measures to 80 m."""
 WIDEST_SPREAD = 100.0
 """The same in median distances, so that positions in millimetres are recognised as such and not dropped."""
 LONGEST_TIME_S = 1e9
 """From the median of the times: thirty years."""
-_MOST = {
-    "joint_position": ("q{}_rad", 2 * pi * MOST_TURNS),
-    "joint_velocity": ("dq{}_rad_per_s", 1e4),
-    "joint_acceleration": ("ddq{}_rad_per_s2", 1e7),
-    "joint_torque": ("tau{}_Nm", 1e5),
-    "motor_current": ("current{}_A", 1e5),
-    "joint_temperature": ("temp{}_degC", 1e4),
-    "commanded_position": ("cmd{}_rad", 2 * pi * MOST_TURNS),
-    "ambient_temperature": ("ambient_degC", 1e4),
-    "payload": ("payload_kg", 1e5),
-    "time": ("time_s", 1e12),
-    "position": ("{}_m", 1e7),
-}
-"""The column names of each array, and the largest magnitude: of m, one that a float still resolves to nanometres."""
 _SHOWN = 12
 
 
@@ -193,19 +196,19 @@ def without_implausible(
     samples = len(np.atleast_1d(arrays["joint_position"]))
     blanked: dict[str, Any] = dict(arrays)
     bad, first = np.zeros(samples, bool), ""
-    for name, (pattern, _) in _MOST.items():
+    for name in OF_ARRAY:
         array = arrays.get(name)
-        if array is None or array.ndim not in (1, 2) or len(array) != samples or not array.size:
+        if array is None or name == "run" or array.ndim not in (1, 2) or len(array) != samples or not array.size:
             continue
         table = array.reshape(samples, -1)
-        found = implausible(name, table)
-        if not found.any():
-            continue
-        row, index = np.argwhere(found)[0]
-        column = pattern.format("xyz"[index] if name == "position" else index + 1)
-        first = first or f"{table[row, index]:.5g} in column {spelling.get(column, column)}, row {row + 1}"
-        bad |= found.any(1)
-        blanked[name] = np.where(found, np.nan, table).reshape(array.shape)
+        names = name_columns(name, table.shape[1])
+        found = implausible(name, table) if len(names) == table.shape[1] else np.zeros_like(table, bool)
+        if found.any():
+            row, index = np.argwhere(found)[0]
+            column = spelling.get(names[index], names[index])
+            first = first or f"{table[row, index]:.5g} in column {column}, row {row + 1}"
+            bad |= found.any(1)
+            blanked[name] = np.where(found, np.nan, table).reshape(array.shape)
     if not first:
         return blanked
     rows = np.flatnonzero(bad) + 1
@@ -221,27 +224,20 @@ def without_implausible(
 
 
 def implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np.ndarray, "sample column"]:
-    """Which finite numbers of an argument of `Recording.assembled` are; what is not finite is missing already."""
+    """Which finite numbers of an array of a recording are; what is not finite is missing already."""
     with np.errstate(over="ignore"):
-        beyond = np.isfinite(table) & (np.abs(table) > _MOST[name][1])
+        beyond = np.isfinite(table) & (np.abs(table) > QUANTITIES[OF_ARRAY[name][0]].largest)
         if name in ("position", "time"):
-            distance = _distance(np.where(beyond, np.nan, table))
-            spread = _median(distance.max(1, keepdims=True)).item()
-            farthest = LONGEST_TIME_S if name == "time" else max(LONGEST_DISTANCE_M, WIDEST_SPREAD * spread)
-            beyond |= distance > farthest
+            near = np.where(np.isfinite(table) & ~beyond, table, np.nan)
+            distance = np.abs(near - [_median(column) for column in near.T])
+            farthest = max(LONGEST_DISTANCE_M, WIDEST_SPREAD * _median(distance.max(1)))
+            beyond |= distance > (LONGEST_TIME_S if name == "time" else farthest)
     return beyond
 
 
-def _distance(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each number from the median of its column; NaN where it is not finite."""
-    finite = np.where(np.isfinite(table), table, np.nan)
-    return np.abs(finite - _median(finite))
-
-
-def _median(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`(column,)` of the numbers that are not NaN; zero where there are none."""
-    there = [column[~np.isnan(column)] for column in table.T]
-    return np.array([np.median(column) if len(column) else 0.0 for column in there])
+def _median(values: NDArray[np.float64]) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.median(there)) if there.size else 0.0
 
 
 # ------------------------------------------------------------------ the arguments of a recording
@@ -272,16 +268,21 @@ def checked_arrays(
         InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
     """
     real: dict[str, Any] = {
-        name: value
-        if value is None or name in ("run", "row", "sliding", "readings")
-        else real_array(f"{source}: {name}", value)
+        name: real_array(f"{source}: {name}", value)
+        if value is not None and name in OF_ARRAY and name != "run"
+        else value
         for name, value in arrays.items()
     }
     q, position = real["joint_position"], real["position"]
     if q.ndim != 2:
         return real  # of a wrong shape, which `assembled` refuses
     given = real.get("sliding")
-    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, 0 if given else q.shape[1])
+    if isinstance(arm, Arm):
+        known = arm
+    elif settings.arm is not None:
+        known = read_arm(settings.arm_reference(Path(source).parent))
+    else:  # of the bundled ones of as many joints that with the longest reach
+        known = max(bundled_of(0 if given else q.shape[1]), key=lambda one: one.reach, default=None)
     if known is None:
         return real
     if q.shape[1] != known.dof:
@@ -292,54 +293,25 @@ def checked_arrays(
         real["sliding"] = known.sliding
     elif given != known.sliding:
         raise InputError(f"{source}: {other_joints(given, known.sliding, known.name)}")
-    found = far_joint(q, known.possible_positions)
-    if found is not None:
-        sample, joint = found
-        column = spelling.get(f"q{joint + 1}_rad", "")
-        place = f"{source}: column {column}" if spelling else f"{source}: joint_position"
-        remedy = "name the columns q1_deg ..." if spelling else "give radians: np.deg2rad(joint_position)"
-        remedy = "check the unit" if column.endswith("_deg") else f"are these degrees? {remedy}"
-        limits = limits_of(known.dof, known.joint_limits)
-        raise InputError(unlikely_joint(place, f"row {sample + 1}", q[found], joint, limits, remedy))
+
+    def said(argument: str, columns: list[str], unit: str, other: str, remedies: tuple[str, str]) -> tuple[str, str]:
+        """What a message begins with, and the remedy: in a table the name of a column, else another array."""
+        names = [spelling.get(name, "") for name in columns]
+        place = f"{source}: column{'s' * (len(names) > 1)} {' '.join(names)}" if spelling else f"{source}: {argument}"
+        remedy = f"are these {other}? {remedies[not spelling]}"
+        return place, "check the unit" if names[0].endswith(unit) else remedy
+
+    of_degrees = "name the columns q1_deg ...", "give radians: np.deg2rad(joint_position)"
+    require_near(
+        q,
+        known.possible_positions,
+        lambda joint: said("joint_position", [f"q{joint + 1}_rad"], "_deg", "degrees", of_degrees),
+    )
     if position is not None and position.shape == (len(q), 3):
-        columns = [spelling.get(name, "") for name in ("x_m", "y_m", "z_m")]
-        place = f"{source}: columns {' '.join(columns)}" if spelling else f"{source}: position"
-        remedy = "name the columns x_mm y_mm z_mm" if spelling else "give metres: position / 1000"
-        remedy = "check the unit" if columns[0].endswith("_mm") else f"are these millimetres? {remedy}"
+        of_mm = "name the columns x_mm y_mm z_mm", "give metres: position / 1000"
+        place, remedy = said("position", name_columns("position"), "_mm", "millimetres", of_mm)
         require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
     return real
-
-
-def _declared_arm(settings: RecordingSettings, source: str, joints: int) -> Arm | None:
-    """The settings' arm; where none is declared, the bundled one of as many joints with the longest reach, if any."""
-    if settings.arm is not None:
-        return read_arm(settings.arm_reference(Path(source).parent))
-    return max(bundled_of(joints), key=lambda arm: arm.reach, default=None)
-
-
-def missing_rows(
-    table: Mapping[str, np.ndarray], row: Int[np.ndarray, " sample"], source: str, spelling: Mapping[str, str]
-) -> tuple[Bool[np.ndarray, " sample"], str]:
-    """The rows with a number that is not finite, and a note that counts them; empty where there are none.
-
-    Raises:
-        InputError: over half of the rows; the message names the column with most gaps.
-    """
-    missing = {name: ~np.isfinite(column) for name, column in table.items()}
-    bad = np.logical_or.reduce(list(missing.values()))
-    count = int(bad.sum())
-    if not count:
-        return bad, ""
-    first = row[np.argmax(bad)]
-    if count > LARGEST_MISSING_SHARE * len(row):
-        worst = max(missing, key=lambda name: int(missing[name].sum()))
-        raise InputError(
-            f"{source}: {count} of {len(row)} rows have NaN, infinite or empty fields, the first is row {first}, most "
-            f"of them in column {spelling.get(worst, worst)} ({int(missing[worst].sum())}); fill or remove that "
-            "column, or record again"
-        )
-    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
-    return bad, f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
 
 
 def unit_quaternions(

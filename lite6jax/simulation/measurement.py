@@ -155,30 +155,63 @@ def measure(
         InputError: an unknown sensor or one of single distances, values that do not fit the effects, or a motion
             without a quantity that an effect depends on (by name).
     """
-    if isinstance(sensor, str) and sensor in READERS:
-        noise = 0.0 if undeclared.factor == 0 else position_noise
-        return _measure_readings(
-            motion, arm, physics, values, kinematics, sensor, noise, joint_noise or 0.0, tool, seed
-        )
-    if isinstance(sensor, str) and sensor not in INSTRUMENTS:
+    reading = isinstance(sensor, str) and sensor in READERS
+    if isinstance(sensor, str) and not reading and sensor not in INSTRUMENTS:
         raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join((*INSTRUMENTS, *READERS))}")
+    values = np.asarray(values, float)
+    if values.shape != (physics.size,) or not np.isfinite(values).all():
+        raise InputError(
+            f"simulation: values {values.tolist()}; give {physics.size} finite numbers, one per coordinate"
+        )
+    if motion.dof != arm.dof:
+        raise InputError(f"{motion.source}: has {motion.dof} joints, but {arm.name} has {arm.dof}; give a motion of it")
+    if motion.sliding != arm.sliding:
+        raise InputError(f"{motion.source}: {other_joints(motion.sliding, arm.sliding, arm.name)}")
+    chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
+    if chain.shape != (arm.dof, 6):
+        raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
+    T_sensor = np.eye(4) if T_sensor_base is None or reading else np.asarray(T_sensor_base, float)
+    if tool is not None:
+        T_tool = arm.T_joint_flange @ frames.transform_from_row(tool)
+    else:
+        T_tool = arm.T_joint_flange @ (readings.tool_of(str(sensor)) if reading else np.eye(4))
+    model, statics = arm_model(chain.ravel(), T_sensor, T_tool), inertia_of_arm(arm, motion.settings)
+
+    def move_rigidly(moved: Recording) -> Array:
+        """`(sample, 4, 4)`, the tool of the rigid arm."""
+        links = frames.transform_from_row(chain)
+        return T_sensor @ frames.chain(links, moved.joint_position, arm.sliding) @ T_tool
+
+    def move(moved: Recording) -> Array:
+        """The same with the effects."""
+        if not physics.effects:
+            return move_rigidly(moved)
+        at = motion_of_recording(moved)
+        return np.array(predict_poses(at.chain, physics, model, values, at, statics))
+
+    def read_joints(recording: Recording, sigma: float) -> Array:
+        """`(sample, joint)`, joint positions with the noise of their read-out."""
+        noise = sigma * make_generator(seed, "joints").standard_normal(recording.joint_position.shape)
+        noise[:, arm.slides] = 0.0
+        return recording.joint_position + noise
+
+    if reading:
+        noise = 0.0 if undeclared.factor == 0 else position_noise
+        found = readings.read(str(sensor), motion, arm, model, move, noise, seed)
+        declared = {"joint_source": "measured", "joint_noise_rad": joint_noise or 0.0, "motion": found.motion}
+        settings = replace(found.settings, **declared)
+        read = replace(found, joint_position=read_joints(found, joint_noise or 0.0), settings=settings)
+        return Measurement(read, move(found), move_rigidly(found), np.zeros(found.samples, bool))
+
     probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
     if probe.quantity not in ("position", "pose"):
         raise InputError(
             f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
         )
     probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
-    values, chain = _checked(motion, arm, physics, values, kinematics)
-    T_sensor = np.eye(4) if T_sensor_base is None else np.asarray(T_sensor_base, float)
-    T_tool = arm.T_joint_flange @ (np.eye(4) if tool is None else frames.transform_from_row(tool))
-    rigid = T_sensor @ frames.chain(frames.transform_from_row(chain), motion.joint_position, arm.sliding) @ T_tool
-    poses, beyond = rigid.copy(), np.zeros(motion.samples, bool)
+    rigid, poses, beyond = move_rigidly(motion), move(motion), np.zeros(motion.samples, bool)
     if physics.effects:
-        moved = motion_of_recording(motion)
-        model = arm_model(chain.ravel(), T_sensor, T_tool)
-        statics = inertia_of_arm(arm, motion.settings)
-        poses = np.array(predict_poses(moved.chain, physics, model, values, moved, statics))
-        beyond = np.asarray(_beyond(physics, values, moved))
+        beyond = np.asarray(_beyond(physics, values, motion_of_recording(motion)))
     if beyond.all():
         raise InputError(
             f"{motion.source}: at every row the clock offset requires the motion beyond its ends; give a smaller "
@@ -207,10 +240,6 @@ def measure(
     if turn is not None:
         turn[hit] += size / OUTLIER_LEVER_M * _draw_directions(rng, hit.size)
         quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()))
-    sigma = np.hypot(probe.joint_noise, undeclared.joint_noise)
-    read_out = sigma * make_generator(seed, "joints").standard_normal(motion.joint_position.shape)
-    read_out[:, arm.slides] = 0.0
-
     settings = replace(
         motion.settings,
         joint_source="measured",
@@ -224,70 +253,15 @@ def measure(
     )
     recording = replace(
         motion,
-        joint_position=motion.joint_position + read_out,
+        joint_position=read_joints(motion, float(np.hypot(probe.joint_noise, undeclared.joint_noise))),
         position=position,
         quaternion=quaternion,
         settings=settings,
     )
     if beyond.any():
         note = f"dropped {beyond.sum()} rows whose instant lies beyond the motion, by a clock's offset"
-        recording = replace(recording, notes=(*motion.notes, note)).select(~beyond)
+        recording = replace(recording, notes=(*recording.notes, note)).select(~beyond)
     return Measurement(recording, poses[~beyond], rigid[~beyond], outlier[~beyond])
-
-
-def _checked(
-    motion: Recording, arm: Arm, physics: Physics, values: Sequence[float] | Array, kinematics: Array | None
-) -> tuple[Array, Array]:
-    """The numbers of the effects and the chain `(joint, 6)`, refused where they do not fit."""
-    values = np.asarray(values, float)
-    if values.shape != (physics.size,) or not np.isfinite(values).all():
-        raise InputError(
-            f"simulation: values {values.tolist()}; give {physics.size} finite numbers, one per coordinate"
-        )
-    if motion.dof != arm.dof:
-        raise InputError(f"{motion.source}: has {motion.dof} joints, but {arm.name} has {arm.dof}; give a motion of it")
-    if motion.sliding != arm.sliding:
-        raise InputError(f"{motion.source}: {other_joints(motion.sliding, arm.sliding, arm.name)}")
-    chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
-    if chain.shape != (arm.dof, 6):
-        raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
-    return values, chain
-
-
-def _measure_readings(
-    motion: Recording,
-    arm: Arm,
-    physics: Physics,
-    values: Sequence[float] | Array,
-    kinematics: Array | None,
-    sensor: str,
-    noise: float | None,
-    joint_noise: float,
-    tool: Sequence[float] | Array | None,
-    seed: int,
-) -> Measurement:
-    """As `measure`, of readings that are no poses; the tool and all places are unknown."""
-    values, chain = _checked(motion, arm, physics, values, kinematics)
-    point = readings.tool_of(sensor) if tool is None else frames.transform_from_row(tool)
-    T_tool, links = arm.T_joint_flange @ point, frames.transform_from_row(chain)
-    model, statics = arm_model(chain.ravel(), np.eye(4), T_tool), inertia_of_arm(arm, motion.settings)
-
-    def rigid(moved: Recording) -> Array:
-        return frames.chain(links, moved.joint_position, arm.sliding) @ T_tool
-
-    def poses(moved: Recording) -> Array:
-        if not physics.effects:
-            return rigid(moved)
-        at = motion_of_recording(moved)
-        return np.array(predict_poses(at.chain, physics, model, values, at, statics))
-
-    found = readings.read(sensor, motion, arm, model, poses, noise, seed)
-    true, bare = poses(found), rigid(found)
-    read_out = joint_noise * make_generator(seed, "joints").standard_normal(found.joint_position.shape)
-    read_out[:, arm.slides] = 0.0
-    settings = replace(found.settings, joint_source="measured", joint_noise_rad=joint_noise, motion=found.motion)
-    found = replace(found, joint_position=found.joint_position + read_out, settings=settings)
-    return Measurement(found, true, bare, np.zeros(found.samples, bool))
 
 
 def _draw_directions(rng: np.random.Generator, count: int) -> Array:

@@ -90,9 +90,6 @@ QUALISYS = (
     "Frame\tTime\ttool X\tY\tZ\tRoll\tPitch\tYaw\n"
     + "".join(f"{k}\t{k / 100}\t1.5\t2.5\t3.5\t4\t5\t6\n" for k in range(4))
 )
-MARKERS = "NO_OF_FRAMES\t4\nMARKER_NAMES\ta\tb\nTRAJECTORY_TYPES\tMeasured\tMixed\n" + rows(
-    "\t", values=np.hstack([VALUES, VALUES])
-)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +107,8 @@ MARKERS = "NO_OF_FRAMES\t4\nMARKER_NAMES\ta\tb\nTRAJECTORY_TYPES\tMeasured\tMixe
         ),
         (VICON, "Frame|Sub Frame|" + "|".join(f"arm:{m}/{x} [mm]" for m in ("top", "left") for x in "XYZ")),
         (QUALISYS, "Frame|Time|tool X|tool Y|tool Z|tool Roll|tool Pitch|tool Yaw"),
-        (MARKERS, "a X|a Y|a Z|b X|b Y|b Z"),
     ],
-    ids=["motive", "motive, euler", "vicon", "qualisys", "qualisys, markers"],
+    ids=["motive", "motive, euler", "vicon", "qualisys"],
 )
 def test_exports_of_motion_capture(tmp_path, text, names):
     found, columns, _ = opened(tmp_path, text)

@@ -215,7 +215,7 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
         (
             "q1_rad;q2_rad\n1.234,5;0,2\n",
-            "column q1_rad: row 1 holds '1.234,5', which may have a mark of thousands; give numbers with",
+            "column q1_rad: row 1 holds '1.234,5', which is no number; give numbers with a decimal comma",
         ),
         ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
         (

@@ -29,7 +29,7 @@ from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
 from lite6jax.recordings.files import TABLES, open_table
-from lite6jax.recordings.sidecar import read_sidecar
+from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
 from lite6jax.storage import exists
 

@@ -13,8 +13,7 @@ from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.readings import computed_by_controller, digit_step
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.raw import of_arrays
-from lite6jax.recordings.table import tabulated
+from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.report.inspection import choice_of_pose, inspection_report, next_steps, sidecar_text
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
@@ -597,10 +596,10 @@ def test_any_table_is_looked_at(seed):
     if found.undecided:
         assert choice_of_pose(found).startswith(f"it holds {len(found.sources)} poses.")
     if found.of("q") is not None:
-        table = of_arrays(frame)
+        table = RawTable.of_arrays(frame)
         columns = {name: own for name, own in found.columns.items() if name in frame}
         with contextlib.suppress(InputError):  # of an empty column, or joints of which one is missing
-            tabulated(table.names, "run7.csv", table.load, [], renamed=columns)
+            tabulate(table, "run7.csv", [], renamed=columns)
 
 
 @pytest.mark.parametrize(

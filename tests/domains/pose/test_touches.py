@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -109,7 +110,7 @@ def test_a_lens_is_refined_beside_a_chain_that_is_fitted(tmp_path):
     recording = recording_of(tmp_path, "fixed_camera", samples=50, exact=False)
     camera = recording.settings.camera
     assert camera is not None
-    off = dataclasses.replace(camera, fx=1.0005 * camera.fx, cx=camera.cx + 1, intrinsics="refine")
+    off = msgspec.structs.replace(camera, fx=1.0005 * camera.fx, cx=camera.cx + 1, intrinsics="refine")
     settings = dataclasses.replace(recording.settings, camera=off)
     solution = fit_recording(recording.made_anew(settings=settings, position=None, quaternion=None))
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)

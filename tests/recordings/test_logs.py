@@ -1,14 +1,13 @@
-"""MCAP files as ROS 2 writes them, by the packages' own writer, and what is made of them."""
+"""Logs of ROS 1 and 2, by the package's own writers, and what is made of them."""
 
 import json
 import subprocess
 import sys
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from domains.torque import slid
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import write_arm
 from lite6jax.arms.files import read_arm
@@ -16,107 +15,13 @@ from lite6jax.calibration.source import read_source
 from lite6jax.cli import main
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
-from lite6jax.recordings import read_recording
+from lite6jax.recordings import read_recording, recording_file
 from lite6jax.recordings.files import split_topics
 from lite6jax.recordings.ros import UR_JOINTS
+from tests.logs import joints, poses, write
 from tests.oracles import kane, sliding_arms
 
-ros2 = pytest.importorskip("mcap_ros2.writer", reason="the package mcap-ros2-support is not installed")
-raw = pytest.importorskip("mcap.writer", reason="the package mcap-ros2-support is not installed")
 pytest.importorskip("rosbags.rosbag2", reason="the package of the extra `rosbag` is not installed")
-
-HEADER = """
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort" + HEADER
-POSE = (
-    """std_msgs/Header header
-geometry_msgs/Pose pose
-================================================================================
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w"""
-    + HEADER
-)
-START = 1_760_000_000_123_456_789  # an epoch time whose nanoseconds no float holds
-SECOND = 1_000_000_000
-SIDECAR = "recording: {motion: trajectory}\n"
-
-
-class Topic(NamedTuple):
-    """Messages of one topic: stamps and log times in ns after START, and what they say."""
-
-    kind: str
-    stamp: list
-    messages: list
-    logged: list | None = None
-
-
-def header(stamp):
-    return {"stamp": {"sec": int(stamp // SECOND), "nanosec": int(stamp % SECOND)}, "frame_id": "base"}
-
-
-def joints(times, positions, names=("joint1", "joint2"), velocities=None, efforts=None, **rest):
-    """A topic of joint states at times in s."""
-    rows = []
-    for k, position in enumerate(positions):
-        velocity = [] if velocities is None else list(velocities[k])
-        effort = [] if efforts is None else list(efforts[k])
-        rows.append({"name": list(names), "position": list(position), "velocity": velocity, "effort": effort})
-    return Topic("sensor_msgs/msg/JointState", [round(t * SECOND) for t in times], rows, **rest)
-
-
-def poses(times, positions, quaternions=None, **rest):
-    """A topic of poses at times in s; quaternions scalar first."""
-    if quaternions is None:
-        quaternions = [[np.cos(a), np.sin(a), 0, 0] for a in np.linspace(0, 0.5, len(positions))]
-    rows = [
-        {
-            "position": dict(zip("xyz", map(float, p), strict=True)),
-            "orientation": dict(zip("wxyz", map(float, q), strict=True)),
-        }
-        for p, q in zip(positions, quaternions, strict=True)
-    ]
-    return Topic(
-        "geometry_msgs/msg/PoseStamped", [round(t * SECOND) for t in times], [{"pose": r} for r in rows], **rest
-    )
-
-
-def write(path, topics, stamped=True, sidecar=SIDECAR):
-    """An MCAP file in order of time; without `stamped` the headers are zero and only the log knows the time."""
-    definitions = {"sensor_msgs/msg/JointState": JOINT_STATE, "geometry_msgs/msg/PoseStamped": POSE}
-    with open(path, "wb") as file:
-        writer = ros2.Writer(file)
-        schemas = {kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()}
-        rows = [
-            (log, topic, schemas[kind], {"header": header(START + stamp if stamped else 0), **message})
-            for topic, (kind, stamps, messages, logged) in topics.items()
-            for stamp, log, message in zip(stamps, logged or stamps, messages, strict=True)
-        ]
-        for log, topic, schema, message in sorted(rows, key=lambda row: row[0]):
-            writer.write_message(topic, schema, message, log_time=START + log)
-        writer.finish()
-    if sidecar:
-        path.with_suffix(".yaml").write_text(sidecar)
-    return path
 
 
 def small(path, **options):
@@ -366,32 +271,11 @@ def test_a_truncated_file(tmp_path, share):
     assert message.endswith("); recover what is left with `mcap recover`, or record again")
 
 
-def test_a_damaged_file(tmp_path):
-    path = small(tmp_path / "run.mcap")
-    content = bytearray(path.read_bytes())
-    content[len(content) // 4] ^= 0xFF
-    path.write_bytes(content)
-    assert "damaged" in refusal(path)
-
-
 @pytest.mark.parametrize("content", [b"", b"q1_rad,x_m\n0,0\n" * 99, b"PAR1" * 99])
 def test_another_kind_of_file(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     assert refusal(path).startswith("is no bag, truncated or damaged (")
-
-
-def test_messages_of_another_encoding(tmp_path):
-    path = tmp_path / "run.mcap"
-    with open(path, "wb") as file:
-        writer = raw.Writer(file)
-        writer.start()
-        for topic, kind in (("/joint_states", "sensor_msgs/JointState"), ("/tool", "geometry_msgs/PoseStamped")):
-            schema = writer.register_schema(kind, "jsonschema", b"{}")
-            channel = writer.register_channel(topic, "json", schema)
-            writer.add_message(channel, START, b"{}", START)
-        writer.finish()
-    assert refusal(path).startswith("is no bag, truncated or damaged (AnyReaderError Profile is not ros2.); ")
 
 
 def test_clocks_that_do_not_overlap(tmp_path):
@@ -426,14 +310,6 @@ def test_joint_states_that_say_too_little(tmp_path):
 def test_the_package_is_imported_only_for_such_a_file():
     code = "import sys, lite6jax; sys.exit(any(name.split('.')[0] == 'rosbags' for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
-
-
-@pytest.mark.parametrize("chunked", [True, False])
-def test_without_an_index_the_file_is_read_through(tmp_path, monkeypatch, chunked):
-    bare = {"index_types": raw.IndexType.NONE, "repeat_channels": False, "repeat_schemas": False}
-    plain = partial(raw.Writer, **bare, use_chunking=chunked, use_statistics=False, use_summary_offsets=False)
-    monkeypatch.setattr(ros2, "McapWriter", plain)
-    assert read_recording(small(tmp_path / "run.mcap")).samples == 5
 
 
 def sliding_log(folder, names=("joint1", "joint2", "joint3"), sidecar=None):
@@ -497,3 +373,98 @@ def test_init_names_the_units_of_a_log_by_the_arm(tmp_path, capsys):
     again = read_recording(path)
     assert again.sliding == (2,)
     np.testing.assert_allclose(again.joint_position, q, atol=1e-12)
+
+
+# ------------------------------------------------------------------ kinds of logs
+
+
+T = np.arange(8) / 10
+Q = np.stack([1 + T, 2 - 3 * T], 1)
+AT = T[:-1] + 0.05
+P = np.stack([AT, 2 * AT, 3 * AT], 1)
+TURNED = Rotation.from_rotvec(np.outer(AT, [1.0, 0.2, -0.4]))
+
+
+def topics_of(kind="PoseStamped", frames=("marker",)):
+    """Joint states, whose joints are not in order, and poses."""
+    measured = poses(AT, P, TURNED.as_quat(scalar_first=True), kind, frames)
+    topic = {"PoseStamped": "/tracker", "TransformStamped": "/vicon", "TFMessage": "/tf"}[kind]
+    return {"/joint_states": joints(T, Q[:, ::-1], ("joint2", "joint1")), topic: measured}
+
+
+def holds_the_motion(recording):
+    np.testing.assert_allclose(recording.joint_position, np.stack([1 + AT, 2 - 3 * AT], 1), atol=1e-9)
+    np.testing.assert_allclose(recording.position, P, atol=1e-12)
+    turned = Rotation.from_quat(recording.quaternion, scalar_first=True)
+    np.testing.assert_allclose((turned.inv() * TURNED).magnitude(), 0, atol=1e-7)
+    np.testing.assert_allclose(recording.time, AT - AT[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
+@pytest.mark.parametrize("kind", ["PoseStamped", "TransformStamped", "TFMessage"])
+def test_folders_of_ros_2(tmp_path, plugin, kind):
+    path = write(tmp_path / "run7", topics_of(kind), plugin=plugin)
+    recording = read_recording(path)
+    holds_the_motion(recording)
+    assert recording_file(path) == path
+    assert recording.source == str(path)
+    assert recording.settings.motion == "trajectory"
+    assert any("robot_state_publisher" in note for note in recording.notes) == (kind == "TFMessage")
+
+
+def test_a_file_of_ros_1(tmp_path):
+    path = write(tmp_path / "run7.bag", topics_of())
+    holds_the_motion(read_recording(path))
+    path.write_bytes(path.read_bytes()[:3000])
+    assert refusal(path).startswith("is no bag, truncated or damaged (")
+
+
+def test_a_file_within_a_folder_needs_no_metadata(tmp_path):
+    path = write(tmp_path / "run7", topics_of())
+    (part,) = path.glob("*.db3")
+    part.with_suffix(".yaml").write_text("recording: {motion: trajectory}\n")
+    holds_the_motion(read_recording(part))
+    (path / "metadata.yaml").unlink()
+    holds_the_motion(read_recording(part))
+    (path / "run7_1.db3").write_bytes(part.read_bytes())
+    assert refusal(path) == "a rosbag2 without metadata.yaml; write that with `ros2 bag reindex run7`"
+
+
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
+def test_a_folder_whose_recorder_was_ended_is_read_by_its_file(tmp_path, plugin):
+    path = write(tmp_path / "run7", topics_of(), plugin=plugin)
+    (path / "metadata.yaml").unlink()
+    holds_the_motion(read_recording(path))
+
+
+def test_frames_of_tf_are_named(tmp_path):
+    path = write(tmp_path / "run7", topics_of("TFMessage", ("base", "marker")))
+    assert refusal(path) == (
+        "topic /tf has 2 transforms: base in world, marker in world; choose the frame that was measured, as in "
+        "run7#/joint_states,/tf:base"
+    )
+    recording = read_recording(f"{path}#/joint_states,/tf:marker")
+    np.testing.assert_allclose(recording.position, P + 1, atol=1e-12)
+    assert refusal(f"{path}#/joint_states,/tf:tool") == (
+        "topic /tf has no transform to tool; it has base in world, marker in world"
+    )
+    assert read_recording(f"{path}#/joint_states").position is None
+
+
+def test_the_name_of_a_frame_may_have_colons_and_slashes(tmp_path):
+    path = write(tmp_path / "run7", topics_of("TFMessage", ("tag36h11:7", "tag36h11:8/left:x")))
+    for k, child in enumerate(("tag36h11:7", "tag36h11:8/left:x")):
+        recording = read_recording(f"{path}#/joint_states,/tf:{child}")
+        np.testing.assert_allclose(recording.position, P + k, atol=1e-12)
+    assert "has no transform to tag36h11:9; it has tag36h11:7 in" in refusal(f"{path}#/joint_states,/tf:tag36h11:9")
+
+
+def test_folders_that_are_damaged_and_packages_that_are_missing(tmp_path, monkeypatch):
+    path = write(tmp_path / "run7", topics_of())
+    (part,) = path.glob("*.db3")
+    part.write_bytes(part.read_bytes()[:5000])
+    assert refusal(path).startswith("is no bag, truncated or damaged (")
+    (path / "metadata.yaml").write_text("{")
+    assert refusal(path).startswith("is no bag, truncated or damaged (")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    assert refusal(path) == "bags take the package rosbags; pip install 'lite6jax[rosbag]'"

@@ -1,0 +1,259 @@
+"""Tables in Arrow's formats, whose columns are read when they are asked for: Parquet, LeRobot's data sets, streams."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pyarrow as pa
+import pyarrow.compute as pa_compute
+import pyarrow.parquet as pa_parquet
+from pyarrow import types
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.table import RawTable, Values
+from lite6jax.storage import read_text
+
+LONGEST_LIST = 64
+"""Numbers in a list that are a column each; longer ones, such as pictures, are none."""
+_SAMPLE = 1000
+"""Rows by which the length of lists is found."""
+Named = Callable[[str, int, int], str]
+"""The name of an element of a list: by the list's name, its place, and how many there are."""
+
+
+class _Leaf(NamedTuple):
+    """Numbers within the structs and lists of a column: their name, and the way to them."""
+
+    name: str
+    path: tuple[str | int, ...]
+
+
+def _name_element(name: str, place: int, size: int) -> str:
+    return f"{name}[{place}]" if size > 1 else name
+
+
+def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
+    """The table of a Parquet file, or of several one after the other; only the columns asked for are read.
+
+    Members of structs and elements of lists are a column each: `pose.position.x`, `q[0]`.
+
+    Raises:
+        InputError: damaged, or another kind of file, or one without a column of the first; here and in `load`.
+    """
+
+    def describe(file: pa_parquet.ParquetFile) -> list[_Leaf]:
+        fields = list(file.schema_arrow)
+        lists = [field.name for field in fields if "list<" in str(field.type)]
+        first = next(file.iter_batches(_SAMPLE, columns=lists), None) if lists else None
+        sampled = {} if first is None else dict(zip(first.schema.names, first.columns, strict=True))
+        starts = [(field.name, sampled.get(field.name, pa.nulls(0, field.type))) for field in fields]
+        return [leaf for name, values in starts for leaf in _leaves(name, values, (name,), named)]
+
+    leaves: list[_Leaf] = _parquet(paths[0], describe)
+
+    def load(wanted: Mapping[int, str]) -> dict[int, Values]:
+        names = list(dict.fromkeys(str(leaves[index].path[0]) for index in wanted))
+        parts = [_parquet(path, lambda file, path=path: _columns(file, names, path)) for path in paths]
+        table = pa.concat_tables(parts)
+        places = {index: table.column_names.index(str(leaves[index].path[0])) for index in wanted}  # names may be twice
+        return {index: _descend(table.column(place), leaves[index].path[1:]) for index, place in places.items()}
+
+    return RawTable([leaf.name for leaf in leaves], load)
+
+
+def _columns(file: pa_parquet.ParquetFile, names: Sequence[str], path: Path) -> pa.Table:
+    if lacking := set(names) - set(file.schema_arrow.names):
+        raise InputError(f"{path}: lacks the column {min(lacking)} of the other episodes; restore the file")
+    return file.read(columns=list(names))
+
+
+def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Named) -> Iterator[_Leaf]:
+    """What a column holds, by its first rows."""
+    kind = values.type
+    if types.is_struct(kind):
+        for field in kind:
+            yield from _leaves(f"{name}.{field.name}", _descend(values, [field.name]), (*path, field.name), named)
+        return
+    lists = types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
+    first = values.drop_null()[:1] if lists else values[:0]
+    size = len(first[0]) if len(first) else 0
+    if not 0 < size <= LONGEST_LIST:
+        yield _Leaf(name, path)
+    for part in range(size if size <= LONGEST_LIST else 0):
+        yield from _leaves(named(name, part, size), _descend(first, [part]), (*path, part), named)
+
+
+def _descend(values: Any, path: Sequence[str | int]) -> Any:
+    """What stands in a column under these names of members and numbers of elements; or what is wrong with its lists."""
+    for part in path:
+        if isinstance(part, str):
+            values = pa_compute.call_function("struct_field", [values], pa_compute.StructFieldOptions([part]))
+            continue
+        sizes = pa_compute.call_function("min_max", [pa_compute.call_function("list_value_length", [values])])
+        least, most = sizes["min"].as_py(), sizes["max"].as_py()
+        if least is not None and least != most:
+            return f"its lists hold {least} to {most} numbers; give each row as many"
+        values = pa_compute.call_function("list_element", [values, part])
+    return values
+
+
+def _parquet(path: Path, read: Callable[[pa_parquet.ParquetFile], Any]) -> Any:
+    """What is read of a file, its checksums verified."""
+    try:
+        with pa_parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            return read(file)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: a column name is not UTF-8; write the file again with other names") from error
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno:  # the disk's refusal, not Parquet's
+            raise
+        with open(path, "rb") as content:
+            start = content.read(4)
+        problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
+        raise InputError(f"{path}: {problem} ({one_line(error)}); write it again") from error
+
+
+def one_line(error: object) -> str:
+    """What a library says of a file, shortened."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+# ------------------------------------------------------------------ LeRobot's data sets
+
+
+INFO = Path("meta") / "info.json"
+_INFO_LIMIT = 1 << 22
+
+
+class _Info(msgspec.Struct):
+    """Of the meta/info.json of a data set, what is read here."""
+
+    features: dict[str, dict[str, Any]]
+
+
+def open_lerobot(folder: Path) -> RawTable:
+    """The frames of all episodes in order; a feature of several numbers is a column for each, by its own names.
+
+    A unit that `info.json` states stands behind the name of the column.
+
+    Args:
+        folder: of versions 2 and 3: `meta/info.json`, and the frames in `data/**/*.parquet`.
+
+    Raises:
+        InputError: `info.json` is none of a data set, there are no Parquet files, or they lack its features.
+    """
+    path = folder / INFO
+    try:
+        features = msgspec.convert(json.loads(read_text(path, _INFO_LIMIT)), _Info).features
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: names no features, so it is of no LeRobot data set of version 2 or 3") from error
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: is not JSON; restore the file") from error
+    files = sorted((folder / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
+    return open_parquet(*files, named=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
+
+
+def _feature(feature: Mapping[str, Any], name: str, place: int, size: int) -> str:
+    """The name of a number of a feature, whose names data sets give as a list or below a heading, and its unit."""
+    names, info = feature.get("names"), feature.get("info")
+    names = next(iter(names.values()), None) if isinstance(names, dict) else names
+    told = isinstance(names, list) and len({*map(str, names)}) == size == len(names)
+    stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]
+    units = next((unit for unit in stated if isinstance(unit, str | list)), "")
+    unit = units[place] if isinstance(units, list) and len(units) == size else units
+    suffix = f" [{unit}]" if isinstance(unit, str) and unit_of(f"x [{unit}]") else ""
+    return f"{name}.{names[place] if told else place}{suffix}"  # type: ignore[index]
+
+
+# ------------------------------------------------------------------ recordings that grow
+
+
+SUFFIX = ".arrows"
+_UNREADABLE = (pa.ArrowException, OSError, ValueError)  # ValueError: names that are not UTF-8
+_OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
+
+
+def stream_path(recording: str | Path) -> Path:
+    """Where the rows of a Parquet recording stand until it is complete: the same stem, `.arrows`."""
+    return Path(recording).with_suffix(SUFFIX)
+
+
+def stream_start(schema: pa.Schema) -> bytes:
+    """The bytes with which a stream begins."""
+    return schema.serialize().to_pybytes()
+
+
+def stream_batch(batch: pa.RecordBatch) -> bytes:
+    """The bytes of a batch within a stream."""
+    sink = pa.BufferOutputStream()
+    writer = pa.ipc.new_stream(sink, batch.schema, options=_OPTIONS)
+    writer.write_batch(batch)
+    start, end = len(stream_start(batch.schema)), sink.tell()
+    writer.close()
+    return sink.getvalue()[start:end].to_pybytes()
+
+
+def stream_batches(path: Path, notes: list[str]) -> Iterator[pa.RecordBatch]:
+    """The whole batches of a stream, in order.
+
+    Args:
+        path: of the stream.
+        notes: gets a sentence where the last batch was cut short, which is left out.
+
+    Raises:
+        InputError: not such a stream, or more than its last batch cannot be read.
+        OSError: the disk fails.
+    """
+    with pa.OSFile(str(path)) as file:
+        try:
+            reader = pa.ipc.open_stream(file)
+        except _UNREADABLE as error:
+            _reraise_the_disks(error)
+            raise InputError(f"{path}: is not an Arrow stream, or was cut short before its first row") from error
+        number, longest, end = 0, 0, file.tell()
+        while end < file.size():
+            try:
+                batch = reader.read_next_batch()
+                batch.validate(full=True)
+            except StopIteration:  # zeros, of a file that the disk had made longer but not filled
+                break
+            except _UNREADABLE as error:
+                _reraise_the_disks(error)
+                break
+            number += 1
+            longest, end = max(longest, file.tell() - end), file.tell()
+            yield batch
+        if file.size() - end > 4 * longest:
+            raise InputError(f"{path}: is damaged after batch {number}; restore it from a copy")
+        if file.size() > end:
+            notes.append("the recording was ended while rows were being written; the last of them are cut off")
+
+
+def _reraise_the_disks(error: Exception) -> None:
+    if isinstance(error, OSError) and error.errno:  # not Arrow's
+        raise error
+
+
+def open_stream(path: Path, notes: list[str]) -> RawTable:
+    """The table of a recording that is being written.
+
+    Raises:
+        InputError: as `stream_batches`, or there is no batch.
+    """
+    batches = list(stream_batches(path, notes))
+    if not batches:
+        raise InputError(f"{path}: has column names but no rows; record again")
+    table = pa.Table.from_batches(batches)
+    try:
+        names = table.column_names
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: a column name is not UTF-8; restore the file from a copy") from error
+    return RawTable(names, lambda wanted: {index: table.column(index) for index in wanted})
