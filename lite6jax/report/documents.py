@@ -147,7 +147,7 @@ def _design(found: Plan | DiscriminationPlan) -> dict[str, Any]:
     about = {"arm": found.experiment.arm.name, "poses": found.count, "candidates": found.candidates}
     if isinstance(found, DiscriminationPlan):
         about = {"schema": "lite6jax/discrimination/1", **about}
-        about |= {name: getattr(found, name) for name in ("rivals", "both_ways", "distance", "random_distance")}
+        about |= {name: getattr(found, name) for name in ("rivals", "distance", "random_distance")}
     else:
         about = {
             "schema": "lite6jax/design/1",
