@@ -131,12 +131,11 @@ class Setup:
         )
 
     def _of_readings(self, arm: "arms.Arm") -> "information.Experiment":
-        for name in ("chain", "frame", "tool", "axis", "center", "orientation_noise"):
-            if getattr(self, name) != getattr(Setup, name):
-                raise InputError(
-                    f"--{name.replace('_', '-')}: of {self.sensor} the six numbers of each joint, the tool and the"
-                    " places are unknown; leave it out"
-                )
+        if given := _given(self, "chain", "frame", "tool", "axis", "center", "orientation_noise"):
+            raise InputError(
+                f"{given[0]}: of {self.sensor} the six numbers of each joint, the tool and the places are unknown;"
+                " leave it out"
+            )
         noise = self.position_noise
         if noise is not None and not (math.isfinite(noise) and noise > 0):
             raise InputError(f"--position-noise {noise}: give one standard deviation, above 0")
@@ -203,15 +202,17 @@ class TorqueSetup:
             arm, velocity, acceleration, margin, filters, self.duration, self.harmonics, self.rate
         )
 
-    def refuse_unused(self) -> None:
-        """Refuses options of torques where poses are studied.
 
-        Raises:
-            InputError: as said.
-        """
-        given = [field.name for field in fields(self) if getattr(self, field.name) != field.default]
-        if given:
-            raise InputError(f"--{given[0].replace('_', '-')}: is for torques; add --torque")
+def _given(options: Any, *names: str) -> list[str]:
+    """Which of some options are not at their defaults; of all where none is named."""
+    asked = (item for item in fields(options) if not names or item.name in names)
+    return [f"--{item.name.replace('_', '-')}" for item in asked if getattr(options, item.name) != item.default]
+
+
+def _refuse_torques(options: TorqueSetup) -> None:
+    """Refuses options of torques where poses are studied."""
+    if given := _given(options):
+        raise InputError(f"{given[0]}: is for torques; add --torque")
 
 
 @final
@@ -256,16 +257,15 @@ class Identify:
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:
             nominal = source.load_nominal(self.arm)
-            recording = source.read_source(
+            recording = source.load_recording(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
-            assert isinstance(recording, recordings.Recording)  # by its suffix
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None
         if of_torques:
             return self._identify_torques(recording, nominal)
-        self.torque.refuse_unused()
+        _refuse_torques(self.torque)
         return self._identify_poses(recording, nominal, names)
 
     def _identify_poses(
@@ -442,15 +442,13 @@ class Design:
 
     def _check_options(self) -> None:
         if self.torque.torque:
-            others = ("poses", "accuracy", "criterion", "discriminate", "candidates", "recorded")
-            default = {item.name: item.default for item in fields(self)}
-            given = [f"--{name}" for name in others if getattr(self, name) != default[name]]
+            given = _given(self, "poses", "accuracy", "criterion", "discriminate", "candidates", "recorded")
             if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
                 given.append("the options of a sensor")
             if given:
                 raise InputError(f"--torque: designs a motion; leave {given[0]} out")
             return
-        self.torque.refuse_unused()
+        _refuse_torques(self.torque)
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(
                 "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
@@ -460,12 +458,7 @@ class Design:
 
     def _design_poses(self, arm: "arms.Arm") -> "Designed":
         experiment = self.setup.experiment(arm)
-        recorded = None
-        if self.recorded is not None:
-            recorded = source.read_source(self.recorded, arm)
-            if not isinstance(recorded, recordings.Recording):
-                raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
-            recorded = recorded.joint_position
+        recorded = None if self.recorded is None else source.load_recording(self.recorded, arm).joint_position
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
         if self.setup.reads:

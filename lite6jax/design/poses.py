@@ -63,16 +63,12 @@ class Plan(_Chosen):
         accuracy: `(pose,)` m: one standard deviation of predicted positions over the workspace (root mean square, in
             3-D) after the first 1, 2, … poses; infinite where these do not determine it.
         random_accuracy: `(draw, count)` m, the same of poses drawn at random from the candidates.
-        efficiency: how many times the poses of each of those draws would have to be repeated to be worth the design,
-            by the criterion, `(draw,)`; infinite where they do not determine all. None where something is known or
-            recorded beforehand, which is not repeated.
         needed: how many poses reach the accuracy given; None where none was given, or `MOST_POSES` do not reach it.
     """
 
     criterion: CriterionName
     accuracy: Array
     random_accuracy: Array
-    efficiency: Array | None
     needed: int | None = None
 
     @property
@@ -159,13 +155,6 @@ def plan_poses(
         more = min(2 * more, MOST_POSES, len(q))
         reached = curve(choose(pool, more, by).indices)
     draws = _random_draws(len(q), min(max(count, min(max(4 * count, 60), MOST_POSES)), len(q)), seed)
-    efficiency = None
-    if not prior.any():
-        values = [float(by.value(pool.accumulate(pool.rows[draw[:count]])[-1])) for draw in draws]
-        # a draw that does not determine all parameters does not reach the design, however often it is repeated
-        efficiency = np.array(
-            [by.efficiency(design.values[-1], v, design.rank) if np.isfinite(v) else np.inf for v in values]
-        )
     return Plan(
         experiment=experiment,
         joint_position=q[design.indices],
@@ -174,7 +163,6 @@ def plan_poses(
         criterion=criterion,
         accuracy=achieved,
         random_accuracy=np.stack([curve(draw) for draw in draws]),
-        efficiency=efficiency,
         needed=needed,
     )
 

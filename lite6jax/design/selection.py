@@ -91,10 +91,6 @@ class Criterion:
             found[first : first + _BLOCK] = each.reshape(len(block), -1).sum(1)
         return found
 
-    def efficiency(self, value: float, reference: float, rank: int) -> float:
-        """How often a design of `reference` would have to be repeated to reach `value`, of `rank` directions."""
-        return float(np.exp((value - reference) / rank) if self.weight is None else np.divide(reference, value))
-
 
 def _products(J: Array, C: Array) -> Array:
     """J C Jᵀ of each pose `(pose, row, k)`."""

@@ -42,7 +42,6 @@ from lite6jax.report.words import (
 
 _MOST_LISTED = 12
 _MOST_PAIRS = 6
-_MOST_GAINS = 8
 _CLEAR = 5.0
 """Standard deviations between two models at which a test at a level of 1 % has a power of 99 % or more."""
 
@@ -60,23 +59,22 @@ def _beginning(source: str, what: str, disabled: Sequence[tuple[str, str]] = ())
 # ------------------------------------------------------------------ what poses determine
 
 
+_READS = {
+    "position": "positions",
+    "pose": "positions and orientations",
+    "axis": "positions along one axis",
+    "distance": "distances to a point",
+}
+
+
 def described(sensor: AnySensor) -> str:
     """A sensor in a phrase."""
-    if not isinstance(sensor, Sensor):
-        joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-        return sensor.phrase + joints
-    noise = f"{1e3 * sensor.position_noise:.3g} mm"
-    reads = {
-        "position": "positions",
-        "pose": "positions and orientations",
-        "axis": "positions along one axis",
-        "distance": "distances to a point",
-    }[sensor.quantity]
-    if sensor.orientation_noise is not None:
-        noise += f" and {np.rad2deg(sensor.orientation_noise):.2g} deg"
-    per = " per axis" if sensor.rows > 1 else ""
     joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-    return f"{reads} to ±{noise}{per}{joints}"
+    if not isinstance(sensor, Sensor):
+        return sensor.phrase + joints
+    turns = sensor.orientation_noise
+    noise = f"{1e3 * sensor.position_noise:.3g} mm" + (f" and {np.rad2deg(turns):.2g} deg" if turns else "")
+    return f"{_READS[sensor.quantity]} to ±{noise}{' per axis' if sensor.rows > 1 else ''}{joints}"
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
@@ -313,16 +311,6 @@ def plan_report(found: Plan, accuracy: float | None = None) -> Iterator[Renderab
             ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
             table.add_row(str(n), *cells, ratio)
         yield table
-    if found.efficiency is not None:
-        low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95), method="nearest")
-        if np.isfinite(median):
-            most = f"{high:.2f}" if np.isfinite(high) else "no number"
-            yield Text(
-                f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times"
-                f" over (90 % of {len(found.efficiency)} draws: {low:.2f} to {most})."
-            )
-        else:
-            yield Text("Most random selections of as many poses do not determine all that these do.")
 
 
 def discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
@@ -488,13 +476,4 @@ def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], s
     ):
         others = [of(one) for one in random]
         table.add_row(name, *(f"{value:.4g}" for value in (of(designed), np.median(others), best_of(others))))
-    yield from (table, "")
-    table = listing("most gained", "designed ±", "random ±", "ratio", "unit")
-    by_chance = np.median([one.standard_deviation for one in random], axis=0)
-    ratio = by_chance / designed.standard_deviation
-    for i in np.argsort(-ratio, kind="stable")[:_MOST_GAINS]:
-        if np.isfinite(own := designed.standard_deviation[i]):
-            shown = (plus_minus(float(by_chance[i])), f"{ratio[i]:.2f}") if np.isfinite(ratio[i]) else ("–", "–")
-            item = designed.model.base[i]
-            table.add_row(item.name, plus_minus(float(own)), *shown, item.unit)
     yield table

@@ -45,19 +45,17 @@ def test_the_accuracy_is_that_of_the_poses(found):
 
 def test_a_plan_beats_every_random_draw(found):
     assert found.accuracy[-1] < found.random_accuracy[:, 11].min()
-    assert (found.efficiency > 1).all()
     assert found.worth is not None
     assert found.random_median[found.worth - 1] <= found.accuracy[-1] < found.random_median[found.worth - 2]
 
 
 def test_what_is_recorded_counts():
-    """Recorded poses are never worse than none, are not chosen for again, and are not repeated to be worth others."""
+    """Recorded poses are never worse than none, are not chosen for again."""
     more = plan_poses(SETUP, CANDIDATES, 6, recorded=RECORDED)
     assert np.isfinite(more.accuracy).all()
     together = np.vstack([RECORDED, more.joint_position])
     assert more.accuracy[-1] == pytest.approx(workspace_accuracy(together), rel=1e-6)
     assert more.accuracy[-1] < workspace_accuracy(RECORDED)
-    assert more.efficiency is None
 
 
 @pytest.mark.parametrize("criterion", ["D", "A"])
@@ -104,12 +102,6 @@ def test_more_poses_than_the_curves_go_to(monkeypatch):
     monkeypatch.setattr("lite6jax.design.poses.MOST_POSES", 10)
     found = plan_poses(SETUP, CANDIDATES, 12)
     assert found.random_accuracy.shape[1] == 12
-
-
-def test_random_draws_that_do_not_determine_all_are_worth_nothing():
-    same = np.vstack([np.repeat(CANDIDATES[:1], 300, 0), CANDIDATES[:20]])
-    found = plan_poses(SETUP, same, 8, criterion="D")
-    assert np.isinf(found.efficiency).sum() > 25
 
 
 # ------------------------------------------------------------------ discrimination
