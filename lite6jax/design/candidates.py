@@ -106,7 +106,15 @@ def inside_limits(arm: Arm, margin: float = 0.0) -> Array:
 
 
 def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np.bool_]:
-    """Which joint positions `(sample, joint)` rad pass every filter, `(sample,)` bool."""
+    """Which joint positions pass every filter.
+
+    Args:
+        filters: in the order in which they are applied.
+        joint_position: `(sample, joint)` rad.
+
+    Returns:
+        `(sample,)` bool.
+    """
     q = np.asarray(joint_position, float)
     passed = np.ones(len(q), bool)
     for condition in filters:

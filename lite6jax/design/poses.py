@@ -31,7 +31,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Chosen(PublicResult):
+class _Chosen:
     """Poses to record.
 
     Attributes:
@@ -54,7 +54,7 @@ class _Chosen(PublicResult):
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(_Chosen):
+class Plan(_Chosen, PublicResult):
     """Poses that determine an arm's parameters best.
 
     Attributes:
@@ -84,7 +84,7 @@ class Plan(_Chosen):
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class DiscriminationPlan(_Chosen):
+class DiscriminationPlan(_Chosen, PublicResult):
     """Poses that discriminate between two rival models of the physics.
 
     Attributes:
