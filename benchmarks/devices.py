@@ -35,13 +35,13 @@ def devices(
     order: int = 2048,
     repeats: int = 3,
 ) -> Iterator[Record]:
-    """Fits of many arms and of many samples, and the information of many poses, on the processor and the device.
+    """Fits of many arms and of many samples, and the Jacobian of many poses, on the processor and the device.
 
     Args:
         device: cpu or gpu.
         arms: of 300 samples each.
         samples: of one arm.
-        poses: whose information is computed.
+        poses: whose Jacobian is computed.
         order: of the square matrices that are multiplied.
         repeats: of each measurement, after one that compiles.
 
@@ -57,7 +57,7 @@ def devices(
         ) from error
     experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
     q = sample_joints(poses, np.random.default_rng(0))
-    information = None
+    rows = None
     for platform in dict.fromkeys(("cpu", device)):
         with on(platform):
             for count, size in [(count, 300) for count in arms] + [(1, size) for size in samples]:
@@ -68,13 +68,12 @@ def devices(
                 work = f"{count} × {size}"
                 yield Record("devices", platform, f"first fit of {work}", first, "s", "lower", wrong)
                 yield Record("devices", platform, f"fit of {work}, an arm", 1e3 * seconds / count, "ms", "lower", wrong)
-            experiment.information(q)
-            seconds, found = median_time(lambda: experiment.information(q), repeats)
-            information = found if information is None else information
-            wrong = disagreement(
-                found / np.abs(information).max(), information / np.abs(information).max(), 1e-12, "it"
-            )
-            yield Record("devices", platform, f"information of {poses} poses", 1e3 * seconds, "ms", "lower", wrong)
+            experiment.rows(q)
+            seconds, found = median_time(lambda: experiment.rows(q), repeats)
+            rows = found if rows is None else rows
+            largest = np.abs(rows).max()
+            wrong = disagreement(found / largest, rows / largest, 1e-12, "it")
+            yield Record("devices", platform, f"Jacobian of {poses} poses", 1e3 * seconds, "ms", "lower", wrong)
             with jax.default_matmul_precision("float32"):  # a card may round its factors to fewer digits
                 yield from mixed_precision(platform, arms[0], repeats)
                 for kind in (jnp.float64, jnp.float32):

@@ -47,7 +47,7 @@ def results(recording):
         "a calibration's Solution": lite6jax.fit(kinematics[0], "lite6"),
         "FleetSolution": lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6"),
         "Identification": lite6jax.identify(experiment, q[:20]),
-        "Plan": lite6jax.plan_poses(experiment, q, 12, refined=False),
+        "Plan": lite6jax.plan_poses(experiment, q, 12),
     }
 
 
@@ -173,9 +173,7 @@ def degrees_recorded():
         lambda: lite6jax.identify(lite6jax.plan_experiment("lite6"), DEGREES),
         lambda: lite6jax.identify_recording(degrees_recorded()),
         lambda: lite6jax.plan_poses(lite6jax.plan_experiment("lite6"), DEGREES, 10),
-        lambda: lite6jax.plan_poses(
-            lite6jax.plan_experiment("lite6"), np.deg2rad(DEGREES), 10, recorded=DEGREES, refined=False
-        ),
+        lambda: lite6jax.plan_poses(lite6jax.plan_experiment("lite6"), np.deg2rad(DEGREES), 10, recorded=DEGREES),
         lambda: lite6jax.sensitivity("lite6", joint_position=DEGREES),
         lambda: lite6jax.diagnose(degrees_recorded()),
     ],

@@ -42,13 +42,14 @@ def found(tmp_path_factory):
     kinematics = np.stack([LITE6.kinematics + 1e-3 * rng.standard_normal((6, 6)) for _ in range(3)])
     files = [lite6jax.write_factory(each, folder / f"arm{k}.yaml") for k, each in enumerate(kinematics)]
     kinematics[2, 0, 0] = np.nan
-    rivals = [(effect, [1e-4]) for effect in (poses.findings[0].effect, type(poses.findings[0].effect)(3))]
+    effect = poses.findings[0].effect
+    rivals = (effect, [1e-4]), type(effect)(3)
     made = [
         *(recording, poses, torques, CombinedDiagnosis(poses, torques)),
         *(lite6jax.fit(recording), lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6")),
         compare([read_factory(path, LITE6) for path in files[:2]]),
-        *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12, refined=False)),
-        plan_discrimination(experiment, rivals, q, 12, refined=False),
+        *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12)),
+        plan_discrimination(experiment, rivals, q, 12),
         lite6jax.sensitivity("lite6", samples=200),
         *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted_torques(torques.model, motion)),
         lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),

@@ -5,7 +5,6 @@ factors of a chain, the sample is the last axis, so that a transformation is one
 Radians and metres.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -145,18 +144,17 @@ def turn(angle: ArrayLike) -> Turn:
     return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
-def joint_turn(position: Array, sliding: tuple[int, ...], turned: Callable[[Array], Turn] = turn) -> Turn:
+def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
     """The motions of joints about and along their axes.
 
     Args:
         position: `(..., joint, sample)` rad, or m of a prismatic joint.
         sliding: the prismatic joints, counted from 0.
-        turned: what computes cosines and sines.
     """
     if not sliding:
-        return turned(position)
+        return turn(position)
     slides = np.isin(np.arange(position.shape[-2]), sliding)[:, None]
-    return turned(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
+    return turn(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
 
 
 def joint_rate(joint: Turn, direction: Array, sliding: tuple[int, ...]) -> Turn:

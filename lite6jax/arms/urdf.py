@@ -111,26 +111,6 @@ def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tre
     return arm, tree, robot
 
 
-def links_of_chain(
-    path: str | Path, base: str | None = None, tip: str | None = None
-) -> list[tuple[int, ET.Element, Array]]:
-    """Every link that is fixed to the base or to a link of the chain of `read_urdf`, with its pose.
-
-    Returns:
-        for each link the joint that moves it, counted from 1, or 0 if it is fixed to the base; its element; and
-        `T_frame_link` (4, 4) in the arm's frame after that joint's motion, or in the base frame.
-
-    Raises:
-        InputError: as `read_urdf`.
-    """
-    _, tree, _ = _read(path, base, tip)
-    roots = [(0, tree.base, IDENTITY)]
-    roots += [(i, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(tree.moving, 1)]
-    return [
-        (number, tree.links[name], R @ T) for number, root, R in roots for name, T in rigid_links(root, tree.joints)
-    ]
-
-
 def _parse(path: str | Path) -> ET.Element:
     text = storage.read_text(path, SIZE_LIMIT)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:

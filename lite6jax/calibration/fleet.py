@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, hayati_fk, joint_motion, six_parameter_fk
+from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
 from lite6jax.arms.dh import closed_form
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
-from lite6jax.arms.se3 import Frame
 from lite6jax.calibration.compiled import SINGLE_THREADED
 from lite6jax.calibration.gauss_newton import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.calibration.quality import Result
-from lite6jax.calibration.residual import POSE, predict_frames
+from lite6jax.calibration.residual import POSE
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import LEVER, ArmModel, ModelForm
@@ -230,13 +229,11 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     nominal = arm.hayati, arm.T_joint_flange
 
     def errors(parameters: Array) -> Array:
-        form = ModelForm(arm.form)
-        return np.concatenate(
-            [
-                _calibration_errors(form, parameters[each], *nominal, kinematics[each], T_joint_flange[each], q)
-                for each in chunks
-            ]
+        each = (
+            _calibration_errors(arm.form, parameters[some], *nominal, kinematics[some], T_joint_flange[some], q)
+            for some in chunks
         )
+        return np.concatenate(list(each))
 
     parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
     found = errors(parameters)
@@ -254,7 +251,7 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
 
 @partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
 def _calibration_errors(
-    form: ModelForm,
+    form: HayatiForm,
     parameters: jax.Array,
     nominal: jax.Array,
     T_nominal: jax.Array,
@@ -263,27 +260,20 @@ def _calibration_errors(
     joint_position: jax.Array,
 ) -> jax.Array:
     """`(arm, 3, 4)`: those of `FittedCalibrations`."""
-    chain = ModelForm(SixParameterForm(form.chain.dof, form.chain.sliding))
-    joint = joint_motion(form.chain, joint_position.T)
 
-    def flange(of: ModelForm, geometry: jax.Array, T: jax.Array) -> Frame:
-        return predict_frames(of, ArmModel(geometry, jnp.eye(4), T), joint)[1]
-
-    def differences(predicted: Frame, measured: Frame) -> list[jax.Array]:
+    def differences(predicted: jax.Array, true: jax.Array) -> list[jax.Array]:
         """`(4,)` of the samples that were fitted, and of the others; as of `prediction_errors`."""
-        squares = [jnp.sum((a - b) ** 2, 0) for a, b in zip(predicted, measured, strict=True)]
-        distance, chord = jnp.sqrt(squares[3]), jnp.sqrt(squares[0] + squares[1] + squares[2])
-        angle = 2 * jnp.arcsin(jnp.minimum(chord / np.sqrt(8), 1.0))
-        parts = ([each[some] for each in (distance, angle)] for some in (slice(SAMPLES), slice(SAMPLES, None)))
-        return [
-            jnp.stack([f(each) for each in pair for f in (lambda part: jnp.sqrt(jnp.mean(part**2)), jnp.max)])
-            for pair in parts
-        ]
+        squares = jnp.sum((predicted - true)[:, :3] ** 2, 1)
+        distance, chord = jnp.sqrt(squares[:, 3]), jnp.sqrt(jnp.sum(squares[:, :3], 1))
+        both = jnp.stack([distance, 2 * jnp.arcsin(jnp.minimum(chord / np.sqrt(8), 1.0))])
+        parts = both[:, :SAMPLES], both[:, SAMPLES:]
+        return [jnp.stack([jnp.sqrt(jnp.mean(part**2, 1)), part.max(1)], 1).ravel() for part in parts]
 
-    by_design = flange(form, nominal, T_nominal)
+    by_design = hayati_fk(form, nominal, joint_position) @ T_nominal
 
     def one(own: jax.Array, calibrated: jax.Array, T: jax.Array) -> jax.Array:
-        true, found = flange(chain, calibrated.reshape(-1), T), flange(form, own, T_nominal)
+        true = six_parameter_fk(calibrated, joint_position, form.sliding) @ T
+        found = hayati_fk(form, own, joint_position) @ T_nominal
         return jnp.stack([*differences(found, true), differences(by_design, true)[1]])
 
     return jax.vmap(one)(parameters, kinematics, T_joint_flange)

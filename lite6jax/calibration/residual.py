@@ -81,7 +81,7 @@ def observe(
     position, rotation = (pose[:, :3, 3], blocked(pose[:, :3, :3])) if pose.ndim == 3 else (pose, None)
     rotation = jnp.zeros((count, 3, 3, 0)) if rotation is None else rotation
     whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
-    joint = joint_turn(blocked(q), form.chain.sliding, quick_turn)
+    joint = joint_turn(blocked(q), form.chain.sliding)
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
 
 
@@ -296,48 +296,3 @@ def over_blocks(evaluate, observed: Observations):
     shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], observed))
     zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     return lax.scan(lambda total, block: (jax.tree.map(jnp.add, total, evaluate(block)), None), zeros, observed)[0]
-
-
-LARGEST = 1e6
-"""rad; up to here an angle's multiple of π/2 times the first part of π/2 is exact. No joint turns so far."""
-
-_HALF_PI = (float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a6p-34"), float.fromhex("0x1.3198a2e037073p-69"))
-"""π/2 in three parts, of which the first two have 33 bits (W. Cody, W. Waite, Software Manual for the Elementary
-Functions, 1980)."""
-_SINE = (
-    *(-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04),
-    *(2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10),
-)
-_COSINE = (
-    *(4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05),
-    *(-2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11),
-)
-"""Minimax polynomials in the squared angle up to π/4 (Sun Microsystems, fdlibm 5.3): sin x = x + x³ p(x²), cos x = 1 −
-x²/2 + x⁴ p(x²)."""
-
-
-def quick_turn(angle: Array) -> Turn:
-    """The cosine and sine of `angle` rad, of any shape, each within 2.3e-16; NaN where an angle is not finite.
-
-    Angles beyond `LARGEST`, which only a damaged row has, count as `LARGEST`: the polynomials would be no sine there.
-    Not to be differentiated: of the rounding to a multiple of π/2, automatic differentiation knows nothing.
-    """
-    angle = jnp.where(jnp.isfinite(angle), jnp.clip(angle, -LARGEST, LARGEST), jnp.nan)
-    quarter = jnp.round(angle * (2 / np.pi))
-    rest = angle
-    for part in _HALF_PI:
-        rest = rest - quarter * part
-    square = rest * rest
-    sine = rest + rest * square * _polynomial(_SINE, square)
-    cosine = 1 - 0.5 * square + square * square * _polynomial(_COSINE, square)
-    quarter = quarter - 4 * jnp.floor(quarter / 4)
-    odd = (quarter == 1) | (quarter == 3)
-    sine, cosine = jnp.where(odd, cosine, sine), jnp.where(odd, sine, cosine)
-    return Turn(jnp.where((quarter == 1) | (quarter == 2), -cosine, cosine), jnp.where(quarter >= 2, -sine, sine))
-
-
-def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
-    total = jnp.full_like(x, coefficients[-1])
-    for coefficient in reversed(coefficients[:-1]):
-        total = coefficient + x * total
-    return total

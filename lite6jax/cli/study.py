@@ -12,6 +12,8 @@ from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 
 with import_lazily():
+    import numpy as np
+
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
@@ -45,11 +47,8 @@ SensorName = Literal[
     "flange_camera",
 ]
 Known = Literal["known", "unknown"]
-_TRIED_PLACES = 4
-"""Times as many places are tried as are wanted."""
 _TRIED_READINGS = 2000
-"""Poses that read them, among which a design chooses."""
-_READINGS_OF_PLACE = 60
+"""Poses that read places, among which a design chooses."""
 
 
 @final
@@ -92,15 +91,29 @@ class Setup:
         Raises:
             InputError: noise that is not positive, or of what the sensor does not measure.
         """
-        import numpy as np
-
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
                 raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
         if not (math.isfinite(self.payload) and self.payload >= 0):
             raise InputError(f"--payload {self.payload}: give a mass in kg, not below 0")
-        if self.reads:
-            return self._of_readings(arm)
+        setup = self._of_readings(arm) if self.reads else self._of_poses(arm)
+        if not self.effect:
+            return setup
+        effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
+        try:
+            return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
+        except InputError as error:
+            if "six-parameter chain" not in str(error):
+                raise
+            said = ", ".join(self.effect)
+            raise InputError(f"{said}: needs the frames of links; add --chain six_parameter") from error
+
+    @property
+    def reads(self) -> bool:
+        """Whether the sensor reads no poses, so that the arm is to reach its places."""
+        return self.sensor in touching.READERS
+
+    def _of_poses(self, arm: "arms.Arm") -> "information.Experiment":
         if self.places is not None:
             raise InputError("--places: is for --sensor contact or plane; leave it out")
         sensor = sensors.sensor_named(self.sensor).with_noise(
@@ -108,7 +121,7 @@ class Setup:
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
-        setup = information.plan_experiment(
+        return information.plan_experiment(
             arm,
             replace(sensor, direction=self.axis, center=command.metres(self.center)),
             chain=self.chain,
@@ -116,64 +129,24 @@ class Setup:
             tool=self.tool == "unknown",
             tool_at=command.metres(self.tool_at),
         )
-        return self._with_effects(setup)
-
-    @property
-    def reads(self) -> bool:
-        """Whether the sensor reads no poses, so that the arm is to reach its places."""
-        return self.sensor in touching.READERS
-
-    def chosen_places(self) -> int:
-        """How many places are touched."""
-        return self.places or (3 if self.sensor == "plane" else 2)
 
     def _of_readings(self, arm: "arms.Arm") -> "information.Experiment":
-        given = [
-            f"--{name.replace('_', '-')}"
-            for name in ("chain", "frame", "tool", "axis", "center", "orientation_noise")
-            if getattr(self, name) != getattr(Setup, name)
-        ]
-        if given:
+        if given := _given(self, "chain", "frame", "tool", "axis", "center", "orientation_noise"):
             raise InputError(
-                f"{given[0]}: of {self.sensor} the six numbers of each joint, the tool and the places are unknown; "
-                "leave it out"
+                f"{given[0]}: of {self.sensor} the six numbers of each joint, the tool and the places are unknown;"
+                " leave it out"
             )
-        pixels = self.sensor.endswith("_camera")
-        noise = None if self.position_noise is None else self.position_noise / (1 if pixels else 1e3)
+        noise = self.position_noise
         if noise is not None and not (math.isfinite(noise) and noise > 0):
-            raise InputError(f"--position-noise {self.position_noise}: give one standard deviation, above 0")
-        setup = touching.plan_reading(
+            raise InputError(f"--position-noise {noise}: give one standard deviation, above 0")
+        return touching.plan_reading(
             arm,
             self.sensor,
-            _TRIED_PLACES * self.chosen_places() if self.sensor in ("contact", "plane") else 1,
-            noise=noise,
+            self.places or (3 if self.sensor == "plane" else 2),
+            noise=None if noise is None else noise / (1 if self.sensor.endswith("_camera") else 1e3),
             tool_at=command.metres(self.tool_at) if any(self.tool_at) else None,
             joint_noise=math.radians(self.joint_noise),
         )
-        return self._with_effects(setup)
-
-    def choose_places(self, setup: "information.Experiment", readings: int, seed: int) -> "information.Experiment":
-        """The experiment with the best of the places that were drawn."""
-        if self.sensor not in ("contact", "plane"):
-            return setup
-        count = self.chosen_places()
-        tried = _READINGS_OF_PLACE * _TRIED_PLACES * count
-        return touching.choose_places(setup, touching.draw_readings(setup, tried, seed).joint_position, count, readings)
-
-    def _with_effects(self, setup: "information.Experiment") -> "information.Experiment":
-        import numpy as np
-
-        if not self.effect:
-            return setup
-        effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
-        try:
-            return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
-        except InputError as error:
-            if "six-parameter chain" in str(error):
-                raise InputError(
-                    f"{', '.join(self.effect)}: needs the frames of links; add --chain six_parameter"
-                ) from error
-            raise
 
 
 @final
@@ -218,26 +191,28 @@ class TorqueSetup:
         """Where a motion may be.
 
         Raises:
-            InputError: as `motion_limits` and `MotionRoom`.
+            InputError: as `motion_room`.
         """
-        import numpy as np
+        scales, _ = words.joint_units(arm.sliding, arm.dof)
+        velocity, acceleration = (  # one number in degrees, or one per joint in degrees and mm
+            np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
+            for numbers in (self.velocity, self.acceleration)
+        )
+        return motions.motion_room(
+            arm, velocity, acceleration, margin, filters, self.duration, self.harmonics, self.rate
+        )
 
-        def scale(numbers: tuple[float, ...]):  # one in degrees, or one per joint in degrees and mm
-            scales, _ = words.joint_units(arm.sliding, arm.dof)
-            return np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
 
-        limits = motions.motion_limits(arm, scale(self.velocity), scale(self.acceleration), margin)
-        return motions.MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
+def _given(options: Any, *names: str) -> list[str]:
+    """Which of some options are not at their defaults; of all where none is named."""
+    asked = (item for item in fields(options) if not names or item.name in names)
+    return [f"--{item.name.replace('_', '-')}" for item in asked if getattr(options, item.name) != item.default]
 
-    def refuse_unused(self) -> None:
-        """Refuses options of torques where poses are studied.
 
-        Raises:
-            InputError: as said.
-        """
-        given = [field.name for field in fields(self) if getattr(self, field.name) != field.default]
-        if given:
-            raise InputError(f"--{given[0].replace('_', '-')}: is for torques; add --torque")
+def _refuse_torques(options: TorqueSetup) -> None:
+    """Refuses options of torques where poses are studied."""
+    if given := _given(options):
+        raise InputError(f"{given[0]}: is for torques; add --torque")
 
 
 @final
@@ -282,16 +257,15 @@ class Identify:
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:
             nominal = source.load_nominal(self.arm)
-            recording = source.read_source(
+            recording = source.load_recording(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
-            assert isinstance(recording, recordings.Recording)  # by its suffix
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None
         if of_torques:
             return self._identify_torques(recording, nominal)
-        self.torque.refuse_unused()
+        _refuse_torques(self.torque)
         return self._identify_poses(recording, nominal, names)
 
     def _identify_poses(
@@ -305,9 +279,8 @@ class Identify:
         if recording is None or recording.position is None:
             q = None if recording is None else recording.joint_position
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
-            if self.setup.reads:
-                experiment = self.setup.choose_places(experiment, self.poses, self.seed)
-                q = touching.draw_readings(experiment, self.poses, self.seed).joint_position if q is None else q
+            if self.setup.reads and q is None:
+                q = touching.draw_readings(experiment, self.poses, self.seed).joint_position
             found = identify.identify(experiment, q, poses=self.poses, seed=self.seed)
         else:
             if replace(self.setup, effect=()) != Setup():
@@ -333,9 +306,9 @@ class Identify:
         arm, notes = self._read_arm(recording, nominal), []
         if recording is None:
             room = self.torque.room(arm)
-            trajectory = room.trajectory(motions.random_motions(room, self.seed, 1)[0])
-            model, motion = self.torque.model(arm), trajectory.motion
-            phrase = f"a random motion of {room.duration:g} s inside the limits, {len(trajectory.time)} samples"
+            time, motion = torques.record_motion(room, motions.random_motions(room, self.seed, 1)[0])
+            model = self.torque.model(arm)
+            phrase = f"a random motion of {room.duration:g} s inside the limits, {len(time)} samples"
         else:
             motion, assumed = motions.read_motion(recording)
             model = self.torque.model(arm, recording.settings)
@@ -422,11 +395,10 @@ class Design:
     """Number of poses to choose."""
     accuracy: Annotated[float | None, arg(metavar="MM")] = None
     """Say how many poses predict positions to this accuracy (one standard deviation)."""
-    criterion: Literal["I", "D", "A", "E"] = "I"
-    """I: positions predicted over the workspace; D, A, E: the parameters' volume, mean variance, worst direction."""
+    criterion: Literal["I", "D", "A"] = "I"
+    """I: positions predicted over the workspace; D, A: the parameters' volume, mean variance."""
     discriminate: Annotated[tuple[str, str] | None, arg(metavar="EFFECT EFFECT")] = None
-    """Choose the poses that discriminate between these two effects instead. The first must have a size; the second
-    may have one, and then each is tested against the other."""
+    """Choose the poses that discriminate the first of these two effects, at a size that you give, from the second."""
     candidates: int = 100_000
     """Number of joint positions drawn, among which poses are chosen."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -439,12 +411,8 @@ class Design:
     """Height above which all joints, the flange and the tool stay, mm in the base's frame."""
     link_radius: Annotated[float | None, arg(metavar="MM")] = None
     """The radius of the capsules around the links; a twentieth of the reach where not given, 0 for no check."""
-    collision_geometry: Annotated[str | None, arg(metavar="URDF")] = None
-    """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
     filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
     """A function of yours from (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
-    refine: bool = True
-    """Move the chosen poses on by gradient, between the candidates."""
     seed: command.Seed = 0
     figures: command.Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
@@ -455,7 +423,7 @@ class Design:
         """Draws candidates or motions, chooses, writes, prints."""
         sidecar = recordings.sidecar_path(self.out)
         filters = (reference.rpartition(":")[0] for reference in self.filter)
-        inputs = [self.source, self.recorded, self.collision_geometry, *filters]
+        inputs = [self.source, self.recorded, *filters]
         command.check_outputs([self.out, sidecar], inputs, self.force)
         command.check_seed(self.seed)
         self._check_options()
@@ -474,15 +442,13 @@ class Design:
 
     def _check_options(self) -> None:
         if self.torque.torque:
-            others = ("poses", "accuracy", "criterion", "discriminate", "candidates", "recorded", "refine")
-            default = {item.name: item.default for item in fields(self)}
-            given = [f"--{name}" for name in others if getattr(self, name) != default[name]]
+            given = _given(self, "poses", "accuracy", "criterion", "discriminate", "candidates", "recorded")
             if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
                 given.append("the options of a sensor")
             if given:
                 raise InputError(f"--torque: designs a motion; leave {given[0]} out")
             return
-        self.torque.refuse_unused()
+        _refuse_torques(self.torque)
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(
                 "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
@@ -492,35 +458,22 @@ class Design:
 
     def _design_poses(self, arm: "arms.Arm") -> "Designed":
         experiment = self.setup.experiment(arm)
-        recorded = None
-        if self.recorded is not None:
-            recorded = source.read_source(self.recorded, arm)
-            if not isinstance(recorded, recordings.Recording):
-                raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
-            recorded = recorded.joint_position
+        recorded = None if self.recorded is None else source.load_recording(self.recorded, arm).joint_position
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
         if self.setup.reads:
-            experiment = self.setup.choose_places(experiment, self.poses, self.seed)
-            drawn = touching.draw_readings(
-                experiment, min(self.candidates, _TRIED_READINGS), self.seed, filters, margin
-            )
+            count = min(self.candidates, _TRIED_READINGS)
+            drawn = touching.draw_readings(experiment, count, self.seed, filters, margin)
         else:
             drawn = candidates.candidates(arm, self.candidates, self.seed, filters, margin)
-        options = {
-            "recorded": recorded,
-            "refined": self.refine and not self.setup.reads,
-            "limits": candidates.inside_limits(arm, margin),
-            "feasible": lambda q: candidates.all_pass(filters, q),
-            "seed": self.seed,
-        }
         accuracy = None if self.accuracy is None else self.accuracy / 1e3
+        options: dict[str, Any] = {"recorded": recorded, "seed": self.seed}
         if self.discriminate is None:
             options |= {"criterion": self.criterion, "accuracy": accuracy}
             found = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
             one, other = self.discriminate
-            rivals = (serialization.parse_effect(one), serialization.parse_effect(other, neutral=True))
+            rivals = serialization.parse_effect(one), serialization.parse_effect(other, neutral=True)[0]
             found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[poses.shortest_round(found.joint_position)]
         settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
@@ -535,9 +488,8 @@ class Design:
     def _design_motion(self, arm: "arms.Arm") -> "Designed":
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
-        found = torques.plan_motion(self.torque.model(arm), room, motions.MotionSearch(seed=self.seed))
-        report = study.torque_plan_report(found, disabled, self.source)
-        time, motion = found.trajectory.time, found.trajectory.motion
+        found = torques.plan_motion(self.torque.model(arm), room, seed=self.seed)
+        report, motion = study.torque_plan_report(found, disabled, self.source), found.motion
         settings = recordings.RecordingSettings(
             arm=command.name_arm(self.source, self.out),
             motion="trajectory",
@@ -545,7 +497,7 @@ class Design:
         )
         recording = recordings.Recording.assembled(
             motion.q.T,
-            time=time,
+            time=found.time,
             joint_velocity=motion.dq.T,
             joint_acceleration=motion.ddq.T,
             settings=settings,
@@ -563,16 +515,9 @@ class Design:
             filters.append(candidates.inside_box(arm, command.metres(self.box[:3]), command.metres(self.box[3:]), at))
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
-        if self.collision_geometry is not None:
-            file, _, tip = str(self.collision_geometry).partition("#")
-            shapes = clearance.urdf_capsules(file, arm, tip=tip or None)
-        elif self.link_radius != 0:
+        if self.link_radius != 0:
             radius = None if self.link_radius is None else self.link_radius / 1e3
-            shapes = clearance.chain_capsules(arm, radius, at)
-        else:
-            shapes = []
-        if shapes:
-            apart = clearance.self_collision(arm, shapes)
+            apart = clearance.self_collision(arm, clearance.chain_capsules(arm, radius, at))
             disabled = apart.disabled
             filters.append(candidates.clear_of_itself(apart))
         filters += map(candidates.user_filter, self.filter)

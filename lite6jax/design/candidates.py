@@ -1,22 +1,18 @@
 """Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
 
-import importlib.util
 import os
-import sys
+import runpy
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm, joint_sizes
-from lite6jax.design.clearance import SelfCollision, link_frames
+from lite6jax.design.clearance import SelfCollision, walk_chain
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
-Distance = Callable[[Array], Array]
-"""Of `(sample, joint)` rad to `(sample,)` m."""
 
 _BATCH = 16384
 _FEWEST = 1e-3
@@ -30,12 +26,13 @@ class Filter(NamedTuple):
     Attributes:
         name: what messages call it.
         accepts: `(sample, joint)` rad to `(sample,)` bool.
-        distance: `(sample, joint)` rad to `(sample,)` m from what is refused, negative inside it; None where unknown.
+        distance: `(sample, joint)` rad to `(sample,)` m from what is refused, negative inside it, of NumPy and JAX
+            alike; None where unknown.
     """
 
     name: str
     accepts: Callable[[Array], NDArray[np.bool_]]
-    distance: Distance | None = None
+    distance: Callable[[Any], Any] | None = None
 
 
 class Candidates(NamedTuple):
@@ -142,12 +139,12 @@ def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLi
         corners = f"{tuple(low.tolist())} to {tuple(high.tolist())}"
         raise InputError(f"box {corners} m: empty; give the least x, y, z, then the greatest")
 
-    def into_box(q: Array) -> Array:
-        T = link_frames(arm, q)[-1]
-        position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
-        return np.minimum(position - low, high - position).min(1)
+    def into_box(q: Any) -> Any:
+        T = walk_chain(arm, q)[-1]
+        position = T[:, :3, :3] @ point + T[:, :3, 3]
+        return q.__array_namespace__().minimum(position - low, high - position).min(1)
 
-    return _beyond("box", into_box)
+    return _keep_distance("box", into_box)
 
 
 def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
@@ -160,20 +157,20 @@ def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)
     """
     point = np.asarray(tool_point, float)
 
-    def over_floor(q: Array) -> Array:
-        F = link_frames(arm, q)
-        tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
-        return np.minimum(F[1:, 2, 3].min(0), tool) - height
+    def over_floor(q: Any) -> Any:
+        _, _, *moved, flange = walk_chain(arm, q)
+        heights = [T[:, 2, 3] for T in (*moved, flange)]
+        return q.__array_namespace__().stack([*heights, flange[:, 2, :3] @ point + flange[:, 2, 3]]).min(0) - height
 
-    return _beyond("floor", over_floor)
+    return _keep_distance("floor", over_floor)
 
 
 def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
     """The arm's capsules keep a clearance of more than `margin`, m."""
-    return _beyond("self-collision", lambda q: collision.clearance(q) - margin)
+    return _keep_distance("self-collision", lambda q: collision.clearance(q) - margin)
 
 
-def _beyond(name: str, distance: Distance) -> Filter:
+def _keep_distance(name: str, distance: Callable[[Any], Any]) -> Filter:
     """The condition that a distance is positive."""
     return Filter(name, lambda q: distance(q) > 0, distance)
 
@@ -191,19 +188,12 @@ def user_filter(reference: str) -> Filter:
         raise InputError(f"filter {reference!r}: write FILE.py:function")
     if not os.path.isfile(file):
         raise InputError(f"{file}: no such file; a filter is FILE.py:function")
-    spec = importlib.util.spec_from_file_location(f"lite6jax_filter_{Path(file).stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module.__name__] = module  # dataclasses and type hints look their module up there
     try:
-        spec.loader.exec_module(module)
+        function = runpy.run_path(file).get(name)
     except Exception as error:
         raise InputError(f"{file}: cannot be loaded ({_one_line(error)}); correct it") from error
-    function = getattr(module, name, None)
     if not callable(function):
-        there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
+        raise InputError(f"{file}: has no function {name!r}; write one, or name another")
 
     def accepts(q: Array) -> NDArray[np.bool_]:
         try:

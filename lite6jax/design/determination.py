@@ -27,6 +27,8 @@ _TAKES_PART = 1e-6
 _CORRELATED = 0.95
 _QUOTED = {"m": 1e-3, "rad": float(np.deg2rad(1.0))}
 """How far a parameter is moved in a statement: 1 mm, 1 degree; another one by its typical size."""
+_SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
+"""From SI to what people read."""
 
 
 class Dependency(NamedTuple):
@@ -50,16 +52,14 @@ class Dependency(NamedTuple):
         if not self.partners:
             return f"{self.name} is unobservable: no reading changes with it."
         moves = [(name, unit, self.amount * share) for name, unit, share in self.partners]
-        moves.sort(key=lambda move: -abs(move[2]) * _shown(move[1])[0])
-        listed = ", ".join(_moved(*move) for move in moves[:4])
+        moves.sort(key=lambda move: -abs(move[2]) * _SHOWN.get(move[1], (1.0, ""))[0])
+        listed = ", ".join(_shift(*move) for move in moves[:4])
         if len(moves) > 4:
             listed += f" and {len(moves) - 4} smaller"
         names = [self.name, *(name for name, _, _ in moves)]
-        if len(names) <= 5:
-            together = f"{', '.join(names[:-1])} and {names[-1]} move together"
-        else:
-            together = f"{', '.join(names[:4])} and {len(names) - 4} others move together"
-        return f"{together}: {_moved(self.name, self.unit, self.amount)} is undone by {listed}."
+        last = names[-1] if len(names) <= 5 else f"{len(names) - 4} others"
+        together = f"{', '.join(names[: min(len(names) - 1, 4)])} and {last} move together"
+        return f"{together}: {_shift(self.name, self.unit, self.amount)} is undone by {listed}."
 
 
 class BaseParameter(NamedTuple):
@@ -112,7 +112,6 @@ class Determination:
         dependencies: one for each parameter that is confounded with those before it.
         base: the combinations that the readings determine, in the order of the parameters that stand for them.
         covariance: `(size, size)` of the free ones in SI units, prior included; zero where held.
-        theory: how many the best readings determine, by counting; None where it is not known.
     """
 
     names: tuple[str, ...]
@@ -126,7 +125,6 @@ class Determination:
     dependencies: tuple[Dependency, ...]
     base: tuple[BaseParameter, ...]
     covariance: Array
-    theory: int | None = None
 
     @property
     def size(self) -> int:
@@ -164,19 +162,18 @@ def determination_of(
     samples: int,
     order: Sequence[int] | None = None,
     prior: Array | None = None,
-    theory: int | None = None,
 ) -> Determination:
     """What the columns of a least-squares problem determine.
 
     Args:
         root: `(row, size)` any R with RᵀR the readings' information, its columns per `scale` of each parameter.
-        names, units, scale, samples, theory: as in `Determination`.
+        names, units, scale, samples: as in `Determination`.
         order: in which columns stand for those that they are confounded with; as they are where not given.
         prior: `(size,)` the information of the prior about each, in these sizes; none where not given.
     """
-    names, units = tuple(names), tuple(units)
-    order = range(len(names)) if order is None else order
-    determined, shares = independent_columns(root, order)
+    names, units, size = tuple(names), tuple(units), len(names)
+    order = range(size) if order is None else order
+    determined, shares = _independent_columns(root, order)
     dependencies, carried = [], {int(i): [(int(i), 1.0)] for i in np.flatnonzero(determined)}
     for k in map(int, np.flatnonzero(~determined)):
         ratio = shares[k] * scale / scale[k]  # of SI units
@@ -190,34 +187,37 @@ def determination_of(
         BaseParameter(
             tuple((names[k], factor) for k, factor in terms),
             tuple(units[k] for k, _ in terms),
-            float(np.sqrt(sum((factor * scale[k]) ** 2 for k, factor in terms))),
+            float(np.linalg.norm([factor * scale[k] for k, factor in terms])),
         )
         for terms in carried.values()
     )
-    known = np.zeros(len(names)) if prior is None else np.sqrt(prior)
+    known = np.zeros(size) if prior is None else np.sqrt(prior)
     rows = np.vstack([root, np.diag(known)])
-    free = independent_columns(rows, order)[0] if known.any() else determined
-    length = np.linalg.norm(rows[:, free], axis=0)
-    half = np.linalg.inv(np.linalg.qr(rows[:, free] / length, mode="r")) * (scale[free] / length)[:, None]
-    covariance = np.zeros((len(names), len(names)))
+    free = _independent_columns(rows, order)[0] if known.any() else determined
+    length = np.linalg.norm(rows, axis=0)
+    half = np.linalg.inv(np.linalg.qr(rows[:, free] / length[free], mode="r")) * (scale[free] / length[free])[:, None]
+    covariance = np.zeros((size, size))
     covariance[np.ix_(free, free)] = half @ half.T
+    # the directions along which the rows change least, with their columns made comparable first
+    longest = max(length.max(initial=0.0), 1e-300)
+    comparable = np.where(length > _UNOBSERVABLE * longest, length, longest)
+    least = np.linalg.svd(rows / comparable)[2][int(free.sum()) :]
     return Determination(
         names=names,
         units=units,
         scale=scale,
         samples=samples,
         singular_values=np.linalg.svd(root, compute_uv=False),
-        open_directions=_null(rows, int(np.sum(~free))),
+        open_directions=np.linalg.qr((least / comparable).T)[0],
         rank=int(determined.sum()),
         free=free,
         dependencies=tuple(dependencies),
         base=base,
         covariance=covariance,
-        theory=theory,
     )
 
 
-def independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
+def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
     """Columns that are independent, taken one by one in `order`; of the others, their coordinates `(size,)` in these.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
@@ -225,9 +225,7 @@ def independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.b
     size = root.shape[1]
     length = np.linalg.norm(root, axis=0)
     largest = length.max(initial=0.0)
-    free = np.zeros(size, bool)
-    shares: dict[int, Array] = {}
-    Q = np.zeros((len(root), 0))
+    free, shares, Q = np.zeros(size, bool), dict[int, Array](), np.zeros((len(root), 0))
     for k in order:
         share = np.zeros(size)
         if length[k] > _UNOBSERVABLE * largest:
@@ -246,47 +244,26 @@ def independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.b
     return free, shares
 
 
-def _null(root: Array, size: int) -> Array:
-    """The `size` directions along which a matrix changes least, orthonormal, with its columns made comparable first."""
-    length = np.linalg.norm(root, axis=0)
-    scale = np.where(length > _UNOBSERVABLE * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
-    right = np.linalg.svd(root / scale)[2]
-    return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
-
-
 def narrow_joints(span: Array, slides: NDArray[np.bool_]) -> list[tuple[int, float]]:
-    """Joints, counted from 0, that hardly move, and their range.
-
-    Args:
-        span: `(joint,)` rad, or m of prismatic joints.
-        slides: `(joint,)`, which are prismatic.
-    """
+    """Joints, counted from 0, that hardly move, and their range `(joint,)` rad, or m of prismatic joints."""
     return [(int(j), float(span[j])) for j in np.flatnonzero(as_revolute(span, "rad", slides) < NARROW)]
 
 
-def _shown(unit: str) -> tuple[float, str]:
-    """From SI to what people read: lengths in mm, angles in degrees, all else as it is."""
-    return {"m": (1e3, " mm"), "rad": (180 / np.pi, " deg"), "1": (1.0, "")}.get(unit, (1.0, f" {unit}"))
-
-
-def _moved(name: str, unit: str, by: float) -> str:
-    scale, shown = _shown(unit)
-    return f"{name} {'−' if by < 0 else '+'}{abs(scale * by):.3g}{shown}"
+def _shift(name: str, unit: str, by: float) -> str:
+    scale, shown = _SHOWN.get(unit, (1.0, "" if unit == "1" else unit))
+    return f"{name} {'−' if by < 0 else '+'}{abs(scale * by):.3g} {shown}".rstrip()
 
 
 def _factor(factor: float, to: str, of: str) -> str:
-    (to_scale, to_shown), (of_scale, of_shown) = _shown(to), _shown(of)
+    (to_scale, to_shown), (of_scale, of_shown) = (_SHOWN.get(u, (1.0, "" if u == "1" else u)) for u in (to, of))
     value = factor * to_scale / of_scale
     if to == of:
         return "" if abs(value - 1) < 5e-4 else f"{value:.3g} "
-    below = of_shown.strip()
-    per = f"/({below})" if "/" in below else f"/{below}" if below else ""
-    return f"{value:.3g} {to_shown.strip() or '1'}{per} "
+    per = f"/({of_shown})" if "/" in of_shown else f"/{of_shown}" if of_shown else ""
+    return f"{value:.3g} {to_shown or '1'}{per} "
 
 
-@final
-@dataclass(frozen=True)
-class Observability:
+class Observability(NamedTuple):
     """The five indices of Y. Sun and J. Hollerbach, "Observability index selection for robot calibration", ICRA 2008.
 
     With σ₁ ≥ … ≥ σ_L the singular values of the identification Jacobian of m poses; higher is better. They depend on
@@ -316,12 +293,5 @@ def observability(singular_values: ArrayLike, samples: int) -> Observability:
     """The indices of the determined singular values `(rank,)`, above 0, of `samples` poses."""
     s = np.sort(np.asarray(singular_values, float))[::-1]
     first, last = float(s[0]), float(s[-1])
-    return Observability(
-        O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(samples)),
-        O2=last / first,
-        O3=last,
-        O4=last**2 / first,
-        O5=float(1 / np.sum(1 / s)),
-        condition=first / last,
-        noise_amplification=1 / last,
-    )
+    volume, harmonic = float(np.exp(np.mean(np.log(s))) / np.sqrt(samples)), float(1 / np.sum(1 / s))
+    return Observability(volume, last / first, last, last**2 / first, harmonic, first / last, 1 / last)

@@ -1,7 +1,7 @@
 """One answer to "what do these poses determine, and how well": of an arm with poses to come, or of a recording."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import HayatiForm
 from lite6jax.calibration.fit import fit_recording
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import load_nominal, load_recording, with_arm
 from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.determination import Determination, Observability, determination_of, narrow_joints, observability
 from lite6jax.design.information import Experiment, check_joints, recording_experiment
-from lite6jax.design.sensor import Quantity, Sensor
+from lite6jax.design.sensor import Sensor
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import require_type
-from lite6jax.model import ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
 
@@ -44,7 +42,6 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
     """
     e = experiment
     geometry, rigid = (int(e.movable[:size].sum()) for size in (e.form.chain.size, e.form.size + len(e.own)))
-    whole = e.movable.all() and not e.physics.effects
     return determination_of(
         e.root(joint_position),
         e.names,
@@ -53,45 +50,7 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
         samples=len(np.asarray(joint_position)),
         order=[*range(geometry, rigid), *range(geometry), *range(rigid, e.size)],
         prior=np.diagonal(e.prior),
-        theory=count(e.form, e.sensor.quantity, on_last_axis(e)) if whole and isinstance(e.sensor, Sensor) else None,
     )
-
-
-def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> int | None:
-    """How many parameters the best poses determine of a generic arm, by counting.
-
-    By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
-    1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all observable in
-    full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
-    4 n + 2 of six parameters. A prismatic joint has a direction only, 2 numbers less; where it is the last, six
-    parameters determine the whole flange: 4 n + 4. Positions depend on the flange's pose through the point (3) only,
-    and one axis or one distance leaves three motions of the whole arm unobservable.
-
-    Args:
-        form: the parameters.
-        quantity: what is read.
-        on_last_axis: whether the point read lies on the last joint's axis, which then does not move it. Six
-            parameters then have three observable numbers less; Hayati's form, whose last a moves the point off the
-            axis, is counted as off it.
-
-    Returns:
-        None where an arm of one joint, or of prismatic joints and less than three others, moves too little for the
-        count to hold.
-    """
-    n, sliding = form.chain.dof, form.chain.sliding
-    hayati, last_slides = isinstance(form.chain, HayatiForm), n - 1 in sliding
-    axes = 4 * n - 2 * len(sliding)
-    if quantity == "pose":
-        return axes + (6 if form.tool else 4 if hayati or last_slides else 2)
-    if (n == 1 and quantity != "position") or (sliding and (n - len(sliding) < 3 or last_slides)):
-        return None
-    observable = axes + 3 if form.tool or hayati else axes - 1 if on_last_axis else axes + 2
-    return observable if quantity == "position" else observable - 3
-
-
-def on_last_axis(experiment: Experiment) -> bool:
-    """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
-    return bool(np.hypot(*np.asarray(experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
 
 
 class Accuracy(NamedTuple):
@@ -113,17 +72,12 @@ class Accuracy(NamedTuple):
 def predict_accuracy(experiment: Experiment, determination: Determination, joint_position: ArrayLike) -> Accuracy:
     """How well a model fitted to what `determination` has determined predicts the tool at `(sample, joint)` rad."""
     J = experiment.error_rows(joint_position)
-    variance = np.sum((J / experiment.unit @ determination.covariance) * (J / experiment.unit), 2)
-    lost = J @ determination.open_directions
-    position, orientation = slice(3), slice(3, 6)
-
-    def rms(part: slice) -> float:
-        return float(np.sqrt(np.mean(variance[:, part].sum(1))))
-
-    def determined(part: slice) -> bool:
-        return bool(np.linalg.norm(lost[:, part]) <= _UNDETERMINED * np.linalg.norm(J[:, part]))
-
-    return Accuracy(rms(position), rms(orientation), determined(position), determined(orientation))
+    by_unit = J / experiment.unit
+    variance = np.sum((by_unit @ determination.covariance) * by_unit, 2)
+    lost, parts = J @ determination.open_directions, (slice(3), slice(3, 6))
+    position, orientation = (float(np.sqrt(np.mean(variance[:, part].sum(1)))) for part in parts)
+    determined = [bool(np.linalg.norm(lost[:, p]) <= _UNDETERMINED * np.linalg.norm(J[:, p])) for p in parts]
+    return Accuracy(position, orientation, *determined)
 
 
 @final
@@ -154,6 +108,11 @@ class Identification(PublicResult):
         """How many combinations other poses of the arm would determine that these do not."""
         return max(self.possible.rank - self.determination.rank, 0)
 
+    @property
+    def on_last_axis(self) -> bool:
+        """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
+        return bool(np.hypot(*np.asarray(self.experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
+
     def narrow(self) -> list[tuple[int, float]]:
         """Joints, counted from 0, that hardly move in these poses, and their range in rad, m of prismatic joints."""
         return narrow_joints(np.ptp(self.joint_position, 0), self.experiment.arm.slides)
@@ -172,7 +131,6 @@ class Identification(PublicResult):
             "sensor": self.experiment.sensor.to_dict(),
             "rank": d.rank,
             "rank_possible": self.possible.rank,
-            "rank_by_theory": d.theory,
             "parameters": [
                 {"name": name, "unit": unit, "std": float(deviation) if free else None, "tolerance": float(tolerance)}
                 for name, unit, deviation, free, tolerance in parameters
@@ -189,7 +147,7 @@ class Identification(PublicResult):
             "base_parameters": [item.statement for item in d.base if len(item.terms) > 1],
             "weak": list(d.weak()),
             "correlation": d.correlation.tolist(),
-            "observability": None if self.observability is None else asdict(self.observability),
+            "observability": None if self.observability is None else self.observability._asdict(),
             "predicted_accuracy": {
                 "position_rms_m": accuracy.position_rms if accuracy.position_determined else None,
                 "orientation_rms_rad": accuracy.orientation_rms if accuracy.orientation_determined else None,
@@ -199,11 +157,7 @@ class Identification(PublicResult):
 
 
 def identify(
-    experiment: Experiment,
-    joint_position: ArrayLike | None = None,
-    *,
-    poses: int = 100,
-    seed: int = 0,
+    experiment: Experiment, joint_position: ArrayLike | None = None, *, poses: int = 100, seed: int = 0
 ) -> Identification:
     """What poses determine of an experiment's parameters, and how well.
 

@@ -4,11 +4,11 @@ Everything here is dimensionless: a reading counts in standard deviations of its
 tolerance that it plausibly has. What follows, indices, designs and null spaces, then does not depend on units.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
-from typing import Any, Literal, NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -134,15 +134,6 @@ class Reader(NamedTuple):
         if not self.sensor.joint_noise:
             return columns
         return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
-
-    @partial(jax.jit, static_argnums=0)
-    def information(
-        self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, weight: jax.Array
-    ) -> jax.Array:
-        """The information `(parameter, parameter)` in SI units of readings with weights `(sample,)` 0 or 1."""
-        columns = self.columns(numbers, joint_position, direction) * weight
-        J = columns.reshape(len(columns), -1)
-        return J @ J.T
 
     def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
         """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
@@ -292,42 +283,21 @@ class Experiment:
         alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
         return J - base @ alike
 
-    def outside_places(self, rows: Array) -> Array:
-        """Rows `(sample, row, size)` less what the sensor's own unknowns explain of them."""
-        first = int(self.movable[: self.form.size].sum())
-        flat = rows.reshape(-1, self.size)
-        own = flat[:, first : first + len(self.own)]
-        return (flat - own @ np.linalg.lstsq(own, flat, rcond=1e-9)[0]).reshape(rows.shape)
-
-    def traceable_rows(self, joint_position: jax.Array) -> jax.Array:
-        """As `rows` of poses approached from zero, to be differentiated by the joint positions; unchecked."""
-        columns = self.reader.columns(self.numbers, joint_position, jnp.sign(joint_position))
-        return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
-
     def root(self, joint_position: ArrayLike) -> Array:
         """An upper triangular R `(size, size)` with RᵀR the information of readings at `joint_position`, without prior.
 
         By orthogonal steps, block by block: its singular values are those of the rows to rounding, where an
         eigenvalue of RᵀR would lose half the digits.
         """
-        R = np.zeros((0, self.size))
-        for q, direction, weight in self._blocks(joint_position):
-            columns = np.asarray(self.reader.columns(self.numbers, q, direction))
-            J = columns[self.movable][..., weight > 0].reshape(self.size, -1)
+        q = check_joints(self, joint_position)
+        direction, size, R = self.direction(q), min(len(q), BLOCK), np.zeros((0, self.size))
+        for first in range(0, len(q), size):
+            some = slice(first, first + size)
+            block = (pad(part[some], 0, size) for part in (q, direction))  # of one shape, compiled once
+            columns = np.asarray(self.reader.columns(self.numbers, *block))  # type: ignore[arg-type]
+            J = columns[self.movable][..., : len(q[some])].reshape(self.size, -1)
             R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
         return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
-
-    def information(self, joint_position: ArrayLike) -> Array:
-        """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
-        H = np.asarray(sum(self.reader.information(self.numbers, *block) for block in self._blocks(joint_position)))
-        return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
-
-    def _blocks(self, joint_position: ArrayLike) -> Iterator[tuple[Any, Any, Any]]:
-        """Joint positions, directions and weights in blocks of one shape, compiled once; weight 0 of the filling."""
-        q = check_joints(self, joint_position)
-        parts, size = (q, self.direction(q), np.ones(len(q))), min(len(q), BLOCK)
-        for first in range(0, len(q), size):
-            yield tuple(pad(part[first : first + size], 0, size) for part in parts)  # type: ignore[misc]
 
     def with_sensor(self, sensor: AnySensor) -> "Experiment":
         """The same model with another sensor."""

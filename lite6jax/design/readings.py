@@ -1,7 +1,7 @@
 """Where to put sockets, plates, an anchor or a camera, and the poses at which an arm reads them.
 
 Poses are reached by inverse kinematics: the tool's point in each socket or on each plate at any orientation, the board
-in sight of the camera. Places are chosen one after the other by the errors of predicted positions that they leave.
+in sight of the camera.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,11 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
-from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
-from lite6jax.design.criteria import workspace
 from lite6jax.design.information import Experiment, experiment
 from lite6jax.design.sensor import BoardView, PlacedReading, Point
 from lite6jax.domains.pose.inverse import Target, reach
 from lite6jax.errors import InputError
-from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings.readings import Kind, Readings, readings_from_arrays
 from lite6jax.recordings.settings import BoardSettings, KnownDistance, PoseSource, RecordingSettings
@@ -42,7 +39,6 @@ _TILT = 0.6
 """rad, by which a board is turned from facing the camera."""
 _PLATE = 0.08
 """m, half a plate's side."""
-_WORKSPACE = 300
 _ROUNDS = 5
 """Times as many poses are tried as are wanted, at most: filters refuse some, and some places are out of reach."""
 
@@ -240,45 +236,6 @@ def read_places(of: Experiment, joint_position: Array) -> NDArray[np.integer]:
     T = frames.chain(frames.transform_from_row(of.arm.kinematics), joint_position, of.arm.sliding)
     point = (T @ np.asarray(of.model.T_flange_tool))[:, :3, 3]
     return np.asarray(of.sensor.nearest(jnp.asarray(point.T)))
-
-
-def choose_places(of: Experiment, joint_position: Array, count: int, readings: int) -> Experiment:
-    """The experiment with the places that predict positions over the workspace best, one chosen after the other.
-
-    Args:
-        of: with the places to choose among.
-        joint_position: `(sample, joint)` rad, poses that read them.
-        count: how many plates to choose.
-        readings: how many readings these will share.
-    """
-    sensor = of.sensor
-    if not isinstance(sensor, PlacedReading) or sensor.quantity in ("distance", "axis"):
-        return of
-    each = 2 if sensor.rods else 1
-    plates = len(sensor.places) // each
-    if count >= plates:
-        return of
-    rows, plate = of.rows(joint_position), read_places(of, joint_position) // each
-    parts = [rows[plate == k].reshape(-1, of.size) for k in range(plates)]
-    shares = [part.T @ part * readings / count / max(len(part) / sensor.rows, 1) for part in parts]
-    anywhere = sample_within_limits(of.arm, _WORKSPACE, 1)
-    weight = np.asarray(workspace(of.error_rows(anywhere)[:, :3]).weight)
-    chosen, known = list[int](), of.prior + 1e-9 * np.eye(of.size)
-    for _ in range(count):
-        left = [k for k in range(plates) if k not in chosen]
-        errors = [float(np.sum(weight * scaled_inverse(known + shares[k]))) for k in left]
-        chosen.append(left[int(np.argmin(errors))])
-        known = known + shares[chosen[-1]]
-    kept = [k for plate in sorted(chosen) for k in range(each * plate, each * (plate + 1))]
-    fewer = replace(
-        sensor,
-        places=tuple(sensor.places[k] for k in kept),
-        normals=tuple(sensor.normals[k] for k in kept) if sensor.normals else (),
-        rods=tuple((2 * k + 1, std) for k, (_, std) in enumerate(sensor.rods[:count])),
-    )
-    size = of.form.size
-    found = experiment(of.arm, of.form, of.model, fewer, of.movable[:size], of.precision[:size])
-    return found.with_physics(of.physics.effects, of.values) if of.physics.effects else found
 
 
 def planned_readings(

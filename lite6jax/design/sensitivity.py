@@ -5,6 +5,7 @@ from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import binned_statistic, binned_statistic_2d
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import sample_within_limits
@@ -58,13 +59,9 @@ class Sensitivity(PublicResult):
         """A map over each joint: the middles of its bins `(joint, bin)` rad, and root-mean-square m per tolerance over
         the samples of each bin `(joint, bin, parameter)`; NaN where a bin is empty."""
         q = self.joint_position
-        edges = np.linspace(q.min(0), q.max(0), bins + 1)
-        means = np.full((q.shape[1], bins, len(self.names)), np.nan)
-        for j in range(q.shape[1]):
-            into = np.clip(np.searchsorted(edges[:, j], q[:, j], side="right") - 1, 0, bins - 1)
-            for b in np.unique(into):
-                means[j, b] = np.sqrt(np.mean(self.position[into == b] ** 2, 0))
-        return ((edges[1:] + edges[:-1]) / 2).T, means
+        edges = np.linspace(q.min(0), q.max(0), bins + 1).T
+        squares = [binned_statistic(at, self.position.T**2, bins=each)[0] for at, each in zip(q.T, edges, strict=True)]
+        return (edges[:, 1:] + edges[:, :-1]) / 2, np.sqrt(np.moveaxis(np.stack(squares), 1, 2))
 
     def over_workspace(self, cell: float = 0.05) -> tuple[Array, Array, Array]:
         """A map over the distance from the base's axis and the height: edges of the cells of `cell` m, and the
@@ -73,10 +70,8 @@ class Sensitivity(PublicResult):
         height = self.flange_position[:, 2]
         across = np.arange(0, radius.max() + cell, cell)
         up = np.arange(np.floor(height.min() / cell) * cell, height.max() + cell, cell)
-        count, _, _ = np.histogram2d(radius, height, (across, up))
-        squares, _, _ = np.histogram2d(radius, height, (across, up), weights=self.expected_error**2)
-        with np.errstate(invalid="ignore"):
-            return across, up, np.sqrt(squares / count)
+        squares = binned_statistic_2d(radius, height, self.expected_error**2, bins=(across, up))[0]  # type: ignore[arg-type]
+        return across, up, np.sqrt(squares)
 
 
 def sensitivity(

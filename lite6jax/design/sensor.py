@@ -1,6 +1,5 @@
 """What a sensor reads off the tool, with which noise, and how its reading changes as the tool moves."""
 
-from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, final
@@ -46,28 +45,21 @@ class Sensor:
     joint_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.position_noise) and self.position_noise > 0):
-            raise InputError(f"position noise {self.position_noise}: give one standard deviation in m, above 0")
-        if self.quantity == "pose":
-            if self.orientation_noise is None or not (
-                np.isfinite(self.orientation_noise) and self.orientation_noise > 0
-            ):
-                raise InputError(
-                    f"orientation noise {self.orientation_noise}: a sensor of poses needs one standard deviation in "
-                    f"rad, above 0"
-                )
-        elif self.orientation_noise is not None:
-            raise InputError(
-                f"orientation noise {self.orientation_noise}: a sensor of {self.quantity} measures no orientation; "
-                f"leave it out"
-            )
-        if not (np.isfinite(self.joint_noise) and self.joint_noise >= 0):
-            raise InputError(f"joint noise {self.joint_noise}: give one standard deviation in rad, not below 0")
-        if not np.isfinite(self.center).all():
-            raise InputError(f"center {self.center}: give three finite numbers, in m")
-        length = float(np.linalg.norm(self.direction))
-        if not (np.isfinite(length) and length > 0):
-            raise InputError(f"direction {self.direction}: give three numbers that are not all zero")
+        turns, posed, length = self.orientation_noise, self.quantity == "pose", float(np.linalg.norm(self.direction))
+        for right, what in (
+            (0 < self.position_noise < np.inf,
+             f"position noise {self.position_noise}: give one standard deviation in m, above 0"),
+            (not posed or (turns is not None and 0 < turns < np.inf),
+             f"orientation noise {turns}: a sensor of poses needs one standard deviation in rad, above 0"),
+            (posed or turns is None,
+             f"orientation noise {turns}: a sensor of {self.quantity} measures no orientation; leave it out"),
+            (0 <= self.joint_noise < np.inf,
+             f"joint noise {self.joint_noise}: give one standard deviation in rad, not below 0"),
+            (np.isfinite(self.center).all(), f"center {self.center}: give three finite numbers, in m"),
+            (0 < length < np.inf, f"direction {self.direction}: give three numbers that are not all zero"),
+        ):  # fmt: skip
+            if not right:
+                raise InputError(what)
         if abs(length - 1) > 1e-15:  # so that to normalise twice changes nothing
             object.__setattr__(self, "direction", tuple(float(c) / length for c in self.direction))
 
@@ -174,13 +166,11 @@ class PlacedReading:
     def own(self) -> tuple[OwnNumber, ...]:
         """Its unknowns, each with a name of its own."""
         found = self._at(np.zeros(1, int)).own
-        seen, several = Counter[str](), Counter(one.name for one in found)
-        named = []
-        for one in found:
-            seen[one.name] += 1
-            name = f"{one.name} {seen[one.name]}" if several[one.name] > 1 else one.name
-            named.append(one._replace(name=name))
-        return tuple(named)
+        names = [one.name for one in found]
+        return tuple(
+            one._replace(name=f"{one.name} {names[:k].count(one.name) + 1}") if names.count(one.name) > 1 else one
+            for k, one in enumerate(found)
+        )
 
     def nearest(self, point: Any) -> Any:
         """The place `(sample,)` of tool points `(3, sample)`."""
@@ -195,8 +185,9 @@ class PlacedReading:
         names, points = zip(*self.places, strict=True)
         places, free, unit = np.array(points).T, (True,) * len(names), np.full(2, 1 / self.position_noise)
         if self.quantity == "contact":
-            lengths = [float(np.linalg.norm(places[:, k] - places[:, k - 1])) for k, _ in self.rods]
-            rods = tuple(Rod(k - 1, k, length, std) for (k, std), length in zip(self.rods, lengths, strict=True))
+            rods = tuple(
+                Rod(k - 1, k, float(np.linalg.norm(places[:, k] - places[:, k - 1])), std) for k, std in self.rods
+            )
             return Contact(group, unit, places, names, free, rods)
         if self.quantity == "plane":
             return Plane(group, unit, np.array(self.normals).T, places, np.zeros(len(names)), names, free)

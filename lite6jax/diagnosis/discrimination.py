@@ -68,9 +68,9 @@ def separating_poses(
     for k, rival in pairs:
         effect, values = state.tested[k].term, state.fit.values[state.fit.terms.slices[k]]
         assert isinstance(effect, Effect)
-        pair = ((effect, values), (rival, np.zeros(rival.size)))
+        pair = (effect, values), rival
         try:
-            chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded, refined=False)
+            chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded)
         except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
             continue
         q = chosen.joint_position

@@ -258,17 +258,15 @@ def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
 @rc_context(STYLE)
 def designed_motion(found: "TorquePlan", title: str) -> Figure:
     """Joint positions over time; below, standard deviations: designed and random."""
-    made = found.trajectory
     figure = blank(11.0, 8.4)
     upper, lower = figure.subplots(2, 1)
     scales, units = joint_units(found.room.arm.sliding, found.room.arm.dof)
-    for joint, q in enumerate(np.asarray(made.motion.q)):
+    for joint, q in enumerate(np.asarray(found.motion.q)):
         colour = OKABE_ITO[joint % len(OKABE_ITO)]
-        upper.plot(made.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
+        upper.plot(found.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
     upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
     upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    base = found.identification.structure.base
-    scale = np.array([item.scale for item in base])
+    base, scale = found.identification.model.base, found.identification.model.base_scale
     random = np.array([other.standard_deviation for other in found.random]) / scale
     low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
     at = np.arange(len(base))

@@ -6,10 +6,10 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.arms.arm import joint_sizes, joint_unit
+from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.design.candidates import Candidates
-from lite6jax.design.determination import NARROW, Dependency, Determination
-from lite6jax.design.identify import Identification, on_last_axis
+from lite6jax.design.determination import Dependency, Determination
+from lite6jax.design.identify import Identification
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
@@ -19,8 +19,6 @@ from lite6jax.design.torques import (
     JOINT,
     JOINT_UNITS,
     WELL,
-    MotionRoom,
-    Structure,
     TorqueIdentification,
     TorqueModel,
     TorquePlan,
@@ -44,7 +42,6 @@ from lite6jax.report.words import (
 
 _MOST_LISTED = 12
 _MOST_PAIRS = 6
-_MOST_GAINS = 8
 _CLEAR = 5.0
 """Standard deviations between two models at which a test at a level of 1 % has a power of 99 % or more."""
 
@@ -62,23 +59,22 @@ def _beginning(source: str, what: str, disabled: Sequence[tuple[str, str]] = ())
 # ------------------------------------------------------------------ what poses determine
 
 
+_READS = {
+    "position": "positions",
+    "pose": "positions and orientations",
+    "axis": "positions along one axis",
+    "distance": "distances to a point",
+}
+
+
 def described(sensor: AnySensor) -> str:
     """A sensor in a phrase."""
-    if not isinstance(sensor, Sensor):
-        joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-        return sensor.phrase + joints
-    noise = f"{1e3 * sensor.position_noise:.3g} mm"
-    reads = {
-        "position": "positions",
-        "pose": "positions and orientations",
-        "axis": "positions along one axis",
-        "distance": "distances to a point",
-    }[sensor.quantity]
-    if sensor.orientation_noise is not None:
-        noise += f" and {np.rad2deg(sensor.orientation_noise):.2g} deg"
-    per = " per axis" if sensor.rows > 1 else ""
     joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-    return f"{reads} to ±{noise}{per}{joints}"
+    if not isinstance(sensor, Sensor):
+        return sensor.phrase + joints
+    turns = sensor.orientation_noise
+    noise = f"{1e3 * sensor.position_noise:.3g} mm" + (f" and {np.rad2deg(turns):.2g} deg" if turns else "")
+    return f"{_READS[sensor.quantity]} to ±{noise}{' per axis' if sensor.rows > 1 else ''}{joints}"
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
@@ -126,20 +122,18 @@ def _reason(found: Identification) -> str:
     """Why these poses determine no more, or which would."""
     d, arm = found.determination, found.experiment.arm
     if found.missed:
-        narrow, (scales, units) = found.narrow(), joint_units(arm.sliding, arm.dof)
-        which = " and ".join(f"joint {j + 1} moves over {scales[j] * span:.2g} {units[j]}" for j, span in narrow)
-        some = 0 < len(narrow) < arm.dof
-        remedy = f"{which} only; move it further" if some else "record more poses, or others (lite6jax design)"
+        narrow = found.narrow()
+        remedy = "record more poses, or others (lite6jax design)"
+        if 0 < len(narrow) < arm.dof:
+            remedy = f"{_narrow_joints(arm, narrow)} only; move it further"
         return f"Other poses of this arm determine {found.possible.rank}: {remedy}."
-    if d.theory is None:
-        return "Other poses inside its limits determine no more."
-    if d.rank == d.theory:
-        return f"By theory no poses determine more than {d.theory}."
-    if d.rank > d.theory:
-        return f"Counting expects {d.theory} of an arm in general; this one shows more."
-    on_axis = on_last_axis(found.experiment)
-    why = " (the measured point lies on the last joint's axis: --tool-at)" if on_axis else ""
-    return f"Other poses inside its limits determine no more; of an arm in general {d.theory} can be{why}."
+    why = " The measured point lies on the last joint's axis (--tool-at)." if found.on_last_axis else ""
+    return f"Other poses inside its limits determine no more.{why if d.rank < d.size else ''}"
+
+
+def _narrow_joints(arm: Arm, narrow: Sequence[tuple[int, float]]) -> str:
+    scales, units = joint_units(arm.sliding, arm.dof)
+    return " and ".join(f"joint {j + 1} moves over {scales[j] * span:.2g} {units[j]}" for j, span in narrow)
 
 
 def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Iterator[str]:
@@ -256,12 +250,9 @@ def design_report(
     if any(driver.discrete for e in found.experiment.physics.effects for driver in e.drivers):
         yield Text("For effects of the direction of motion, come to each pose from where all joints are at zero.")
     d = found.design
-    way = f"{d.exchanges} exchanges in {d.cycles} rounds"
-    if found.refinement is not None:
-        moved = len(found.refinement.values)
-        way += f", then {moved} steps between the candidates"
     yield Text(
-        f"Chosen by {way}; {d.rank} combinations of {found.experiment.size} unknown parameters are identifiable."
+        f"Chosen by {d.exchanges} exchanges in {d.cycles} rounds; {d.rank} combinations of {found.experiment.size}"
+        " unknown parameters are identifiable."
     )
 
 
@@ -320,24 +311,13 @@ def plan_report(found: Plan, accuracy: float | None = None) -> Iterator[Renderab
             ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
             table.add_row(str(n), *cells, ratio)
         yield table
-    if found.efficiency is not None:
-        low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95), method="nearest")
-        if np.isfinite(median):
-            most = f"{high:.2f}" if np.isfinite(high) else "no number"
-            yield Text(
-                f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times"
-                f" over (90 % of {len(found.efficiency)} draws: {low:.2f} to {most})."
-            )
-        else:
-            yield Text("Most random selections of as many poses do not determine all that these do.")
 
 
 def discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
     """How far apart two effects are at designed poses, and at random ones."""
     reached, random = found.distance[-1], float(np.median(np.nan_to_num(found.random_distance)))
     ratio = f" (ratio {reached / random:.2f})" if random > 0 else ""
-    one, other = found.rivals
-    hypothesis, alternative = ("either effect", "the other") if found.both_ways else (one, other)
+    hypothesis, alternative = found.rivals
     yield Text(
         f"If {hypothesis} has the size given, the readings at these poses are {reached:.1f} standard deviations from"
         f" the closest that {alternative} explains with all other unknowns refitted;"
@@ -382,88 +362,76 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
         source: the arm or the file.
         motion: which motion, in a phrase.
     """
-    model, structure = found.model, found.structure
+    model, deviations = found.model, found.deviations
     yield from _beginning(source, f"{model.arm.name}, {motion}; {_torque_noise(model)}.")
     yield Text(_rank(found))
     yield from map(Text, _undetermined(found))
-    yield from map(Text, _structure(structure))
+    if model.silent:
+        yield Text(f"No torque changes with {', '.join(model.silent)}.")
+    for name, carriers in model.confounded.items():
+        if name.startswith("joint"):
+            yield Text(f"{name} is confounded with {' and '.join(carriers)}: only their sum is determined.")
+    if links := [name for name in model.confounded if name.startswith("link")]:
+        yield Text(f"Only in combinations: {', '.join(links)}.")
     yield ""
     if model.inertial:
-        yield Text("Base parameters of the links, standard deviation and unit (factors in m and m²)")
-        yield ""
-        table = listing("combination", "±", "typical", "unit")
+        rows = (
+            (combination(item.terms), _deviation(deviations.get(item.name)), f"{item.scale:.2g}", item.unit)
+            for item in model.base
+            if item.name.startswith("link")
+        )
+        table = listing("combination", "±", "typical", "unit", rows=rows)
         table.columns[0].no_wrap = False
-        for item, deviation, there in zip(structure.base, found.standard_deviation, found.determined, strict=True):
-            if item.name.startswith("link"):
-                shown = plus_minus(float(deviation)) if there else "not"
-                table.add_row(combination(item.terms), shown, f"{item.scale:.2g}", item.unit)
-        yield table
-        yield ""
+        yield Text("Base parameters of the links, standard deviation and unit (factors in m and m²)")
+        yield from ("", table, "")
     kinds = [
         (own, label) for own, label in ((False, ""), (True, "of prismatic joints, P: ")) if own in model.arm.slides
     ]
     units = "; ".join(label + ", ".join(joint_unit(unit, own) for unit in JOINT_UNITS) for own, label in kinds)
     yield Text(f"Friction and rotors, standard deviations ({units})")
     yield ""
-    table = listing("joint", *JOINT)
-    carried = dict(structure.confounded)
-    for joint in range(model.arm.dof):
-        cells = []
-        for kind in JOINT:
-            deviation = found.deviation_of(joint, kind)
-            within = carried.get(f"joint{joint + 1} {kind}")
-            cells.append(plus_minus(deviation) if deviation is not None else f"in {within[0]}" if within else "not")
-        table.add_row(f"J{joint + 1}{' P' * bool(model.arm.slides[joint])}", *cells)
+    table, carried = listing("joint", *JOINT), model.confounded
+    for joint, slides in enumerate(model.arm.slides, 1):
+        names = [f"joint{joint} {kind}" for kind in JOINT]
+        cells = (f"in {carried[n][0]}" if n in carried else _deviation(deviations.get(n)) for n in names)
+        table.add_row(f"J{joint}{' P' * bool(slides)}", *cells)
     yield table
     yield Text(
         f"Condition number {found.condition:.4g} (regressor in standard deviations, parameters in typical sizes)."
         if np.isfinite(found.condition)
         else "Nothing is determined."
     )
-    weak = [item.name for item, is_weak in zip(structure.base, found.weak, strict=True) if is_weak]
-    if weak:
+    if weak := [item.name for item, is_weak in zip(model.base, found.weak, strict=True) if is_weak]:
         yield Text(f"Weak: {', '.join(weak)} (over {100 * WELL:.0f} % of the typical size).")
     yield from screen.notes(map(capital, found.notes))
 
 
+def _deviation(value: float | None) -> str:
+    return "not" if value is None else plus_minus(value)
+
+
 def _rank(found: TorqueIdentification) -> str:
-    structure, rank = found.structure, int(found.determined.sum())
-    whole = "all" if rank == len(structure.base) else f"{rank} of"
-    of = f"{structure.inertial} of the links, " if found.model.inertial else ""
-    joints = len(structure.base) - structure.inertial
-    return f"This motion determines {whole} {len(structure.base)} base parameters ({of}{joints} of the joints)."
+    base, rank = found.model.base, int(found.determined.sum())
+    links = sum(item.name.startswith("link") for item in base)
+    of = f"{links} of the links, " if found.model.inertial else ""
+    amount = "all" if rank == len(base) else f"{rank} of"
+    return f"This motion determines {amount} {len(base)} base parameters ({of}{len(base) - links} of the joints)."
 
 
 def _undetermined(found: TorqueIdentification) -> Iterator[str]:
-    missed = [item.name for item, there in zip(found.structure.base, found.determined, strict=True) if not there]
+    missed = [item.name for item, there in zip(found.model.base, found.determined, strict=True) if not there]
     if not missed:
         return
     yield f"Not determined apart from others: {', '.join(missed)}."
     narrow, arm = found.narrow(), found.model.arm
-    scales, units = joint_units(arm.sliding, arm.dof)
-    narrowest = joint_sizes(NARROW, "rad", arm.slides)
-    if len(narrow) == found.model.arm.dof:
-        least = {units[j]: f"{scales[j] * size:.2g} {units[j]}" for j, size in enumerate(narrowest)}
-        most = " or ".join(least.values())
-        yield f"No joint moves over more than {most}: record a motion of all joints (lite6jax design --torque)."
+    if len(narrow) == arm.dof:
+        yield "No joint moves over more than 10 deg: record a motion of all joints (lite6jax design --torque)."
     elif narrow:
-        which = " and ".join(f"joint {j + 1} moves over {scales[j] * span:.2g} {units[j]}" for j, span in narrow)
-        yield f"{capital(which)} only; move it further."
+        yield f"{capital(_narrow_joints(arm, narrow))} only; move it further."
     elif found.at_rest:
         yield "The arm stands still in all samples, which show gravity only: record it in motion."
     else:
         yield "Another motion determines them: record a longer one, or that of lite6jax design --torque."
-
-
-def _structure(structure: Structure) -> Iterator[str]:
-    if structure.silent:
-        yield f"No torque changes with {', '.join(structure.silent)}."
-    rotors = [(name, carriers) for name, carriers in structure.confounded if name.startswith("joint")]
-    for name, carriers in rotors:
-        yield f"{name} is confounded with {' and '.join(carriers)}: only their sum is determined."
-    links = [name for name, _ in structure.confounded if name.startswith("link")]
-    if links:
-        yield f"Only in combinations: {', '.join(links)}."
 
 
 # ------------------------------------------------------------------ which motion to make
@@ -477,8 +445,17 @@ def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], s
         disabled: pairs of links that are not checked against each other.
         source: the arm.
     """
-    designed, random = found.identification, found.random
-    yield from _motion_report(found.room, designed.model, disabled, source)
+    designed, random, room = found.identification, found.random, found.room
+    scales, units = joint_units(room.arm.sliding, room.arm.dof)
+    limits = []
+    for limit, per in ((room.velocity, "/s"), (room.acceleration, "/s²")):
+        most = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
+        limits += [f"{most[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in most]
+    what = (
+        f"A motion of {room.duration:g} s from rest to rest, {room.harmonics} harmonics, {room.samples + 1} samples, up"
+        f" to {' and '.join(limits)}; {_torque_noise(designed.model)}."
+    )
+    yield from _beginning(source, what, disabled)
     yield Text(_rank(designed))
     middle, best = np.median(found.random_log_determinant), np.max(found.random_log_determinant)
     if np.isfinite(best):
@@ -492,50 +469,11 @@ def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], s
         yield Text(f"None of {len(random)} random motions of the same limits determines all of them.")
     yield ""
     table = listing("", "designed", "random, median", "random, best")
-    for name, own, others, best_of in (
-        ("log determinant", designed.log_determinant, found.random_log_determinant, np.max),
-        ("condition number", designed.condition, found.random_condition, np.min),
-        ("weakly determined", designed.weak.sum(), np.array([other.weak.sum() for other in random]), np.min),
+    for name, of, best_of in (
+        ("log determinant", lambda one: one.log_determinant, np.max),
+        ("condition number", lambda one: one.condition, np.min),
+        ("weakly determined", lambda one: one.weak.sum(), np.min),
     ):
-        table.add_row(name, *(f"{value:.4g}" for value in (own, np.median(others), best_of(others))))
+        others = [of(one) for one in random]
+        table.add_row(name, *(f"{value:.4g}" for value in (of(designed), np.median(others), best_of(others))))
     yield table
-    yield ""
-    yield from _gains(found)
-
-
-def _gains(found: TorquePlan) -> Iterator[RenderableType]:
-    designed, base = found.identification, found.identification.structure.base
-    scale = np.array([item.scale for item in base])
-    random = found.random_deviation
-    gained = np.flatnonzero((random > WELL * scale) & designed.determined & ~designed.weak)
-    if len(gained):
-        yield Text(
-            "Weakly determined by random motions and well by this one:"
-            f" {', '.join(base[i].name for i in gained)} (to a tenth of their typical sizes)."
-        )
-        yield ""
-    table = listing("most gained", "designed ±", "random ±", "ratio", "unit")
-    ratio = random / designed.standard_deviation
-    for i in np.argsort(-ratio, kind="stable")[:_MOST_GAINS]:
-        if np.isfinite(designed.standard_deviation[i]):
-            shown = [
-                plus_minus(float(value)) if np.isfinite(value) else "–"
-                for value in (designed.standard_deviation[i], random[i])
-            ]
-            table.add_row(base[i].name, *shown, f"{ratio[i]:.2f}" if np.isfinite(ratio[i]) else "–", base[i].unit)
-    yield table
-
-
-def _motion_report(
-    room: MotionRoom, model: TorqueModel, disabled: Sequence[tuple[str, str]], source: str
-) -> Iterator[RenderableType]:
-    scales, units = joint_units(room.arm.sliding, room.arm.dof)
-    limits = []
-    for limit, per in ((room.limits.velocity, "/s"), (room.limits.acceleration, "/s²")):
-        most = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
-        limits += [f"{most[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in most]
-    what = (
-        f"A motion of {room.duration:g} s from rest to rest, {room.harmonics} harmonics, {room.samples + 1} samples, up"
-        f" to {' and '.join(limits)}; {_torque_noise(model)}."
-    )
-    yield from _beginning(source, what, disabled)

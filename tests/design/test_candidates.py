@@ -107,8 +107,8 @@ def test_refusals(call, words):
     [
         ("def bent(q:\n", "cannot be loaded (SyntaxError: "),
         ("raise RuntimeError('two\\nlines')\n", "cannot be loaded (RuntimeError: two lines); correct it"),
-        ("def other(q): pass\n", "has no function 'bent'; it has other"),
-        ("bent = 3\n", "has no function 'bent'; it has none"),
+        ("def other(q): pass\n", "has no function 'bent'; write one, or name another"),
+        ("bent = 3\n", "has no function 'bent'; write one, or name another"),
         ("def bent(q): return q[9, 9, 9]\n", "bent: fails (IndexError: "),
         ("def bent(q): return True\n", "bent: returns bool of shape () for 5 samples; return (5,) bool"),
         ("def bent(q): return 1.0 * q[:, 0]\n", "bent: returns float64 of shape (5,) for 5 samples; return (5,) bool"),

@@ -1,10 +1,8 @@
-"""Capsules against closed forms and Pinocchio: distances of segments, frames, shapes of a URDF, and every refusal."""
+"""Capsules against closed forms: distances of segments, frames, and every refusal."""
 
-import struct
-from itertools import product
-
+import jax
+import jax.numpy as jnp
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,15 +10,12 @@ from scipy.optimize import minimize
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import load_bundled
-from lite6jax.arms.urdf import read_urdf
 from lite6jax.design.clearance import (
     Capsule,
     chain_capsules,
-    enclose_points,
     link_frames,
     segment_distance,
     self_collision,
-    urdf_capsules,
 )
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions
@@ -154,158 +149,6 @@ def test_default_radius_is_a_twentieth_of_the_reach_and_a_tool_lengthens_the_las
     np.testing.assert_allclose(capsules[-1].end, [0.6, 0, 0.2])
 
 
-def contains(capsule, points):
-    start, end, radius = capsule
-    return max(distance_to_segment(p, start, end) for p in points) <= radius + 1e-12
-
-
-@pytest.mark.parametrize("size", [(1.0, 0.2, 0.3), (1.0, 1.0, 1.0), (0.1, 2.0, 0.1), (0.5, 0.5, 0.1)])
-def test_a_box_is_enclosed_along_its_longest_side(size):
-    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
-    start, end, radius = enclose_points(corners)
-    assert contains((start, end, radius), corners)
-    a, b, c = sorted(size)
-    assert radius == pytest.approx(np.hypot(a, b) / 2)
-    assert np.linalg.norm(end - start) == pytest.approx(c, abs=1e-9)
-
-
-def test_any_cloud_is_enclosed():
-    rng = np.random.default_rng(4)
-    for shape in rng.uniform(0.01, 1, (30, 3)):
-        points = rng.standard_normal((50, 3)) * shape + 1
-        assert contains(enclose_points(points), points)
-    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 0]])
-    assert contains(enclose_points(flat), flat)
-
-
-JOINTS = (
-    '<joint name="weld" type="fixed"><origin xyz="0.1 0 0.2" rpy="1 0 2"/><parent link="world"/><child link="base"/>'
-    "</joint>"
-    '<joint name="j1" type="revolute"><origin xyz="0 0 0.2" rpy="0.1 0.2 0.3"/><parent link="base"/><child link="a"/>'
-    '<axis xyz="0 0 -1"/><limit lower="-2" upper="3" effort="1" velocity="1"/></joint>'
-    '<joint name="cover" type="fixed"><origin xyz="0.05 0 0.1" rpy="0 1.2 0"/><parent link="a"/><child link="lid"/>'
-    "</joint>"
-    '<joint name="j2" type="revolute"><origin xyz="0.4 0.02 0"/><parent link="lid"/><child link="b"/>'
-    '<axis xyz="1 -2 -3"/><limit lower="-2" upper="3" effort="1" velocity="1"/></joint>'
-    '<joint name="j3" type="continuous"><origin xyz="0.3 0 0.1" rpy="1 0 0"/><parent link="b"/><child link="c"/>'
-    '<axis xyz="0 1 0"/></joint>'
-)
-LINKS = ("world", "base", "a", "lid", "b", "c")
-CYLINDER = '<cylinder radius="0.05" length="0.3"/>'
-
-
-def shape(geometry, xyz="0 0 0", rpy="0 0 0"):
-    return f'<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{geometry}</geometry></collision>'
-
-
-def write_urdf(tmp_path, shapes):
-    links = "".join(f'<link name="{name}">{shapes.get(name, "")}</link>' for name in LINKS)
-    path = tmp_path / "arm.urdf"
-    path.write_text(f'<robot name="arm">{links}{JOINTS}</robot>')
-    return path
-
-
-def test_urdf_shapes_stand_where_pinocchio_puts_their_links(tmp_path):
-    place = {"xyz": "0.1 -0.2 0.05", "rpy": "0.4 0.5 -0.6"}
-    path = write_urdf(tmp_path, {name: shape(CYLINDER, **place) for name in LINKS})
-    capsules, arm = urdf_capsules(path), read_urdf(path)
-    assert {c.name: c.link for c in capsules} == {"world": 0, "base": 0, "a": 1, "lid": 1, "b": 2, "c": 3}
-    model = pin.buildModelFromUrdf(str(path))
-    data = model.createData()
-    offset = pin.SE3(pin.rpy.rpyToMatrix(0.4, 0.5, -0.6), np.array([0.1, -0.2, 0.05]))
-    for q in np.random.default_rng(5).uniform(-2, 2, (5, 3)):
-        configuration = np.array([q[0], q[1], np.cos(q[2]), np.sin(q[2])])
-        pin.framesForwardKinematics(model, data, configuration)
-        F = np.concatenate([np.eye(3, 4)[None], link_frames(arm, q[None])[..., 0]])
-        for capsule in capsules:
-            shaped = data.oMf[model.getFrameId(capsule.name)] * offset
-            for ours, theirs in ((capsule.start, [0, 0, -0.15]), (capsule.end, [0, 0, 0.15])):
-                expected = shaped.rotation @ theirs + shaped.translation
-                T = F[capsule.link]
-                np.testing.assert_allclose(T[:, :3] @ ours + T[:, 3], expected, atol=1e-12)
-            assert capsule.radius == 0.05
-    collision = self_collision(arm, capsules)
-    assert len(collision.pairs) + len(collision.disabled) == 2 * 2 + 2 * 1
-    assert np.isfinite(collision.clearance(np.zeros((2, 3)))).all()
-
-
-TRIANGLES = np.random.default_rng(6).uniform(-1, 1, (20, 3, 3)).astype(np.float32) * np.float32([0.4, 0.1, 0.05])
-
-
-def binary_stl(triangles):
-    facets = b"".join(struct.pack("<12fH", 0, 0, 1, *facet.ravel(), 0) for facet in triangles)
-    return b"solid but binary".ljust(80) + struct.pack("<I", len(triangles)) + facets
-
-
-def ascii_stl(triangles):
-    facet = "facet normal 0 0 1\n outer loop\n{}\n endloop\nendfacet\n"
-    corners = ("\n".join("  vertex {!r} {!r} {!r}".format(*map(float, p)) for p in triangle) for triangle in triangles)
-    return ("solid x\n" + "".join(facet.format(text) for text in corners) + "endsolid x\n").encode()
-
-
-@pytest.mark.parametrize(
-    ("filename", "place"),
-    [
-        ("link.stl", "link.stl"),
-        ("meshes/link.STL", "meshes/link.STL"),
-        ("package://arm_description/meshes/link.stl", "link.stl"),
-        ("package://arm_description/meshes/link.stl", "meshes/link.stl"),
-        ("package://arm_description/meshes/link.stl", "arm_description/meshes/link.stl"),
-    ],
-)
-@pytest.mark.parametrize("content", [binary_stl, ascii_stl])
-def test_meshes_are_enclosed(tmp_path, filename, place, content):
-    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / place).write_bytes(content(TRIANGLES))
-    path = write_urdf(tmp_path, {"world": shape(f'<mesh filename="{filename}" scale="2 1 1"/>')})
-    (capsule,) = urdf_capsules(path)
-    assert contains((capsule.start, capsule.end, capsule.radius), TRIANGLES.reshape(-1, 3).astype(float) * [2, 1, 1])
-    assert capsule.radius < 0.2
-
-
-def test_a_sphere_is_a_capsule_without_length(tmp_path):
-    (capsule,) = urdf_capsules(write_urdf(tmp_path, {"world": shape('<sphere radius="0.2"/>', xyz="1 2 3")}))
-    np.testing.assert_array_equal([*capsule.start, *capsule.end, capsule.radius], [1, 2, 3, 1, 2, 3, 0.2])
-
-
-@pytest.mark.parametrize(
-    ("geometry", "words"),
-    [
-        ("", "link 'a': collision: its geometry is nothing; a box, cylinder, sphere or mesh is needed"),
-        ("<cone/>", "its geometry is cone"),
-        ('<box size="1 2"/>', "box size is '1 2'; write three numbers"),
-        ('<box size="1 0 2"/>', "box size '1 0 2'; write three positive lengths"),
-        ('<sphere radius="-1"/>', "sphere radius '-1'; write a positive length in m"),
-        ('<cylinder length="1"/>', "cylinder radius None; write a positive length in m"),
-        ('<cylinder radius="1" length="long"/>', "cylinder length 'long'; write a positive length in m"),
-        (
-            '<mesh filename="a.dae"/>',
-            "mesh 'a.dae' is no STL file; convert it to STL, or use capsules around the chain",
-        ),
-        ('<mesh filename="package://x/a.stl"/>', "is not there; put a.stl beside the URDF, or use capsules"),
-        ('<mesh filename="bad.stl"/>', "bad.stl: not an STL mesh with triangles; export it anew as binary STL"),
-        ('<mesh filename="words.stl"/>', "words.stl: not an STL mesh with triangles"),
-    ],
-)
-def test_refused_shapes(tmp_path, geometry, words):
-    (tmp_path / "bad.stl").write_bytes(binary_stl(TRIANGLES)[:-7])
-    (tmp_path / "words.stl").write_text("solid x\n vertex one two three\nendsolid")
-    path = write_urdf(tmp_path, {"a": shape(geometry)})
-    with pytest.raises(InputError) as caught:
-        urdf_capsules(path)
-    assert words in str(caught.value)
-    assert str(caught.value).startswith(f"{path}: link 'a'")
-    assert "\n" not in str(caught.value)
-
-
-def test_refusals_without_shapes(tmp_path):
-    with pytest.raises(InputError, match=r"no link of the chain has collision geometry; use capsules around the chain"):
-        urdf_capsules(write_urdf(tmp_path, {}))
-    for radius in (0.0, -1.0, np.nan):
-        with pytest.raises(InputError, match=r"capsule radius .* m: give a positive length"):
-            chain_capsules(planar([1.0]), radius)
-
-
 def test_a_capsule_is_carried_by_its_link():
     """A sphere on the last link and one on the base, at a distance known from the arm's reach."""
     arm = planar([1.0, 1.0])
@@ -314,3 +157,18 @@ def test_a_capsule_is_carried_by_its_link():
     angle = np.linspace(-3, 3, 9)
     found = collision.clearance(np.stack([0.3 * angle, angle], 1))
     np.testing.assert_allclose(found, 2 * np.abs(np.cos(angle / 2)) - 0.3, atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan])
+def test_a_radius_that_is_not_positive_is_refused(radius):
+    with pytest.raises(InputError, match=r"capsule radius .* m: give a positive length"):
+        chain_capsules(planar([1.0]), radius)
+
+
+def test_clearance_has_a_gradient_in_jax():
+    arm = load_bundled("lite6")
+    collision, q = self_collision(arm), np.random.default_rng(1).uniform(-1, 1, (5, 6))
+    found = jax.jit(jax.grad(lambda q: collision.clearance(q).sum()))(jnp.asarray(q))
+    step = 1e-6 * np.eye(30).reshape(30, 5, 6)
+    slopes = [(collision.clearance(q + h) - collision.clearance(q - h)).sum() / 2e-6 for h in step]
+    np.testing.assert_allclose(found, np.reshape(slopes, (5, 6)), atol=1e-6)

@@ -12,7 +12,7 @@ from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
 from lite6jax.design.sensor import BARE
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
+from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic, JointOffset
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_positions
 
@@ -26,7 +26,7 @@ RECORDED = random_positions(np.random.default_rng(3), 15, 6)
 
 @pytest.fixture(scope="module")
 def found():
-    return plan_poses(SETUP, CANDIDATES, 12, refined=False)
+    return plan_poses(SETUP, CANDIDATES, 12)
 
 
 def workspace_accuracy(q):
@@ -45,43 +45,29 @@ def test_the_accuracy_is_that_of_the_poses(found):
 
 def test_a_plan_beats_every_random_draw(found):
     assert found.accuracy[-1] < found.random_accuracy[:, 11].min()
-    assert (found.efficiency > 1).all()
     assert found.worth is not None
     assert found.random_median[found.worth - 1] <= found.accuracy[-1] < found.random_median[found.worth - 2]
 
 
-def test_refining_never_loses_and_stays_where_it_may():
-    away = (CANDIDATES > LOWER + 0.1) & (CANDIDATES < UPPER - 0.1)
-    inside = CANDIDATES[away.all(1) & (np.abs(CANDIDATES[:, 0]) < 3)]
-    limits = LITE6.joint_limits + np.array([0.1, -0.1])
-    plain = plan_poses(SETUP, inside, 12, refined=False)
-    moved = plan_poses(SETUP, inside, 12, limits=limits, feasible=lambda q: np.abs(q[:, 0]) < 3)
-    assert moved.accuracy[-1] < plain.accuracy[-1]
-    assert moved.refinement.value > moved.refinement.start_value
-    assert ((moved.joint_position >= limits[:, 0]) & (moved.joint_position <= limits[:, 1])).all()
-    assert (np.abs(moved.joint_position[:, 0]) < 3).all()
-
-
 def test_what_is_recorded_counts():
-    """Recorded poses are never worse than none, are not chosen for again, and are not repeated to be worth others."""
-    more = plan_poses(SETUP, CANDIDATES, 6, recorded=RECORDED, refined=False)
+    """Recorded poses are never worse than none, are not chosen for again."""
+    more = plan_poses(SETUP, CANDIDATES, 6, recorded=RECORDED)
     assert np.isfinite(more.accuracy).all()
     together = np.vstack([RECORDED, more.joint_position])
     assert more.accuracy[-1] == pytest.approx(workspace_accuracy(together), rel=1e-6)
     assert more.accuracy[-1] < workspace_accuracy(RECORDED)
-    assert more.efficiency is None
 
 
-@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+@pytest.mark.parametrize("criterion", ["D", "A"])
 def test_other_criteria(criterion):
-    found = plan_poses(SETUP, CANDIDATES, 10, criterion=criterion, refined=False)
+    found = plan_poses(SETUP, CANDIDATES, 10, criterion=criterion)
     random = np.random.default_rng(0)
     rows = SETUP.rows(CANDIDATES)
 
     def value(indices):
         J = rows[indices].reshape(-1, 28)
         eigenvalues = np.linalg.eigvalsh(J.T @ J)
-        return {"D": np.log(eigenvalues).sum(), "A": -np.sum(1 / eigenvalues), "E": eigenvalues[0]}[criterion]
+        return {"D": np.log(eigenvalues).sum(), "A": -np.sum(1 / eigenvalues)}[criterion]
 
     assert value(found.design.indices) > max(value(random.choice(400, 10, replace=False)) for _ in range(100))
 
@@ -95,33 +81,27 @@ def test_too_few_poses():
 def test_how_many_poses_reach_an_accuracy(monkeypatch):
     """By designs of more poses, not by a square root: where the first are hardly enough that would be far off."""
     monkeypatch.setattr("lite6jax.design.poses.MOST_POSES", 24)
-    first = plan_poses(SETUP, CANDIDATES, 6, refined=False)
+    first = plan_poses(SETUP, CANDIDATES, 6)
     target = 0.4 * first.accuracy[-1]
-    found = plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=target)
+    found = plan_poses(SETUP, CANDIDATES, 6, accuracy=target)
     assert found.needed is not None
     assert found.needed > 6
-    enough = plan_poses(SETUP, CANDIDATES, found.needed, refined=False)
+    enough = plan_poses(SETUP, CANDIDATES, found.needed)
     assert enough.accuracy[-1] <= 1.05 * target
-    assert plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=1e-9).needed is None
+    assert plan_poses(SETUP, CANDIDATES, 6, accuracy=1e-9).needed is None
 
 
 def test_no_accuracy_is_promised_of_what_no_pose_determines():
     setup = plan_experiment("lite6", "ball_bar", tool_at=(0.06, 0.0, 0.04))
-    found = plan_poses(setup, CANDIDATES, 30, criterion="D", refined=False, accuracy=1e-3)
+    found = plan_poses(setup, CANDIDATES, 30, criterion="D", accuracy=1e-3)
     assert np.isinf(found.accuracy).all()
     assert found.needed is None
 
 
 def test_more_poses_than_the_curves_go_to(monkeypatch):
     monkeypatch.setattr("lite6jax.design.poses.MOST_POSES", 10)
-    found = plan_poses(SETUP, CANDIDATES, 12, refined=False)
+    found = plan_poses(SETUP, CANDIDATES, 12)
     assert found.random_accuracy.shape[1] == 12
-
-
-def test_random_draws_that_do_not_determine_all_are_worth_nothing():
-    same = np.vstack([np.repeat(CANDIDATES[:1], 300, 0), CANDIDATES[:20]])
-    found = plan_poses(SETUP, same, 8, criterion="E", refined=False)
-    assert np.isinf(found.efficiency).sum() > 25
 
 
 # ------------------------------------------------------------------ discrimination
@@ -130,9 +110,9 @@ def test_random_draws_that_do_not_determine_all_are_worth_nothing():
 @pytest.mark.long
 def test_the_poses_discriminate_better_than_random_ones():
     compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)
-    found = plan_discrimination(OFFSET, [(compliance, [5e-5]), (harmonic, [0.0, 0.0])], CANDIDATES, 15, refined=False)
+    found = plan_discrimination(OFFSET, ((compliance, [5e-5]), harmonic), CANDIDATES, 15)
     assert found.distance[-1] > 1.5 * np.median(found.random_distance)
-    assert not found.both_ways
+    assert found.rivals == ("joint_compliance:joint2", "joint_harmonic:joint2")
     # the definition: what of the one effect's readings the other and all else do not explain, at the chosen poses
     both = replace(OFFSET, approach="zero").with_physics([compliance, harmonic])
     J = both.rows(found.joint_position).reshape(-1, both.size) / both.unit
@@ -142,18 +122,26 @@ def test_the_poses_discriminate_better_than_random_ones():
     assert found.distance[-1] == pytest.approx(np.linalg.norm(left), rel=1e-4)
 
 
-def test_rivals_both_ways():
-    rivals = [(JointCompliance(2), [5e-5]), (JointHarmonic(2, 1.0), [0.0, 1e-4])]
-    found = plan_discrimination(OFFSET, rivals, CANDIDATES, 15, refined=False)
-    assert found.both_ways
-    assert found.rivals == ("joint_compliance:joint2", "joint_harmonic:joint2")
-    assert found.distance[-1] > np.median(found.random_distance)
+def test_the_distance_of_an_effect_of_several_numbers_is_that_at_its_hypothesised_size():
+    harmonic, compliance, size = JointHarmonic(2, 1.0), JointCompliance(2), np.array([5e-5, 1e-4])
+    found = plan_discrimination(OFFSET, ((harmonic, size), compliance), CANDIDATES, 15)
+    both = replace(OFFSET, approach="zero").with_physics([harmonic, compliance])
+    J = both.rows(found.joint_position).reshape(-1, both.size) / both.unit
+    effect, others = J[:, 28:30] @ size, np.delete(J, [28, 29], axis=1) * np.delete(both.unit, [28, 29])
+    left = effect - others @ np.linalg.lstsq(others, effect, rcond=1e-9)[0]
+    assert found.distance[-1] == pytest.approx(np.linalg.norm(left), rel=1e-4)
 
 
-def test_the_first_rival_needs_a_size():
-    rivals = [(JointCompliance(2), [0.0]), (JointHarmonic(2, 1.0), [0.0, 0.0])]
-    with pytest.raises(InputError, match="joint_compliance:joint2: has no size; give a value"):
-        plan_discrimination(SETUP, rivals, CANDIDATES, 15)
+@pytest.mark.parametrize(
+    ("one", "values", "says"),
+    [
+        (JointCompliance(2), [0.0], "joint_compliance:joint2: has no size; give a value"),
+        (JointOffset(3), [1e-3], "criterion T: no candidate separates the rivals"),
+    ],
+)
+def test_what_discrimination_refuses(one, values, says):
+    with pytest.raises(InputError, match=says):
+        plan_discrimination(SETUP, ((one, values), JointHarmonic(2, 1.0)), CANDIDATES, 15)
 
 
 def test_a_short_round():

@@ -10,7 +10,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.identify import determine, predict_accuracy
 from lite6jax.design.poses import plan_poses
-from lite6jax.design.readings import READERS, choose_places, draw_readings, plan_reading, read_places
+from lite6jax.design.readings import READERS, draw_readings, plan_reading, read_places
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
 from tests.oracles.arms import random_positions
@@ -99,18 +99,13 @@ def test_images_are_poses_with_the_covariance_of_their_corners():
         assert np.linalg.norm(along[k]) == pytest.approx(np.linalg.norm(slope), rel=0.15)
 
 
-def test_touches_tell_more_in_two_sockets_and_where_they_are_chosen():
-    several = plan_reading(LITE6, "contact", 5)
-    tried = draw_readings(several, 200).joint_position
+def test_touches_tell_more_in_sockets_of_two_plates():
     workspace = random_positions(np.random.default_rng(1), 100, 6)
     errors = {}
     for plates in (1, 2):
-        chosen = choose_places(several, tried, plates, 40)
-        sensor: Any = chosen.sensor
-        assert len(sensor.places) == 2 * plates
-        q = draw_readings(chosen, 40).joint_position
-        found = determine(chosen, q)
-        errors[plates] = predict_accuracy(chosen, found, workspace).position_rms
+        setup = plan_reading(LITE6, "contact", plates)
+        found = determine(setup, draw_readings(setup, 40).joint_position)
+        errors[plates] = predict_accuracy(setup, found, workspace).position_rms
         held = [name for name, free in zip(found.names, found.free, strict=True) if not free]
         assert held == ["tool_rx", "tool_ry", "tool_rz"]  # no reading of a point tells them
     assert errors[2] < errors[1] < 2e-3
@@ -119,7 +114,7 @@ def test_touches_tell_more_in_two_sockets_and_where_they_are_chosen():
 def test_a_plan_of_touches_shares_them_among_sockets_and_is_no_worse_than_chance():
     setup = plan_reading(LITE6, "contact", 1)
     q = draw_readings(setup, 120).joint_position
-    found = plan_poses(setup, q, 24, refined=False)
+    found = plan_poses(setup, q, 24)
     assert np.bincount(read_places(setup, found.joint_position)).min() >= 6
     assert found.accuracy[-1] < np.median(found.random_accuracy[:, 23])
     assert (np.diff(found.accuracy[np.isfinite(found.accuracy)]) < 1e-9).all()
