@@ -51,7 +51,7 @@ _FIELDS: dict[type, tuple[str, str]] = {
     ),
     DiscriminationPlan: (
         "discrimination",
-        "arm=experiment.arm.name poses=count candidates rivals both_ways distance random_distance"
+        "arm=experiment.arm.name poses=count candidates rivals distance random_distance"
         " joint_position_rad=joint_position",
     ),
     TorquePlan: (
