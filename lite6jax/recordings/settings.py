@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import date
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 import msgspec
 import yaml
@@ -36,6 +36,10 @@ PoseFrame = Literal["base", "unknown"]
 Unknown = Literal["unknown"]
 
 Line = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f-\x9f\u2028\u2029]*\Z")]
+if TYPE_CHECKING:
+    Name = str
+else:
+    Name = str | int  # YAML takes some names for numbers, which become text again
 Point = tuple[float, float, float]
 Sigma = Annotated[float, Meta(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
 FromZero = Annotated[float, Meta(ge=0.0, le=LARGEST_SIGMA)]
@@ -44,6 +48,7 @@ Length = Annotated[float, Meta(ge=-LONGEST_OFFSET_M, le=LONGEST_OFFSET_M)]
 Angle = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 Distance = Annotated[float, Meta(gt=0.0, le=LONGEST_OFFSET_M)]
 Focal = Annotated[float, Meta(gt=0.0)]
+Size = Annotated[float, Meta(ge=0.0)]
 Gravity = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
 TorqueSigma = Annotated[float, Meta(ge=1e-9, le=1e4)]
 Constant = Annotated[float, Meta(ge=-1e5, le=1e5)]
@@ -65,11 +70,12 @@ class FactoryUncertainty(_Record, frozen=True):
 class KnownDistance(_Record, frozen=True):
     """The distance of two contacts, by their names, in m, and one sigma of it."""
 
-    between: tuple[str, str]
+    between: tuple[Name, Name]
     distance_m: Distance
     noise_m: Sigma
 
     def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "between", tuple(map(str, self.between)))
         if self.between[0] == self.between[1]:
             raise ValueError("between: give the names of two contacts")
 
@@ -86,7 +92,7 @@ class KnownPlane(_Record, frozen=True):
 
 
 class CameraSettings(_Record, frozen=True):
-    """A camera by OpenCV's model; lengths in pixels, `distortion` as k1, k2, p1, p2, k3.
+    """A camera by OpenCV's model; lengths in pixels, `distortion` as k1, k2, p1, p2 and perhaps k3.
 
     `mounted` is `fixed`, where it looks at a board on the flange, or `on_flange`, where it looks at a fixed board.
     """
@@ -96,10 +102,14 @@ class CameraSettings(_Record, frozen=True):
     fy: Focal
     cx: float
     cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    width: float = 0.0
-    height: float = 0.0
+    distortion: Annotated[tuple[float, ...], Meta(min_length=4, max_length=5)] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    width: Size = 0.0
+    height: Size = 0.0
     intrinsics: Literal["known", "refine"] = "known"
+
+    def __post_init__(self) -> None:
+        if len(self.distortion) == 4:
+            msgspec.structs.force_setattr(self, "distortion", (*self.distortion, 0.0))
 
 
 class BoardSettings(_Record, frozen=True):
@@ -311,7 +321,7 @@ def parse_setting(key: str, value: Any) -> Any:
         InputError: it is not accepted; the message begins with the key.
     """
     try:
-        plain = msgspec.to_builtins(value, enc_hook=lambda array: array.tolist())
+        plain = msgspec.to_builtins(value, str_keys=True, enc_hook=lambda array: array.tolist())
         if key == "tool" and isinstance(plain, str) and " " in plain.strip():
             plain = plain.split()
         # YAML 1.1 reads 1e-5, which people write, as text: msgspec takes it for a number where it is not strict
@@ -351,8 +361,9 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
         InputError: an unknown key (with the nearest accepted one) or an unusable value.
     """
     _reject_unknown("", declared, KEYS)
-    named = {} if arm is None else {"arm": str(getattr(arm, "name", arm))}
-    return replace(settings or RecordingSettings(), **{**declared, **named})
+    keys = {**declared, **({} if arm is None else {"arm": str(getattr(arm, "name", arm))})}
+    parsed = {key: None if value is None else parse_setting(key, value) for key, value in keys.items()}
+    return replace(settings or RecordingSettings(), **parsed)
 
 
 def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str]) -> None:
@@ -460,7 +471,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
         if value is None:
             raise InputError(f"{path}: recording.{key}: has no value; give {form_of(key)}, or leave the key out")
     try:
-        declared = RecordingSettings(**settings)
+        declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
     return Sidecar(declared, {str(name): meaning.strip() for name, meaning in columns.items()})
