@@ -103,8 +103,8 @@ def test_each_joint_is_said_in_its_own_unit(run, diagnosed):
     assert " N RMS to the force." in said["coulomb_friction", "joint3"]
     assert "Nm·s/rad; it contributes" in said["viscous_friction", "joint2"]
     page = (run / "d.html").read_text()
-    assert "<td>prismatic joints, RMS (N)</td>" in page
-    assert "<td>joint 3, RMS (N)</td>" in page
+    assert "<td>prismatic joints (N), RMS</td>" in page
+    assert "<td>joint 3 (N), RMS</td>" in page
     assert "<td>revolute joints (Nm), maximum</td>" in page
     assert "0.05 Nm, 0.3 N are declared" in page
     assert "6.0 N</td>" in page
