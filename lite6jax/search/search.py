@@ -97,12 +97,15 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
 
 
 def _selected(selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None) -> Selection:
+    """The terms, selected anew where those that were found move residuals by more than what a term must gain."""
     for _ in range(_ROUNDS):
-        before, selector = selection.problem, Selector(selection.problem, options.rough, among)
+        selector = Selector(selection.problem, options.rough, among)
         state = selector.selected(selection.state, thorough)
-        considered = selection.considered | selector.scan.considered
-        selection = at_estimate(replace(selection, state=state, considered=considered), options)
-        if selection.problem is before:
+        found = replace(selection, state=state, considered=selection.considered | selector.scan.considered)
+        selection = at_estimate(found, options)
+        f, rows = selection.state.fit, found.state.fit.residuals.rows
+        moved = (f.residuals.rows - rows) / f.scale[selection.problem.groups, None]
+        if np.sum(moved[..., f.training] ** 2) < options.margin:
             break
     return selection
 
