@@ -223,6 +223,7 @@ class Selector:
     def _estimated(self, state: State) -> State:
         """Amplitude and kernel of each process, and the tried number of each name, anew beside the others.
 
+        A process of two quantities may become one of either.
         Residuals are winsorised where a number is far off, so that the next one may be so as well.
         """
         open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
@@ -245,7 +246,13 @@ class Selector:
 
     def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
-        best = self.scan.alike(test, *self._process_of(term)) if term.nonparametric else self.scan.like(test, term)
+        if term.nonparametric:
+            component, which = self._process_of(term)
+            sets = (which, *((k,) for k in which if len(which) > 1))
+            found = [best for some in sets if (best := self.scan.alike(test, component, some)) is not None]
+            best = max(found, key=lambda each: each.net, default=None)
+        else:
+            best = self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
         return replace(one, term=best.make(), gain=best.gain, cost=min(one.cost, best.cost), volume=best.volume)
@@ -414,10 +421,10 @@ class Selector:
                 break
             trial = self._estimated(more)
             trial = self._paired(trial, len(trial.tested) - 1) or trial
-            choices = [self._in_own_noise(one) for one in (trial, *self._with_less(trial, process.term))]
+            choices = [self._in_own_noise(self._dropped(one)) for one in (trial, *self._with_less(trial, process.term))]
             best_of = max(choices, key=lambda one: one.evidence)
             if best_of.evidence > state.evidence + self._needed(process.term, best_of is not choices[0]):
-                return self._dropped(best_of)
+                return best_of
         return None
 
     def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask) -> Ranked | None:
