@@ -14,7 +14,7 @@ from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
-from lite6jax.report.words import capital, counted, listing, number, quantity
+from lite6jax.report.words import capital, chance, counted, listing, number, quantity
 from lite6jax.schema import FLEET
 
 Document = Mapping[str, Any]
@@ -129,7 +129,7 @@ def population_report(document: Document) -> Iterator[RenderableType]:
     for k, effect in enumerate(effects, 1):
         yield ""
         found_by = _FOUND_BY[effect["found_by"]]
-        yield Text(f"{k}. {capital(_title(effect))}: p = {effect['p_value']:.1e}, found {found_by}.")
+        yield Text(f"{k}. {capital(_title(effect))}: {chance(effect['p_value'])}, found {found_by}.")
         if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
             table = listing("", "mean", "95 % interval", "between arms", "unit")
             for name, each in effect["parameters"].items():
@@ -184,13 +184,13 @@ def remarks(effect: Document) -> Iterator[str]:
         if name in effect:
             yield f"Root mean square of its amplitude over the arms: {_shown(name, effect[name])}."
     if effect["between_p_value"] < 0.01:
-        p = effect["between_p_value"]
-        yield f"The arms differ from each other by more than their uncertainty (p = {p:.1e})."
+        p = chance(effect["between_p_value"])
+        yield f"The arms differ from each other by more than their uncertainty ({p})."
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
             own = ", ".join(str(quantity(name, each)) for name, each in arm["parameters"].items())
             said = "" if effect["effect"] == "unnamed" else f": {own}"
-            yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
+            yield f"{arm['file']} differs from the others ({chance(arm['outlier_p_value'])}){said}."
     near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]
     if near:
         yield f"Not distinguished from {', '.join(map(_title, near))}."

@@ -64,7 +64,7 @@ def _environment() -> jinja2.Environment:
     environment.globals |= {
         "be": _count_of(words.be),
         "deg": lambda angle: float(np.rad2deg(angle)),
-        "chance": lambda p, digits=2: f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300",
+        "chance": words.chance,
         "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
     }
     return environment

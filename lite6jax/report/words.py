@@ -81,6 +81,11 @@ def fixed(value: float, digits: int = 4, sign: str = "") -> str:
     return text if float(text) else text.replace("-", sign)
 
 
+def chance(p: float, digits: int = 2) -> str:
+    """A p-value as an equation; one that is too small for a float as a bound."""
+    return f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300"
+
+
 def plus_minus(value: float) -> str:
     """A standard deviation to two significant digits."""
     if not np.isfinite(value):

@@ -106,7 +106,7 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     low, high = effect["parameters"]["compliance_rad_per_Nm"]["interval_95"]
     assert low < 9e-5 < high
     assert "2 recordings of lite6 arms were pooled." in said
-    assert "1. joint compliance, joint2:" in said
+    assert "1. Joint compliance at joint2:" in said
     assert "1 recording of 3 not pooled:" in said
     assert f"{folder / 'broken.csv'}: " in said
     assert (results / "a.json").read_bytes() != (results / "b.json").read_bytes()  # the names of their inputs
