@@ -21,7 +21,7 @@ with import_lazily():
     from lite6jax.arms import description
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
-    from lite6jax.recordings import settings as sidecar
+    from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.report import canvas, documents, screen
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def list_inputs(
     files = []
     for role, file in (("", recording), ("reference ", reference)):
         if file is not None:
-            parts = [("recording", file), *sidecar.list_sidecar_files(file)]
+            parts = [("recording", file), *sidecar_settings.list_sidecar_files(file)]
             files += [(f"{role}{part}", path) for part, path in parts]
     files += [("arm", Path(arm.partition("#")[0]))] if arm else []
     files += [("effects", effects)] if effects else []
@@ -189,10 +189,10 @@ def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
     """
     sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] == "arm"}
     recording = find_recording(document, diagnosis)
-    declared = None if recording is None else sidecar.sidecar_path(recording)
+    declared = None if recording is None else sidecar_settings.sidecar_path(recording)
     if declared is None or not sums or not exists(declared):
         return None
-    settings = sidecar.read_settings(declared)
+    settings = sidecar_settings.read_settings(declared)
     reference = str(settings.arm_reference(declared.parent)) if settings.arm_is_file else ""
     file = Path(reference.partition("#")[0])
     return reference if reference and file.is_file() and file_sha256(file) in sums else None
@@ -248,7 +248,7 @@ def _files_read(source: str | Path) -> Iterator[Path]:
     yield Path(str(source).partition("#")[0])
     file = recordings.recording_file(source)
     if file is not None:
-        yield from (path for _, path in sidecar.list_sidecar_files(file))
+        yield from (path for _, path in sidecar_settings.list_sidecar_files(file))
 
 
 def check_seed(seed: int) -> None:

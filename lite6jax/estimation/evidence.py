@@ -27,6 +27,8 @@ from lite6jax.estimation.score_test import ScoreTest
 
 Array = NDArray[np.floating]
 
+_UNIFORM = 2 * np.pi / np.sqrt(12)
+"""rad, the standard deviation of an angle that is spread evenly over a turn."""
 _TRIED = 28
 """Variances of the prior that are tried."""
 _LEAST, _MOST = 1e-2, 1e7
@@ -367,12 +369,6 @@ def bound(pull: Array, information: Array, left: float, freedom: float, confound
     z = pull / size
     q = np.sum(z * np.linalg.solve(C, z[..., None])[..., 0], -1)
     return -0.5 * freedom * np.log(np.maximum(1 - q / left, 1e-12))
-
-
-Array = NDArray[np.floating]
-
-_UNIFORM = 2 * np.pi / np.sqrt(12)
-"""rad, the standard deviation of an angle that is spread evenly over a turn."""
 
 
 def log_orders_of(family: PeriodicFamily, order: ArrayLike, options: EngineOptions) -> Array:

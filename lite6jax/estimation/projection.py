@@ -150,9 +150,6 @@ def _scales(H: Array) -> Array:
     return np.sqrt(np.where(size > np.finfo(float).tiny, size, np.inf))
 
 
-Array = NDArray[np.floating]
-
-
 class Explained(NamedTuple):
     """What a candidate would explain, as the test alone that costs little.
 

@@ -143,9 +143,6 @@ def join(values: Iterable[Sequence[float] | Array]) -> Array:
     return np.concatenate([np.zeros(0), *(np.asarray(value, float) for value in values)])
 
 
-Array = NDArray[np.floating]
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Factored:

@@ -103,13 +103,12 @@ class Selector:
     def _with_names(self, state: State, asked: set[object]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
-            order = np.argsort([-one.gain for one in state.tested]).tolist()
-            keys = [(k, self._key_of(state.tested[k].term)) for k in order if state.tested[k].term.nonparametric]
-            left = [(k, key) for k, key in keys if key not in asked]
+            processes = [(k, one) for k, one in enumerate(state.tested) if one.term.nonparametric]
+            left = [(k, one) for k, one in processes if self._key_of(one.term) not in asked]
             if not left:
                 return state
-            k, key = left[0]
-            asked.add(key)
+            k, largest = max(left, key=lambda pair: pair[1].gain)
+            asked.add(self._key_of(largest.term))
             state = self._named(state, k) or state
 
     @staticmethod
@@ -248,9 +247,8 @@ class Selector:
         term = one.term
         if term.nonparametric:
             component, which = self._process_of(term)
-            sets = (which, *((k,) for k in which if len(which) > 1))
-            found = [best for some in sets if (best := self.scan.alike(test, component, some)) is not None]
-            best = max(found, key=lambda each: each.net, default=None)
+            either = [(k,) for k in which] if len(which) > 1 else []
+            best = max(self._processes(test, component, [which, *either]), key=lambda each: each.net, default=None)
         else:
             best = self.scan.like(test, term)
         if best is None:
@@ -439,9 +437,12 @@ class Selector:
         component, which = self._process_of(term)
         if len(which) < 2:
             return []
-        test = self.test(trial)
-        less = (self.scan.alike(test, component, (k,)) for k in which)
-        return [self._with(trial, one) for one in less if one is not None and one.net >= self.options.margin]
+        less = self._processes(self.test(trial), component, [(k,) for k in which])
+        return [self._with(trial, one) for one in less if one.net >= self.options.margin]
+
+    def _processes(self, test: ScoreTest, component: Component, sets: Sequence[tuple[int, ...]]) -> list[Ranked]:
+        """The likeliest kernel of each of some sets of quantities, as far as these say anything."""
+        return [best for which in sets if (best := self.scan.alike(test, component, which)) is not None]
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:
         """The alternatives of the k-th term, that itself among them, the likeliest first."""

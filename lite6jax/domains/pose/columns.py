@@ -21,6 +21,13 @@ from lite6jax.estimation.terms import Factored, Term, Terms
 
 Array = NDArray[np.floating]
 
+_NEAR = 3
+"""Joints next to the base, and next to the tool, on whose motion these depend as well."""
+_WHOLE_ARM = ("temperature rise", "time", "payload")
+_SIGHT = tuple(f"measured position{end}" for end in (" x", " y", " z", "'s distance", "'s azimuth", "'s elevation"))
+_LEAST_VARIED = 1e-6
+"""Range of a driver, in its unit, below which it did not vary."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -142,16 +149,6 @@ def _accumulate(out: Array, name: str, shape: Array, sites: dict[Site, Array]) -
     else:
         for k in np.flatnonzero(shape.any(-1)):
             out += sites[name, 0, int(k)] * shape[k]
-
-
-Array = NDArray[np.floating]
-
-_NEAR = 3
-"""Joints next to the base, and next to the tool, on whose motion these depend as well."""
-_WHOLE_ARM = ("temperature rise", "time", "payload")
-_SIGHT = tuple(f"measured position{end}" for end in (" x", " y", " z", "'s distance", "'s azimuth", "'s elevation"))
-_LEAST_VARIED = 1e-6
-"""Range of a driver, in its unit, below which it did not vary."""
 
 
 def components(sites: dict[Site, Array], motion: Motion, rows: int) -> tuple[Component, ...]:

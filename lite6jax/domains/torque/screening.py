@@ -26,6 +26,7 @@ from lite6jax.recordings.motion import at_positions, without_turns
 from lite6jax.recordings.sequence import run_segments, stretches
 
 Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
@@ -54,6 +55,16 @@ _WRONG_IN_A_ROW = 3
 _MOST_EVENTS = 3
 _PRESSED = 4.0
 """Standard deviations from which a joint takes part in a contact."""
+_LONG = 0.25
+"""s for which a joint rests at least; a reversal takes less."""
+_FEWEST = 10
+"""Filtered samples at rest that it takes to say anything."""
+_ROWS_PER_NUMBER = 3
+"""Filtered samples in motion for each number of the model with which those at rest are compared."""
+_AWAY = 3.0
+"""Times what is left in motion, from which what is left at rest is no noise."""
+_BAND = 2.0
+"""Times Coulomb friction, up to which static friction holds a joint: what is more has another cause."""
 
 
 def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
@@ -340,21 +351,6 @@ def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> N
         if runs[a] == runs[b] and time[b] - time[a] <= _JOINED:
             inside[a:b] = True
     return inside
-
-
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
-
-_LONG = 0.25
-"""s for which a joint rests at least; a reversal takes less."""
-_FEWEST = 10
-"""Filtered samples at rest that it takes to say anything."""
-_ROWS_PER_NUMBER = 3
-"""Filtered samples in motion for each number of the model with which those at rest are compared."""
-_AWAY = 3.0
-"""Times what is left in motion, from which what is left at rest is no noise."""
-_BAND = 2.0
-"""Times Coulomb friction, up to which static friction holds a joint: what is more has another cause."""
 
 
 class Held(NamedTuple):

@@ -207,8 +207,6 @@ class TorqueLag(OfJoint, Delaying):
         return np.where(np.arange(joints) == self.joint - 1, -value, 0.0)
 
 
-Array = NDArray[np.floating]
-
 FIELDS: dict[type, str] = {
     ViscousFriction: "viscous_friction",
     CoulombFriction: "coulomb_friction",

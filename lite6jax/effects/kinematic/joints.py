@@ -1,5 +1,6 @@
 """Effects of joints: what adds to the angle, or the position of a slide, that an encoder says."""
 
+from abc import ABC
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -16,6 +17,13 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.effects.waves import order_choice, wave_reporting
 from lite6jax.errors import InputError
+
+
+class _Proportional(JointEffect, ABC):
+    """δq = k·driver."""
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return values[0] * self.drivers[0].values(motion, loads)
 
 
 @final
@@ -40,7 +48,7 @@ class JointOffset(JointEffect):
 
 @final
 @dataclass(frozen=True)
-class JointScale(JointEffect):
+class JointScale(_Proportional):
     """δq = s·q: the encoder's radian is another."""
 
     name: ClassVar[str] = "joint_scale"
@@ -54,13 +62,10 @@ class JointScale(JointEffect):
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("position", self.joint),)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
-
 
 @final
 @dataclass(frozen=True)
-class JointCompliance(JointEffect):
+class JointCompliance(_Proportional):
     """δq = c·τ: the gear gives way to the torque that gravity exerts on it."""
 
     name: ClassVar[str] = "joint_compliance"
@@ -73,9 +78,6 @@ class JointCompliance(JointEffect):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("gravity torque", self.joint),)
-
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
 
 
 @final
@@ -154,7 +156,7 @@ def _coupling_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
 
 @final
 @dataclass(frozen=True)
-class JointCoupling(JointEffect):
+class JointCoupling(_Proportional):
     """δq = k·q_source: another joint's motion leaks into this one's, as through a shared gear or cable.
 
     Attributes:
@@ -187,13 +189,10 @@ class JointCoupling(JointEffect):
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("position", self.source_joint),)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
-
 
 @final
 @dataclass(frozen=True)
-class JointThermalOffset(JointEffect):
+class JointThermalOffset(_Proportional):
     """δq = k·(T − T₀): the encoder's zero moves with the joint's own temperature, or with that of the surroundings."""
 
     name: ClassVar[str] = "joint_thermal_offset"
@@ -207,9 +206,6 @@ class JointThermalOffset(JointEffect):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("temperature", self.joint),)
-
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
 
 
 @final
@@ -277,7 +273,7 @@ class SlideOffset(JointEffect):
 
 @final
 @dataclass(frozen=True)
-class SlideScale(JointEffect):
+class SlideScale(_Proportional):
     """δq = s·q: the metre of the prismatic joint is another, as of a screw's lead or a scale that grew."""
 
     name: ClassVar[str] = "slide_scale"
@@ -292,13 +288,10 @@ class SlideScale(JointEffect):
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("slide position", self.joint),)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
-
 
 @final
 @dataclass(frozen=True)
-class SlideCompliance(JointEffect):
+class SlideCompliance(_Proportional):
     """δq = c·F: the screw, belt or rack gives way to the force that gravity exerts along the joint's axis."""
 
     name: ClassVar[str] = "slide_compliance"
@@ -312,9 +305,6 @@ class SlideCompliance(JointEffect):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("gravity force", self.joint),)
-
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return values[0] * self.drivers[0].values(motion, loads)
 
 
 @final
