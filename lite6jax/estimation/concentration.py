@@ -40,7 +40,7 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         fit: the model.
         options: thresholds.
     """
-    every = max(fit.training.size // options.first_samples, 1) if fit.noise.white else 1
+    every = max(fit.training.size // options.most_samples, 1) if fit.noise.white else 1
     if every > 1:
         problem, fit = problem.thinned(every), fit.thinned(every)
     turning = {quantity.driver.turns for quantity in problem.quantities}

@@ -9,7 +9,7 @@ from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import score_test
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
 from lite6jax.search.scan import Considered
 from lite6jax.search.select import Selector
@@ -47,11 +47,12 @@ def search(
     training: Mask | None = None,
     reference: Problem | None = None,
     thorough: bool = True,
-    among: Considered | None = None,
+    start: Selection | None = None,
 ) -> Selection:
     """Selects terms by evidence, in a linearisation about what has been found.
 
-    Of very many samples, terms are selected in every n-th; they are then fitted to all samples.
+    Of many samples, terms are first selected in every n-th. That is where the search of more of them starts: what they
+    do not support is dropped, and what they show besides is added. Of very many, the terms are fitted to all at last.
 
     Args:
         problem: the data, linearised.
@@ -59,41 +60,46 @@ def search(
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
         thorough: whether terms are exchanged, and what may replace them, is confounded or nearest is determined.
-        among: the processes to choose from, of another search of the same recording; all where not given.
+        start: a search of all samples of the same recording, from which this one starts: with its terms, and to choose
+            among the processes that it has considered.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
-    every = max(int(training.sum()) // options.first_samples, 1)
-    selection = Selection(problem, reference, _begun(problem, reference, training, options))
+    samples, among = int(training.sum()), None if start is None else start.considered
+    strides = [max(round(samples / size), 1) for size in (options.first_samples, options.most_samples)]
+    for every in dict.fromkeys(strides if start is None else strides[1:]):
+        some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
+        start = _selected(_begun(*some, training[::every], options, start), options, thorough, among)
     if every > 1:
-        few, few_reference = problem.thinned(every), reference.thinned(every)
-        part = _selected(
-            Selection(few, few_reference, _begun(few, few_reference, training[::every], options)),
-            options,
-            thorough,
-            among,
-        )
-        whole = replace(selection.state, refused=part.state.refused)
-        state = refitted(problem, whole, part.state.tested, options)
-        selection = at_estimate(replace(selection, state=state, considered=part.considered), options)
-    else:
-        selection = _selected(selection, options, thorough, among)
-    selection = _confirmed(selection, options)
+        start = at_estimate(_begun(problem, reference, training, options, start), options)
+    selection = _confirmed(start, options)
     return _reviewed(selection, options) if thorough else selection
 
 
-def _begun(problem: Problem, reference: Problem, training: Mask, options: EngineOptions) -> State:
-    """The nuisance alone, with the terms that the domain has estimated before the search."""
+def _begun(
+    problem: Problem, reference: Problem, training: Mask, options: EngineOptions, start: Selection | None
+) -> Selection:
+    """The nuisance, the terms that the domain has estimated before the search, and those to start from."""
     entered("selecting")
     baseline = fit(reference, Terms(), options, training=training)
-    terms, values = problem.preset
-    if not terms.terms:
-        return State(baseline, baseline)
-    fitted = fit(problem, terms, options, values, training=training)
-    gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
-    cost = np.log(3 * max(len(problem.candidates), 1))
-    tested = tuple(SelectedTerm(term, gain, cost, p_value=min(float(np.exp(cost - gain)), 1.0)) for term in terms.terms)
-    return State(baseline, fitted, tested)
+    preset, values = problem.preset
+    tested = [SelectedTerm(term) for term in preset.terms]
+    known = [values[part] for part in preset.slices]
+    before = State(baseline, baseline) if start is None else start.state
+    for one, part in zip(before.tested, before.fit.terms.slices, strict=True):
+        if one.term not in preset.terms:
+            tested.append(one)
+            known.append(before.fit.values[part])
+    state = State(baseline, baseline)
+    if tested:
+        terms = Terms(tuple(one.term for one in tested))
+        fitted = fit(problem, terms, options, join(known), baseline.nuisance_about(problem), training)
+        gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
+        cost = np.log(3 * max(len(problem.candidates), 1))
+        for k, term in enumerate(preset.terms):
+            tested[k] = SelectedTerm(term, gain, cost, p_value=min(float(np.exp(cost - gain)), 1.0))
+        state = State(baseline, fitted, tuple(tested), before.refused)
+    return Selection(problem, reference, state, considered=frozenset() if start is None else start.considered)
 
 
 def _selected(selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None) -> Selection:
@@ -101,10 +107,10 @@ def _selected(selection: Selection, options: EngineOptions, thorough: bool, amon
     for _ in range(_ROUNDS):
         selector = Selector(selection.problem, options.rough, among)
         state = selector.selected(selection.state, thorough)
-        found = replace(selection, state=state, considered=selection.considered | selector.scan.considered)
-        selection = at_estimate(found, options)
-        f, rows = selection.state.fit, found.state.fit.residuals.rows
-        moved = (f.residuals.rows - rows) / f.scale[selection.problem.groups, None]
+        considered = selection.considered | selector.scan.considered
+        selection = at_estimate(replace(selection, state=state, considered=considered), options)
+        f = selection.state.fit
+        moved = (f.residuals.rows - state.fit.residuals.rows) / f.scale[selection.problem.groups, None]
         if np.sum(moved[..., f.training] ** 2) < options.margin:
             break
     return selection

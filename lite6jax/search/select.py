@@ -42,8 +42,11 @@ class Selector:
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
         many processes are significant that each describe a part of it. Terms are then tried in its place.
+        Terms of an earlier search are taken over with its decisions between names, noise and processes.
         """
         state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
+        if any(one.term not in self._preset for one in state.tested):
+            return self._above_rest(self._grown(self._settled(self._estimated(state)), thorough))
         for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
             better = instead is not None and self._odds(instead) > self._odds(state) + self.options.better
@@ -85,7 +88,8 @@ class Selector:
         return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool) -> State:
-        exchanged, asked = 0, set[object]()
+        exchanged = 0
+        asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
         while True:
             state = self._with_all_worth(state)
             named = self._with_names(state, asked)
@@ -98,7 +102,6 @@ class Selector:
             if better is None:
                 return state
             state, exchanged = better, exchanged + 1
-            asked.clear()
 
     def _with_names(self, state: State, asked: set[object]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""

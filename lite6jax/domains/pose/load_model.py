@@ -17,7 +17,6 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import with_alternative
-from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, at_estimate, search
 
 
@@ -27,7 +26,7 @@ def search_load_model(
     options: EngineOptions,
     training: Mask | None = None,
     thorough: bool = True,
-    among: Considered | None = None,
+    start: Selection | None = None,
 ) -> Selection:
     """The search under the more likely load model.
 
@@ -41,10 +40,10 @@ def search_load_model(
         options: thresholds.
         training: `(sample,)` bool; all where not given.
         thorough: as in `search`.
-        among: as in `search`.
+        start: as in `search`.
     """
     problem, reference = _first(problem, reference, options, training)
-    selection = search(problem, options, training, reference, thorough, among)
+    selection = search(problem, options, training, reference, thorough, start)
     other = with_alternative(selection.problem, selection.state.fit, options)
     if other is None:
         return selection
@@ -52,7 +51,7 @@ def search_load_model(
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
-    again = search(other_problem, options, training, other_reference, thorough, among)
+    again = search(other_problem, options, training, other_reference, thorough, start)
     state = replace(selection.state, fit=other)
     if gain > options.close or again.state.evidence > state.evidence:
         return again
