@@ -154,6 +154,22 @@ class ScoreTest:
             spanned = _spanned(self.problem, part, self.scale, self.options)
         return replace(self, fit=part, residual=residual, **spanned._asdict())
 
+    def explained_too(self, columns: Array) -> "ScoreTest":
+        """The test of the model with more columns `(number, row, sample)`, to first order; the fit is as it was."""
+        flat = np.zeros((len(columns), self.span.shape[1]))
+        measured = self.problem.rows * self.problem.samples
+        flat[:, :measured] = _white(self.fit, columns, self.scale).reshape(len(columns), -1)
+        acts = np.any(columns, 2) @ (np.arange(len(self.scale)) == self.problem.groups[:, None])
+        further = orthonormal(outside(unit_rows(flat[flat.any(1)]), self.span), self.options.rounding)
+        padded = np.pad(self.coordinates, ((0, 0), (0, len(further))))
+        return replace(
+            self,
+            span=np.concatenate([self.span, further]),
+            coordinates=np.concatenate([padded, np.eye(len(further), padded.shape[1], len(self.span))]),
+            owners=np.append(self.owners, np.full(len(further), len(self.fit.terms.terms))),
+            acting=np.concatenate([self.acting, np.repeat(acts.any(0)[None], len(further), 0)]),
+        )
+
     def _alike(self, part: Fit) -> bool:
         """Whether the columns of a part of the model are the same as in the whole: masses act through what gives way.
 

@@ -66,7 +66,8 @@ def search(
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
     samples, among = int(training.sum()), None if start is None else start.considered
-    strides = [max(round(samples / size), 1) for size in (options.first_samples, options.most_samples)]
+    sizes = (options.first_samples, options.most_samples)
+    strides = [1 if samples < 2 * size else -(-samples // size) for size in sizes]
     for every in dict.fromkeys(strides if start is None else strides[1:]):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
         start = _selected(_begun(*some, training[::every], options, start), options, thorough, among)
@@ -103,10 +104,13 @@ def _begun(
 
 
 def _selected(selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None) -> Selection:
-    """The terms, selected anew where those that were found move residuals by more than what a term must gain."""
-    for _ in range(_ROUNDS):
+    """The terms, selected anew where those that were found move residuals by more than what a term must gain.
+
+    They are exchanged in the first linearisation alone.
+    """
+    for turn in range(_ROUNDS):
         selector = Selector(selection.problem, options.rough, among)
-        state = selector.selected(selection.state, thorough)
+        state = selector.selected(selection.state, thorough and not turn)
         considered = selection.considered | selector.scan.considered
         selection = at_estimate(replace(selection, state=state, considered=considered), options)
         f = selection.state.fit

@@ -10,7 +10,7 @@ A site has one process, at as many components as it moves: what that does not de
 may act there. Nor is anything found that explains less than noise would at the component of a term.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -391,7 +391,7 @@ class Selector:
     def _paired(self, state: State, k: int) -> State | None:
         """The state with another name beside one whose number is tried, where both together are likelier; else None."""
         one = state.tested[k]
-        if one.term.periodic or not (one.term.chosen or self.scan.has_numbers(one.term)):
+        if not self._has_number(one.term):
             return None
         labels = {term.label for term in state.fit.terms.terms}
         pairs = (pair for pair in self.scan.together(self.beside(state, k), one.term) if pair[1].cause[0] not in labels)
@@ -404,44 +404,53 @@ class Selector:
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
 
-        Of several, none is taken to add more than the likeliest does alone.
+        Of those that are as likely to first order, the fewest are fitted first.
         """
-        most, process = self.options.names_for_process, state.tested[k]
-        rows = self._rows(process.term, state)
-        best = self._likeliest_name(self.beside(state, k), state, rows)
-        if best is None or most * best.net < process.net:
-            return None
-        trial = self._left_out(state, k)
-        fewest = len(trial.tested)
-        while (more_names := fewest + most - len(trial.tested)) > 0:
-            best = self._likeliest_name(self.test(trial), trial, rows)
-            if best is None or trial.evidence + more_names * best.net < state.evidence:
-                break
-            more = self._within_bounds(self._with(trial, best))
-            if len(more.tested) <= len(trial.tested):
-                break
-            trial = self._estimated(more)
-            trial = self._paired(trial, len(trial.tested) - 1) or trial
-            choices = [self._in_own_noise(self._dropped(one)) for one in (trial, *self._with_less(trial, process.term))]
-            best_of = max(choices, key=lambda one: one.evidence)
-            if best_of.evidence > state.evidence + self._needed(process.term, best_of is not choices[0]):
-                return best_of
+        process, bare = state.tested[k], None
+        for names, gain in self._names_for(state, k):
+            needed = self._needed(process.term, bool(names[-1].process))
+            if gain + self.options.close < process.net + needed:
+                continue
+            bare = bare or self._left_out(state, k)
+            trial = self._in_own_noise(self._dropped(self._added(bare, names)))
+            if trial.evidence > state.evidence + needed:
+                return trial
         return None
 
-    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask) -> Ranked | None:
+    def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
+        """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
+
+        After each, the same beside a process of one of the two quantities that the process has.
+        """
+        term, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
+        rows, model = self._rows(term, state), (state.fit.terms, state.fit.values)
+        while len(names) < self.options.names_for_process:
+            best = self._likeliest_name(test, state, rows, names)
+            if best is None:
+                return
+            more, net = [best], best.net
+            if self._has_number(best.make()):
+                pair = next(iter(self.scan.together(test, best.make())), None)
+                if pair is not None and pair[1].net > best.net + self.options.margin:
+                    more, net = list(pair), pair[1].net
+            names, gain = [*names, *more], gain + net
+            test = test.explained_too(self.problem.columns([one.make() for one in more], beside=model))
+            yield names, gain
+            component, which = self._process_of(term)
+            for one in self._processes(test, component, [(k,) for k in which]) if len(which) > 1 else ():
+                if one.net >= self.options.margin:
+                    yield [*names, one], gain + one.net
+
+    def _has_number(self, term: Term) -> bool:
+        """Whether a number of a name is tried."""
+        return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
+
+    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, beside: Sequence[Ranked]) -> Ranked | None:
         """The likeliest name that acts on some rows, of those worth their cost; first one that is usual."""
-        known = {term.label for term in (*state.refused, *state.fit.terms.terms)}
+        known = {term.label for term in (*state.refused, *state.fit.terms.terms)} | {one.cause[0] for one in beside}
         names = [one for one in self.scan.named(test) if one.cause[0] not in known and one.net >= self.options.margin]
         names = [one for one in names if (self._rows(one.make(), state) & rows).any()]
         return next((one for one in names if one.make().usual), names[0] if names else None)
-
-    def _with_less(self, trial: State, term: Term) -> list[State]:
-        """Names beside a process of one of the two quantities that another process has."""
-        component, which = self._process_of(term)
-        if len(which) < 2:
-            return []
-        less = self._processes(self.test(trial), component, [(k,) for k in which])
-        return [self._with(trial, one) for one in less if one.net >= self.options.margin]
 
     def _processes(self, test: ScoreTest, component: Component, sets: Sequence[tuple[int, ...]]) -> list[Ranked]:
         """The likeliest kernel of each of some sets of quantities, as far as these say anything."""

@@ -252,12 +252,31 @@ def test_a_bump_that_no_name_explains_becomes_a_process():
     assert np.sqrt(np.mean(missed**2)) < 0.3
 
 
-def test_many_samples_are_searched_in_part_and_fitted_whole():
+def test_many_samples_show_more_than_the_few_that_are_searched_first():
     few = replace(OPTIONS, first_samples=300)
+    problem = linear_problem(np.random.default_rng(9), 1200, lambda d: 0.6 * d["u4"] + 0.17 * d["u1"])
+    assert terms(search(problem.thinned(4), OPTIONS).state) == [Column("u4")]
+    state = found(problem, few)
+    assert set(terms(state)) == {Column("u4"), Column("u1")}
+    assert state.fit.training.sum() == 1200
+
+
+def test_very_many_samples_are_searched_in_part_and_fitted_whole():
+    few = replace(OPTIONS, first_samples=150, most_samples=300)
     problem = linear_problem(np.random.default_rng(9), 1200, lambda d: 0.6 * d["u4"])
     state = found(problem, few)
     assert terms(state) == [Column("u4")]
     assert state.fit.training.sum() == 1200
+
+
+def test_a_search_that_starts_from_another_drops_what_its_samples_do_not_show_and_adds_what_they_show():
+    one, other = (
+        linear_problem(np.random.default_rng(12), 300, lambda d, name=name: 0.8 * d["u4"] + 0.8 * d[name])
+        for name in ("u1", "u2")
+    )
+    start = search(one, OPTIONS)
+    assert set(terms(start.state)) == {Column("u4"), Column("u1")}
+    assert set(terms(search(other, OPTIONS, start=start).state)) == {Column("u4"), Column("u2")}
 
 
 def test_the_most_specific_of_indistinguishable_names_is_reported():
