@@ -163,10 +163,7 @@ class Geometry:
             center = np.array(recording.settings.payload_com_m)
             moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
         told = recording.settings
-        noise = (
-            told.position_noise_m or UNDECLARED_NOISE[0],
-            told.orientation_noise_rad or UNDECLARED_NOISE[1],
-        )
+        noise = (told.position_noise_m or UNDECLARED_NOISE[0], told.orientation_noise_rad or UNDECLARED_NOISE[1])
         return View(recording, (R, o), (Rt, p), missed, turned, moment, base, noise)
 
 

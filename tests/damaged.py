@@ -15,13 +15,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.recordings import (
-    Recording,
-    read_recording,
-    read_targets,
-    sidecar_path,
-    write_recording,
-)
+from lite6jax.recordings import Recording, read_recording, read_targets, sidecar_path, write_recording
 from lite6jax.recordings.files import open_table
 from lite6jax.recordings.ros import ArmJoints
 
@@ -227,16 +221,10 @@ EXPORTED = Reader("table of a spreadsheet", _exported, _read_table)
 LISTED = Reader("table of lists", _listed, _read_table)
 ALIGNED = Reader("aligned text", _aligned, _read_table)
 TARGETS = Reader("targets", _targets, lambda path: read_targets(path, LITE6.dof, LITE6.joint_limits, LITE6.reach))
-DESCRIPTION = Reader(
-    "description",
-    lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True),
-    read_arm,
-)
+DESCRIPTION = Reader("description", lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True), read_arm)
 FACTORY = Reader("factory file", _factory, read_factory)
 TABLE = Reader(
-    "table",
-    lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True),
-    read_factory,
+    "table", lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True), read_factory
 )
 URDF = Reader("urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), read_arm)
 MCAP = Reader("mcap", _mcap, lambda path: read_recording(f"{path}#/joint_states", dof=LITE6.dof))

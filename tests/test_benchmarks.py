@@ -12,19 +12,7 @@ import pytest
 from domains.torque.moved import hidden, recorded
 
 from benchmarks import __main__ as harness
-from benchmarks import (
-    ceres,
-    command,
-    devices,
-    diagnose,
-    fits,
-    folders,
-    measure,
-    models,
-    problem,
-    regressor,
-    seed_way,
-)
+from benchmarks import ceres, command, devices, diagnose, fits, folders, measure, models, problem, regressor, seed_way
 from benchmarks.ladder import STEPS, LowPass, climbed, half_of, main, rms
 from benchmarks.measure import Record
 from lite6jax.arms import dynamics

@@ -64,21 +64,13 @@ FORMULAS = {
     "link_tilt_by_time": ("link3", {"axis": 4.0, "span_s": 2.0}, lambda s, m: m.time / 2),
     "link_tilt_by_warmth": ("link3", {"axis": 3.0}, lambda s, m: rise(m)),
     "base_tilt_by_joint": ("base", {"axis": 3.0, "by": 4.0}, lambda s, m: m.q[:, 3]),
-    "base_yaw_by_moment": (
-        "base",
-        {"axis": 5.0, "base_moment_Nm": 2.0},
-        lambda s, m: base_moment(s, m)[:, 0] / 2,
-    ),
+    "base_yaw_by_moment": ("base", {"axis": 5.0, "base_moment_Nm": 2.0}, lambda s, m: base_moment(s, m)[:, 0] / 2),
     "tool_turn_by_joint": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1]),
     "sensor_turn_by_time": ("sensor", {"axis": 4.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
     "sensor_shift_by_warmth": ("sensor", {"axis": 0.0}, lambda s, m: rise(m)),
     "squared_drift": ("sensor", {"axis": 1.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
     "eccentric_coupling": ("joint3", {"by": 5.0, "phase": 0.4}, lambda s, m: np.sin(1.5 * m.q[:, 4] + 0.4)),
-    "dragging_gear": (
-        "joint3",
-        {"torque_Nm": 3.0},
-        lambda s, m: -np.sign(m.dq[:, 2]) * abs(torque(s, m, 3)[:, 2]) / 3,
-    ),
+    "dragging_gear": ("joint3", {"torque_Nm": 3.0}, lambda s, m: -np.sign(m.dq[:, 2]) * abs(torque(s, m, 3)[:, 2]) / 3),
     "loose_clip": ("tool", {"axis": 1.0, "instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
     "creeping_glue": ("tool", {"axis": 2.0, "span_s": 2.0}, lambda s, m: 1 - np.exp(-2 * m.time)),
     "swaying_sensor": (
@@ -92,11 +84,7 @@ FORMULAS = {
         {"by": 5.0, "phase": 0.4},
         lambda s, m: m.q[:, 4] * (np.sin(m.q[:, 2]) * np.cos(0.4) + np.cos(m.q[:, 2]) * np.sin(0.4)),
     ),
-    "softening_link": (
-        "link3",
-        {"axis": 3.0, "moment_Nm": 2.0},
-        lambda s, m: rise(m) * torque(s, m, 3)[:, 0] / 2,
-    ),
+    "softening_link": ("link3", {"axis": 3.0, "moment_Nm": 2.0}, lambda s, m: rise(m) * torque(s, m, 3)[:, 0] / 2),
     "preloaded_base": (
         "base",
         {"axis": 3.0, "base_moment_Nm": 2.0},
@@ -109,11 +97,7 @@ FORMULAS = {
         {"axis": 3.0, "flange": 6.0, "flange_moment_Nm": 0.01},
         lambda s, m: np.select([torque(s, m, 6)[:, 0] > 0.005, torque(s, m, 6)[:, 0] < -0.005], [1.0, -1.0]),
     ),
-    "shared_bench": (
-        "sensor",
-        {"axis": 2.0, "base_moment_Nm": 2.0},
-        lambda s, m: base_moment(s, m)[:, 0] / 2,
-    ),
+    "shared_bench": ("sensor", {"axis": 2.0, "base_moment_Nm": 2.0}, lambda s, m: base_moment(s, m)[:, 0] / 2),
     "thinning_grease": ("joint3", {}, lambda s, m: (m.temperature.mean(1) / 10 - 2.5) * m.dq[:, 2]),
     "fading_friction": (
         "joint3",
@@ -121,11 +105,7 @@ FORMULAS = {
         lambda s, m: np.where(m.dq[:, 2] > 0, -np.exp(-2.5 * m.dq[:, 2]), np.exp(2.5 * m.dq[:, 2])),
     ),
     "bowed_link": ("link3", {"axis": 4.0}, lambda s, m: np.diff(m.temperature[:, 2:4], axis=1)[:, 0] / 10),
-    "swung_trolley": (
-        "base",
-        {"axis": 0.0},
-        lambda s, m: m.dq[:, 0] * np.sin(m.q[:, 0] + np.pi / 2) * m.dq[:, 0],
-    ),
+    "swung_trolley": ("base", {"axis": 0.0}, lambda s, m: m.dq[:, 0] * np.sin(m.q[:, 0] + np.pi / 2) * m.dq[:, 0]),
     "cracked_tooth": (
         "joint3",
         {"torque_Nm": 3.0, "centre": 1.0, "width": 0.3},
@@ -163,11 +143,7 @@ FORMULAS = {
     ),
     "cold_hose": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1] / np.exp(rise(m))),
     "warming_mesh": ("joint3", {}, lambda s, m: np.where(m.dq[:, 2] > 0, -1.0, 1.0) * rise(m)),
-    "sprung_tensioner": (
-        "joint3",
-        {"torque_Nm": 3.0},
-        lambda s, m: (torque(s, m, 3)[:, 2] - 0.6).clip(min=0) / 3,
-    ),
+    "sprung_tensioner": ("joint3", {"torque_Nm": 3.0}, lambda s, m: (torque(s, m, 3)[:, 2] - 0.6).clip(min=0) / 3),
     "nested_shafts": ("joint3", {"by": 5.0}, lambda s, m: m.dq[:, 4]),
     "meshing_wrist": (
         "joint3",
@@ -211,16 +187,8 @@ FORMULAS = {
         {"by": 5.0},
         lambda s, m: np.where(m.dq[:, 2] > 0, -1.0, 1.0) * (1 - np.exp(-0.3 * np.sqrt(m.q[:, 4] ** 2))),
     ),
-    "flipping_pull": (
-        "joint3",
-        {"by": 5.0, "over": -1.0},
-        lambda s, m: 1 - 2 / (np.exp(10 * (m.q[:, 4] + 1.0)) + 1),
-    ),
-    "parting_pinion": (
-        "link3",
-        {"axis": 1.0, "torque_Nm": 3.0},
-        lambda s, m: np.sqrt(torque(s, m, 3)[:, 2] ** 2 / 9),
-    ),
+    "flipping_pull": ("joint3", {"by": 5.0, "over": -1.0}, lambda s, m: 1 - 2 / (np.exp(10 * (m.q[:, 4] + 1.0)) + 1)),
+    "parting_pinion": ("link3", {"axis": 1.0, "torque_Nm": 3.0}, lambda s, m: np.sqrt(torque(s, m, 3)[:, 2] ** 2 / 9)),
     "flattened_tube": (
         "link3",
         {"axis": 3.0, "moment_Nm": 2.0},
@@ -244,11 +212,7 @@ FORMULAS = {
         lambda s, m: -faded(0.0, np.sign(np.diff(m.q[:, 2])), np.abs(np.diff(m.q[:, 2])) / 0.6),
     ),
     "sagging_supply": ("joint3", {"by": 5.0}, lambda s, m: -m.dq[:, 2] * np.sqrt(m.dq[:, 4] ** 2)),
-    "tensioned_cable": (
-        "joint3",
-        {"by": 5.0, "torque_Nm": 3.0},
-        lambda s, m: m.q[:, 4] * torque(s, m, 3)[:, 2] / 3,
-    ),
+    "tensioned_cable": ("joint3", {"by": 5.0, "torque_Nm": 3.0}, lambda s, m: m.q[:, 4] * torque(s, m, 3)[:, 2] / 3),
     "warm_flanks": ("joint3", {"torque_Nm": 3.0}, lambda s, m: rise(m) * rising(4 * torque(s, m, 3)[:, 2] / 3)),
     "lame_resolver": ("joint3", {"phase": 0.4}, lambda s, m: -wave(m.q[:, 2]) * m.dq[:, 2]),
     "tiring_amplifier": ("joint3", {"span_s": 2.0}, lambda s, m: -0.5 * m.time * m.dq[:, 2]),
@@ -258,11 +222,7 @@ FORMULAS = {
         lambda s, m: late(torque(s, m, 3)[:, 2] / 3, m, 0.5),
     ),
     "sailing_cover": ("link3", {"axis": 4.0, "by": 5.0}, lambda s, m: m.dq[:, 4] * np.sqrt(m.dq[:, 4] ** 2)),
-    "flopping_loom": (
-        "link3",
-        {"axis": 3.0, "moment_Nm": 0.2},
-        lambda s, m: latched(torque(s, m, 3)[:, 0], 0.1),
-    ),
+    "flopping_loom": ("link3", {"axis": 3.0, "moment_Nm": 0.2}, lambda s, m: latched(torque(s, m, 3)[:, 0], 0.1)),
     "soft_tyres": (
         "base",
         {"axis": 4.0, "base_moment_y_Nm": 2.0, "relaxes_s": 0.5},
@@ -449,10 +409,7 @@ def nearest(scene, effect, rows=60):
     [
         (Hidden("squared_coupling", "joint4", (1e-4,), {"by": 2.0, "power": 1.0}), "joint_coupling"),
         (Hidden("squared_warmth", "joint4", (1e-4,), {"joint": 4.0, "power": 1.0}), "joint_thermal_offset"),
-        (
-            Hidden("sensor_turn_by_time", "sensor", (1e-4,), {"span_s": 3.0, "power": 1.0, "axis": 4.0}),
-            "sensor_drift",
-        ),
+        (Hidden("sensor_turn_by_time", "sensor", (1e-4,), {"span_s": 3.0, "power": 1.0, "axis": 4.0}), "sensor_drift"),
     ],
     ids=lambda case: case if isinstance(case, str) else "",
 )

@@ -80,16 +80,7 @@ def test_diagnose_prints_a_page(diagnosed, recorded):
 
 def test_diagnose_writes_the_schema(diagnosed):
     document = json.loads(diagnosed[0].read_text())
-    assert {
-        "schema",
-        "verdict",
-        "before",
-        "after",
-        "noise",
-        "data_faults",
-        "findings",
-        "model",
-    } <= set(document)
+    assert {"schema", "verdict", "before", "after", "noise", "data_faults", "findings", "model"} <= set(document)
     assert document["schema"] == "lite6jax/diagnosis/2"
     assert document["verdict"] == "explained"
     for part in ("before", "after"):

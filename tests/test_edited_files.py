@@ -66,10 +66,7 @@ DAMAGE = {
         changed("model", "inertia", "mass", 5, -0.1),
         "inertia.mass[5] is -0.1, which is negative",
     ),
-    "an angle of 1e6": (
-        changed("model", "kinematics", 1, 4, 1e6),
-        "Expected `float` <= 6.28318",
-    ),
+    "an angle of 1e6": (changed("model", "kinematics", 1, 4, 1e6), "Expected `float` <= 6.28318"),
     "a length in millimetres": (
         changed("model", "kinematics", 0, 2, 243.3),
         "Expected `float` <= 10.0 - at `$.model.kinematics[0][2]`",

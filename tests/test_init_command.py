@@ -334,11 +334,7 @@ def test_files_that_are_taken_for_another(capsys, tmp_path):
         ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
         ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
-        (
-            "diagnose",
-            "tables",
-            "is a folder; name a file in it, or a folder with --out for the documents of all",
-        ),
+        ("diagnose", "tables", "is a folder; name a file in it, or a folder with --out for the documents of all"),
         ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
     ],
 )

@@ -214,11 +214,7 @@ def reading_goals(rows: Sequence[Row]) -> list[Goal]:
         Goal("clean recordings with a finding, at most 1 %", str(alarms), alarms.value <= 0.01 if clean else None),
         Goal("found from twice the threshold on: 95 %", str(found), at_least(found, 0.95)),
         Goal("— at the right site: 85 %", str(sited), at_least(sited, 0.85)),
-        Goal(
-            "95 % intervals cover: 93 to 97 %",
-            str(within),
-            0.93 <= within.value <= 0.97 if within.of else None,
-        ),
+        Goal("95 % intervals cover: 93 to 97 %", str(within), 0.93 <= within.value <= 0.97 if within.of else None),
     ]
 
 

@@ -67,13 +67,7 @@ def measure(
 
 
 def files_of(
-    plan: Plan,
-    rng: np.random.Generator,
-    setup: Setup,
-    told: Arm,
-    motion: Motion,
-    read: Spoiled,
-    unseen: Motion,
+    plan: Plan, rng: np.random.Generator, setup: Setup, told: Arm, motion: Motion, read: Spoiled, unseen: Motion
 ) -> dict[str, str]:
     """What the diagnosis is given, and the motion that is to be predicted.
 

@@ -71,9 +71,7 @@ def test_an_effect_of_an_arm_at_rest(arm, still, text):
     check_values(selection, text)
 
 
-MOVING = [
-    "joint_backlash:joint=4,gap_rad=1.2e-3",
-]
+MOVING = ["joint_backlash:joint=4,gap_rad=1.2e-3"]
 
 
 @pytest.mark.parametrize("text", MOVING)
@@ -150,10 +148,7 @@ def test_nothing_is_found_in_a_moving_arm_where_nothing_is_missing(arm, moving):
 
 def test_two_effects_of_one_joint_that_hide_each_other(arm, moving):
     """Either alone makes what the other leaves look like noise that remembers."""
-    texts = (
-        "joint_harmonic:joint=4,order=1,amplitude_rad=5e-4,phase_rad=1",
-        "joint_backlash:joint=4,gap_rad=1.2e-3",
-    )
+    texts = ("joint_harmonic:joint=4,order=1,amplitude_rad=5e-4,phase_rad=1", "joint_backlash:joint=4,gap_rad=1.2e-3")
     selection = searched(with_effects(arm, *texts), moving)
     assert found(selection) == [("joint_backlash", "joint4"), ("joint_harmonic", "joint4")]
     for text in texts:

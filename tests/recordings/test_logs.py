@@ -51,19 +51,14 @@ def test_joints_stand_at_the_poses_stamps(tmp_path):
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     names = ("arm_joint1", "arm_joint2", "arm_joint3")
     path = write(
-        tmp_path / "run.mcap",
-        {"/joint_states": joints(t, q, names, dq, tau), "/tool": poses(at, p, quaternion)},
+        tmp_path / "run.mcap", {"/joint_states": joints(t, q, names, dq, tau), "/tool": poses(at, p, quaternion)}
     )
     recording = read_recording(path)
 
     # the stamps are whole nanoseconds: the oracle sees the same
     t, at = np.round(t * 1e9) / 1e9, np.round(at * 1e9) / 1e9
     np.testing.assert_allclose(recording.time, at - at[0], atol=1e-12)
-    for found, wanted in (
-        (recording.joint_position, q),
-        (recording.joint_velocity, dq),
-        (recording.joint_torque, tau),
-    ):
+    for found, wanted in ((recording.joint_position, q), (recording.joint_velocity, dq), (recording.joint_torque, tau)):
         oracle = np.stack([np.interp(at, t, column) for column in wanted.T], 1)
         np.testing.assert_allclose(found, oracle, atol=1e-9)
     np.testing.assert_array_equal(recording.position, p)
@@ -280,10 +275,7 @@ def test_another_kind_of_file(tmp_path, content):
 
 def test_clocks_that_do_not_overlap(tmp_path):
     t = np.arange(5) / 10
-    topics = {
-        "/joint_states": joints(t, np.stack([t, t], 1)),
-        "/tool": poses(t + 100, np.outer(t, [1, 0, 0])),
-    }
+    topics = {"/joint_states": joints(t, np.stack([t, t], 1)), "/tool": poses(t + 100, np.outer(t, [1, 0, 0]))}
     assert refusal(write(tmp_path / "run.mcap", topics)) == (
         "no pose lies between joint states (joints 0.000 to 0.400 s, poses 100.000 to 100.400 s); stamp both by one "
         "clock"

@@ -258,10 +258,7 @@ NAMINGS = {
         "observation.state.{0-5}|observation.effort.{0-5}|action.{0-5}",
         {"q": "observation.state.{0-5}", "tau": "observation.effort.{0-5}", "cmd": "action.{0-5}"},
     ),
-    "kuka": (
-        "A{1-6}|X|Y|Z|A|B|C",
-        {"q": "A{1-6}", "position": "X|Y|Z", "rotation": "C|B|A"},
-    ),
+    "kuka": ("A{1-6}|X|Y|Z|A|B|C", {"q": "A{1-6}", "position": "X|Y|Z", "rotation": "C|B|A"}),
     "plain": (
         "q{0-5}|dq{0-5}|ddq{0-5}|tau{0-5}|x|y|z|qx|qy|qz|qw|t",
         {
@@ -326,10 +323,7 @@ NAMINGS = {
         "jt{1-6}|px|py|pz|q_w|q_x|q_y|q_z",
         {"q": "jt{1-6}", "position": "px|py|pz", "rotation": "q_w|q_x|q_y|q_z"},
     ),
-    "opencv": (
-        "θ{1-6}|tvec_{0-2}|rvec_{0-2}",
-        {"q": "θ{1-6}", "position": "tvec_{0-2}", "rotation": "rvec_{0-2}"},
-    ),
+    "opencv": ("θ{1-6}|tvec_{0-2}|rvec_{0-2}", {"q": "θ{1-6}", "position": "tvec_{0-2}", "rotation": "rvec_{0-2}"}),
     "an end effector's": (
         "theta_{1-6}|tx|ty|tz|ee_quat_x|ee_quat_y|ee_quat_z|ee_quat_w",
         {"q": "theta_{1-6}", "position": "tx|ty|tz"},
@@ -338,10 +332,7 @@ NAMINGS = {
         "J{1-6}|x_cmd|y_cmd|z_cmd|x_meas|y_meas|z_meas",
         {"q": "J{1-6}", "position": "x_meas|y_meas|z_meas"},
     ),
-    "yaskawa": (
-        "T|B|R|U|L|S|X|Y|Z|time",
-        {"q": "S|L|U|R|B|T", "position": "X|Y|Z", "time": "time"},
-    ),
+    "yaskawa": ("T|B|R|U|L|S|X|Y|Z|time", {"q": "S|L|U|R|B|T", "position": "X|Y|Z", "time": "time"}),
     "yaskawa, seven axes": (
         "pos_S [°]|pos_L [°]|pos_E [°]|pos_U [°]|pos_R [°]|pos_B [°]|pos_T [°]",
         {"q": "pos_S [°]|pos_L [°]|pos_E [°]|pos_U [°]|pos_R [°]|pos_B [°]|pos_T [°]"},
@@ -350,10 +341,7 @@ NAMINGS = {
         "E1|E2|Ext1|linear_axis|ext_axis_1|A{1-6}|tau_ext_{0-5}|temp_sensor_{0-5}",
         {"q": "A{1-6}", "temp": "temp_sensor_{0-5}"},
     ),
-    "fanuc": (
-        "J{1-6}|X|Y|Z|W|P|R",
-        {"q": "J{1-6}", "position": "X|Y|Z", "rotation": "W|P|R"},
-    ),
+    "fanuc": ("J{1-6}|X|Y|Z|W|P|R", {"q": "J{1-6}", "position": "X|Y|Z", "rotation": "W|P|R"}),
     "motion capture": (
         (
             "Frame|Time (Seconds)|flange/Mean Marker Error|q[{0-5}]|flange/Rotation/X|flange/Rotation/Y|"
@@ -368,13 +356,7 @@ NAMINGS = {
     ),
     "units that bind": (
         "Achse {1-6} [°]|M{1-6} [Nm]|T{1-6}_degC|T (°C)|t/s|q7_kg|T_room_degC",
-        {
-            "q": "Achse {1-6} [°]",
-            "tau": "M{1-6} [Nm]",
-            "temp": "T{1-6}_degC",
-            "time": "t/s",
-            "ambient": "T_room_degC",
-        },
+        {"q": "Achse {1-6} [°]", "tau": "M{1-6} [Nm]", "temp": "T{1-6}_degC", "time": "t/s", "ambient": "T_room_degC"},
     ),
     "positions of a point beside joints": (
         "theta_{0-3}|position_{0-2}",
@@ -431,11 +413,7 @@ def test_matrices_are_understood(pattern, shape, first):
 def test_joints_have_the_names_that_the_arm_gives_them():
     names = ["elevator.pos", "time", "claw.pos", "swivel.pos", "elevator.vel", "swivel.vel"]
     found = {block.kind: block.columns for block in meant(names, ("swivel_joint", "elevator"))[0]}
-    assert found == {
-        "q": ("swivel.pos", "elevator.pos"),
-        "dq": ("swivel.vel", "elevator.vel"),
-        "time": ("time",),
-    }
+    assert found == {"q": ("swivel.pos", "elevator.pos"), "dq": ("swivel.vel", "elevator.vel"), "time": ("time",)}
 
 
 def test_the_names_of_a_recording_mean_what_they_say():
