@@ -54,16 +54,6 @@ def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
     assert station.sidecar_settings(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
 
 
-@pytest.mark.parametrize("length", [587, 417, 252, 233])
-def test_firmware_that_says_less_is_read_as_far_as_it_goes(length):
-    made = np.zeros((), protocol.report_layout(protocol.RICH, length))
-    made["tool_offset"][2] = 50
-    condition = parse_condition(made.tobytes(), "here")
-    assert condition.tool_offset[2] == 50
-    assert (condition.temperature is None) == (length < 252)
-    np.testing.assert_array_equal(condition.world_offset, 0)
-
-
 def test_what_is_not_to_be_relied_on_is_refused():
     short = np.zeros((), protocol.report_layout(protocol.RICH, 133)).tobytes()
     with pytest.raises(InputError, match=r"here: reports of .* end before the tool offset; update the firmware"):

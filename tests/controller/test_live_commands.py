@@ -45,17 +45,6 @@ def test_read_prints_what_it_read_and_writes_a_file_that_fits(capsys, tmp_path):
     assert run(capsys, "fit", out)[0] == 0
 
 
-def test_no_number_is_cut_short_sixty_columns_wide(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    with emulated() as (_, address):
-        code, said, _ = run(capsys, "read", "--ip", address)
-        assert code == 0
-        assert "…" not in said
-        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 3)
-        assert code == 0
-        assert "…" not in said
-
-
 def test_read_refuses_before_it_calls(capsys, tmp_path):
     out = tmp_path / "arm.yaml"
     out.write_text("mine")
@@ -82,11 +71,6 @@ def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsy
     assert code == 0
     assert "reports an error or a warning, which does not affect the calibration" in flat(said)
     assert read_factory(out).arm.name == "lite6"
-
-
-def test_read_of_another_arm_needs_its_name(capsys):
-    with emulated(faults=Faults(model=(6, 12))) as (_, address):
-        assert "--arm uf850" in refused(capsys, "read", "--ip", address)
 
 
 # ------------------------------------------------------------------ fit --ip
@@ -172,15 +156,6 @@ def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(
     assert "  lite6jax diagnose fk.csv --out diagnosis.json\n" in said
 
 
-def test_a_tool_is_said(capsys):
-    with emulated(tool=[0, 0, 50, 0, 0, 0]) as (_, address):
-        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 20, width=60)
-    assert code == 0
-    assert "x 0.000 y 0.000 z 50.000 mm, roll 0.000 pitch 0.000 yaw 0.000 deg in its report" in flat(said)
-    assert "applied by its forward kinematics" in flat(said)
-    assert max(map(len, said.splitlines())) <= 62
-
-
 def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
     assert "needs a FILE, or an arm with --ip ADDRESS" in refused(capsys, "fit")
     assert "one of the two" in refused(capsys, "fit", tmp_path / "arm.yaml", "--ip", "127.0.0.1")
@@ -195,30 +170,6 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ record
-
-
-@pytest.mark.long
-def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
-    out = tmp_path / "run.parquet"
-    with emulated(path=draw_sines(ARM), speed=10.0) as (controller, address):
-        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 2)
-        assert controller.snapshot().requests == {8: 1}
-    assert code == 0
-    assert "Recorded 500 rows: 1.996 s at 250.00 Hz by the controller's clock." in said
-    assert "No report missing, no duplicates." in said
-    for line in (
-        r"q1_rad … q6_rad +measured, encoders",
-        r"tau1_Nm … tau6_Nm +estimated by the controller",
-        r"temp1_degC … temp6_degC +measured, at 5 Hz",
-        r"x_m … qz +computed by the controller",
-    ):
-        assert re.search(line, said)
-    names = set(pyarrow.parquet.read_schema(out).names)
-    assert {"time_s", "q6_rad", "dq6_rad_per_s", "current6_A", "tau6_Nm", "temp6_degC", "run", "x_m", "qz"} <= names
-    for command in (["check", out], ["fit", out]):
-        code, said, err = run(capsys, *command)
-        assert (code, err) == (0, "")
-    assert "Geometry: the factory calibration, held. Sensor frame: the arm's base. Tool: none." in flat(said)
 
 
 def test_what_the_controller_computes_is_recorded_for_given_poses_and_diagnosed(capsys, tmp_path):
@@ -333,18 +284,3 @@ def test_less_than_was_asked_for_is_said_and_not_0(capsys, tmp_path):
         assert re.search(r"Recorded \d+ rows in \d+ runs", said)
         assert re.search(r"0 reports missing within runs, about \d+ between runs, no duplicates\.", said)
         assert "connection lost (" in flat(said)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
-def test_a_full_disk_is_said_and_what_is_there_is_kept(capsys, tmp_path, monkeypatch):
-    from test_table import room_for
-
-    out = tmp_path / "run.csv"
-    with emulated(speed=20.0) as (_, address), room_for(400_000):
-        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 20)
-    assert code == 2
-    rows = int(re.search(r"Recorded (\d+) rows", said)[1])
-    assert read_recording(out).samples == rows
-    assert f"run.csv: the disk took {rows} rows and not the last {5000 - rows} (" in err
-    assert err.endswith("free space before the next recording\n")
-    assert err.count("error: ") == 1

@@ -1,6 +1,5 @@
 """Tables that grow on the disk: whole when they are closed, when the disk is full, and CSV after every piece."""
 
-import re
 import resource
 import signal
 from contextlib import contextmanager
@@ -70,17 +69,6 @@ def test_csv_is_whole_after_every_piece(tmp_path):
     table.close()
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_words_and_their_absence_are_read_back(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    table = TableWriter(path, False, {})
-    parts = [[None, None], ['lost, "again"', None]]
-    for part in parts:
-        table.append({"q": np.zeros(2), "gap": np.array(part, object)})
-    table.close()
-    assert [word or None for word in read(path)["gap"]] == [None, None, 'lost, "again"', None]
-
-
 def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(tmp_path):
     path = tmp_path / "run.parquet"
     table = TableWriter(path, False, {"c0": "measured"})
@@ -126,32 +114,6 @@ def test_a_stream_with_a_flipped_bit_is_read_or_refused(tmp_path):
     table.close()
 
 
-def test_a_disk_without_room_for_the_parquet_file_keeps_the_stream(tmp_path):
-    path = tmp_path / "run.parquet"
-    table = TableWriter(path, False, {})
-    parts = [rows(250, seed) for seed in range(4)]
-    for part in parts:
-        table.append(part)
-    with room_for(table.file.stat().st_size // 2):
-        table.close()
-    assert re.search(r"the rows are in .*run\.arrows", table.refusal)
-    assert [table.file] == list(tmp_path.iterdir())
-    np.testing.assert_array_equal(read_stream(table.file, [])["c3"], np.concatenate([part["c3"] for part in parts]))
-
-
-def test_a_recording_to_be_replaced_goes_when_its_successor_has_rows(tmp_path):
-    path = tmp_path / "run.parquet"
-    path.write_text("mine")
-    (tmp_path / "run.arrows").write_text("of a process that was killed")
-    table = TableWriter(path, True, {})
-    assert path.read_text() == "mine"
-    table.append(rows(3))
-    assert table.flush()
-    assert not path.exists()
-    table.close()
-    assert len(read(path)["c0"]) == 3
-
-
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("size", [200_000, 500_001, 1_200_000])
 def test_a_full_disk_costs_the_rows_that_do_not_fit_and_no_others(tmp_path, suffix, size):
@@ -185,18 +147,6 @@ def test_after_the_disk_has_room_again_it_goes_on(tmp_path, suffix):
     assert (table.waiting, table.refusal) == (0, "")
     table.close()
     np.testing.assert_array_equal(read(path)["c3"], np.concatenate([rows(250, 0)["c3"], rows(2500, 1)["c3"]]))
-
-
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_without_a_row_there_is_no_file(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    TableWriter(path, False, {}).close()
-    table = TableWriter(path, False, {})
-    with room_for(10):
-        table.append(rows(100))
-        table.close()
-    assert table.waiting == 100
-    assert not path.exists() or path.stat().st_size == 0
 
 
 def test_it_replaces_nothing_unasked(tmp_path):

@@ -26,16 +26,6 @@ def test_by_finite_differences_of_the_plain_chain():
     np.testing.assert_allclose(found.flange_position, six_parameter_poses(LITE6.kinematics, Q)[:, :3, 3], atol=1e-15)
 
 
-def test_a_length_moves_the_flange_by_itself_and_an_angle_turns_it_by_itself():
-    found = sensitivity("lite6", Q)
-    lengths = np.array([unit == "m" for unit in found.units])
-    np.testing.assert_allclose(found.position[:, lengths], 0.8e-3, rtol=1e-12)
-    np.testing.assert_allclose(found.per_unit[lengths], 1.0, rtol=1e-12)
-    assert (found.orientation[:, lengths] == 0).all()
-    np.testing.assert_allclose(found.orientation[:, ~lengths], TOLERANCE["rad"], rtol=1e-12)
-    assert found.share.sum() == pytest.approx(1)
-
-
 def test_the_expected_error_is_what_drawn_arms_show():
     found = sensitivity("lite6", Q)
     setup = plan_experiment("lite6", chain="six_parameter", frame=False)

@@ -74,11 +74,6 @@ def mujoco_tip(path, q):
     return np.array(poses)
 
 
-def described_tip(path, q):
-    arm = read_arm(str(path))
-    return six_parameter_poses(arm.kinematics, q) @ arm.T_joint_flange
-
-
 @pytest.mark.parametrize(
     ("name", "tip"),
     [
@@ -159,12 +154,6 @@ def test_a_urdf_of_another_arm_is_refused(made, robot, diagnosis, tmp_path, caps
     assert "--into writes a URDF, and --to asks for mjcf" in message
     message = refused(capsys, "convert", diagnosis, tmp_path / "new.yaml", "--into", robot)
     assert "what is written into a URDF is one; let the name end in .urdf" in message
-
-
-def test_a_bundled_arm_can_go_into_a_urdf_too(robot, tmp_path, capsys):
-    code, _, _ = run(capsys, "convert", "lite6", tmp_path / "new.urdf", "--into", robot)
-    assert code == 0
-    np.testing.assert_array_equal(read_arm(str(tmp_path / "new.urdf")).kinematics, read_arm(str(robot)).kinematics)
 
 
 def test_a_table_holds_the_chain(made, tmp_path, capsys):

@@ -65,29 +65,6 @@ def test_several_arms_each_with_its_file(capsys, tmp_path):
     assert "arm1.yaml" in out
 
 
-@pytest.mark.parametrize("name", ["xarm5", "xarm7", "uf850"])
-def test_other_arms_by_name(capsys, name):
-    code, out, _ = emulate(capsys, "--arm", name)
-    assert code == 0
-    assert f"An emulated {name} at" in flat(out)
-    assert re.search(rf"Try: lite6jax read --ip \S+ --arm {name}\n", out)
-
-
-def test_lines_to_be_copied_are_whole_however_narrow_the_screen(capsys):
-    code, out, _ = emulate(capsys, width=60)
-    assert code == 0
-    assert re.search(r'arm = XArmAPI\("127\.[\d.]+"\)$', out, re.MULTILINE)
-    assert "     and before it: from xarm.core.config.x_config import XCONF\n" in out
-
-
-def test_the_faults_are_listed(capsys):
-    code, out, _ = run(capsys, "emulate", "--faults", width=60)
-    assert code == 0
-    assert "silence:REGISTER" in out
-    assert "latency:S" in out
-    assert max(map(len, out.splitlines())) <= 60
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,7 +1,5 @@
 """Every register as the unmodified SDK asks for it."""
 
-import struct
-
 import numpy as np
 import pytest
 from emulated import CONTROL_PORT, new_address, until
@@ -9,10 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.emulator import Body, Controller, draw_sines
+from lite6jax.emulator import Body, Controller
 from lite6jax.simulation import draw_calibration
 from tests.oracles.chains import six_parameter_poses
-from tests.oracles.transforms import rotate, shift
 
 
 @pytest.fixture(scope="module")
@@ -88,32 +85,6 @@ def test_other_arms(name, dof, kind, connect, raw):
         assert (arm.axis, arm.device_type) == (dof, kind)
 
 
-def test_the_dh_table_of_an_xarm6_is_the_one_the_vendor_prints(connect):
-    """Register 67 in the vendor's protocol document: modified DH, theta d alpha a of each joint."""
-    printed = bytes.fromhex(
-        "00000000008085430000000000000000FD44B1BF00000000DB0FC9BF00000000FD44B13F000000000000000049BE904300000000"
-        "0040AB43DB0FC9BF00009B420000000000000000DB0FC93F00000000000000000000C242DB0FC9BF0000984200000000000000000000"
-        "000000000000"
-    )
-    expected = np.frombuffer(printed, "<f4").reshape(7, 4)
-    nominal = load_bundled("xarm6")
-    with Controller(Body(nominal, nominal.kinematics), address=new_address(), control_port=CONTROL_PORT) as controller:
-        code, table = connect(controller).get_dh_params()
-    assert code == 0
-    np.testing.assert_allclose(np.reshape(table, (7, 4)), expected, atol=2e-5)
-
-
-def test_the_dh_table_of_a_lite6_walks_its_nominal_chain(arm):
-    """Modified DH (Craig): Rx(alpha) Tx(a) Rz(theta) Tz(d) before each joint's turn goes on."""
-    code, table = arm.get_dh_params()
-    assert code == 0
-    q, T = np.array([0.3, -0.4, 1.2, 0.5, -0.6, 0.7]), np.eye(4)
-    for (theta, d, alpha, a), angle in zip(np.reshape(table, (7, 4)), q, strict=False):
-        T = T @ rotate("x", alpha) @ shift(a, 0, 0) @ rotate("z", theta + angle) @ shift(0, 0, d)
-    nominal = six_parameter_poses(load_bundled("lite6").kinematics, q[None])[0]
-    np.testing.assert_allclose(T[:3, 3] / 1e3, nominal[:3, 3], atol=1e-7)
-
-
 # ------------------------------------------------------------------------------------------ kinematics
 
 
@@ -134,19 +105,6 @@ def test_forward_kinematics_at_the_precision_of_the_wire(arm, controller):
     assert distance.mean() < 3.4e-5
     assert turn.max() < 1e-6
     assert pose_difference(poses, T_rounded)[0].max() < 3.5e-5
-
-
-@pytest.mark.parametrize("degrees", [False, True])
-def test_degrees_and_radians(arm, controller, degrees):
-    q = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
-    code, pose = arm.get_forward_kinematics(
-        q if degrees else np.deg2rad(q).tolist(), input_is_radian=not degrees, return_is_radian=True
-    )
-    assert code == 0
-    T = six_parameter_poses(controller.body.kinematics, np.deg2rad([q]))[0]
-    distance, turn = pose_difference(pose, T)
-    assert distance < 2e-4
-    assert turn < 2e-6
 
 
 def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, controller, raw):
@@ -170,14 +128,6 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, contr
 def test_no_inverse_kinematics_out_of_reach(arm):
     code, _ = arm.get_inverse_kinematics([5000, 0, 0, 0, 0, 0])
     assert code == 10  # the SDK's "invalid"
-
-
-def test_joint_limits(arm):
-    inside = [0, 0, 1, 0, 0, 0]
-    assert arm.is_joint_limit(inside) == (0, False)
-    assert arm.is_joint_limit([0, np.deg2rad(150.09), 1, 0, 0, 0]) == (0, False)
-    assert arm.is_joint_limit([0, np.deg2rad(150.2), 1, 0, 0, 0]) == (0, True)
-    assert arm.is_joint_limit([0, 0, np.deg2rad(-4), 0, 0, 0]) == (0, True)
 
 
 def test_torques_hold_the_arm_up(ready, controller):
@@ -268,23 +218,6 @@ def test_moves_queue_up_and_are_waited_for(ready, controller):
     assert controller.snapshot().requests[253] >= 1
 
 
-def test_a_move_that_is_only_to_be_checked_does_not_happen(ready, raw, controller):
-    ready.set_only_check_type(1)
-    assert ready.set_servo_angle(angle=[0.5, 0, 0.5, 0, 0, 0], speed=1) == 0
-    ready.set_only_check_type(0)
-    assert ready.get_cmdnum() == (0, 0)
-    beyond = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]) + b"\1")
-    with raw(controller) as line:
-        assert line.send(beyond)[7:] == bytes([0, 0, 0, 23])
-    assert ready.get_err_warn_code() == (0, [0, 0])
-
-
-def test_home(ready):
-    assert ready.set_servo_angle(angle=[0.3] * 6, speed=3, wait=True) == 0
-    assert ready.move_gohome(speed=3, wait=True) == 0
-    assert ready.get_servo_angle()[1] == [0] * 7
-
-
 def test_pause_goes_on_and_stop_does_not(ready):
     goal = [1.5, 0, 1.0, 0, 0, 0]
     assert ready.set_servo_angle(angle=goal, speed=0.2) == 0  # 7.5 s, 1.5 s of ours
@@ -342,40 +275,6 @@ def test_servo_mode_follows_at_once_within_the_limit_of_speed(ready, controller)
     assert ready.set_servo_angle_j([0] * 6) == 10
 
 
-def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
-    """The SDK's trap: `get_servo_angle` gives commands unless asked for the real ones."""
-    path = draw_sines(lite6.arm, seed=3)
-    with Controller(lite6, path=path, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as controller:
-        arm = connect(controller)
-        until(lambda: controller.snapshot().time > 1.5)
-        frozen = 1.7
-        commanded, measured = controller.call(
-            lambda core: (core.read_commands(np.array([frozen]))[0][0], core.read_encoders(np.array([frozen]))[0][0])
-        )
-        assert np.abs(commanded - measured).max() > 1e-3
-        np.testing.assert_allclose(commanded, path.at(np.array([frozen]))[0][0])
-        np.testing.assert_allclose(measured, path.at(np.array([frozen - 0.008]))[0][0])
-        code, (q, dq, tau) = arm.get_joint_states(num=3)
-        assert code == 0
-        assert len(q) == len(dq) == len(tau) == 7
-        assert np.abs(dq).max() > 0.01
-        assert arm.get_state() == (0, 1)
-        # to stop what it does takes the usual
-        assert arm.set_state(4) == 0
-        assert arm.get_state() == (0, 4)
-
-
-def test_a_discarded_move_is_told_of(ready, raw, controller):
-    with raw(controller) as line:
-        assert line.send(protocol.Frame(254, b"\2"))[7] == 0
-        far = protocol.Frame(23, protocol.encode_floats([1, 0, 1, 0, 0, 0, 0, 0.1, 1, 0]), transaction=77)
-        assert line.send(far)[6] == 23
-        assert ready.set_state(4) == 0
-        told = line.receive()
-    assert struct.unpack(">H", told[:2]) == (77,)
-    assert (told[6], told[8], told[9], told[12]) == (0xFF, 2, 23, 2)
-
-
 # ------------------------------------------------------------------------------------------ what is not emulated
 
 
@@ -392,12 +291,6 @@ def test_what_is_not_emulated_is_called_invalid(arm, raw, controller):
 def test_standard_modbus_is_answered_with_an_exception(arm):
     """Silence would hold the SDK for 10 000 s."""
     assert arm.read_holding_registers(0, 1)[0] == 0x81
-
-
-def test_a_heartbeat_is_not_answered(raw, controller):
-    with raw(controller) as line:
-        line.socket.sendall(bytes([0, 0, 0, 1, 0, 2, 0, 0]))
-        assert line.ask(13)[6] == 13
 
 
 def test_garbage_on_the_control_port_hangs_up(raw, controller):

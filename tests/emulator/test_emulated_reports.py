@@ -73,22 +73,6 @@ def test_without_physics_the_pose_is_the_chain_at_the_encoders(recorded, lite6):
     np.testing.assert_allclose(recorded["target_pose"][:, :3], 1e3 * T[:, :3, 3], atol=2e-4)
 
 
-def test_the_speed_of_the_tool(recorded):
-    moved = np.gradient(recorded["pose"][:, :3].astype(float), 0.004, axis=0)
-    np.testing.assert_allclose(recorded["pose_speed"][5:-5, :3], moved[5:-5], atol=1.5)
-    R = Rotation.from_euler("xyz", recorded["pose"][:, 3:])
-    spin = (R[2:] * R[:-2].inv()).as_rotvec() / 0.008
-    np.testing.assert_allclose(recorded["pose_speed"][5:-5, 3:], spin[4:-4], atol=5e-3)
-
-
-def test_currents_follow_torques_and_speeds(recorded):
-    factors, rest, *_ = np.linalg.lstsq(
-        np.stack([recorded["torque"][:, 1], recorded["joint_velocity"][:, 1]], -1), recorded["current"][:, 1]
-    )
-    assert (factors > 0).all()
-    assert rest[0] < 1e-8
-
-
 @pytest.mark.parametrize(("port", "count", "field"), [
     (30000, 500, "target_position"), (30001, 10, "joint_position"), (30002, 10, "joint_position"),
     (30003, 200, "joint_position"),
@@ -132,22 +116,6 @@ def test_the_rich_report_through_the_sdk(lite6, connect):
         assert all(arm.motor_enable_states[:6])
 
 
-@pytest.mark.parametrize("kind", ["real", "normal"])
-def test_the_other_reports_through_the_sdk(lite6, connect, kind):
-    path = visit([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
-    tool = [0, 0, 50, 0, 0, 0.25]
-    with emulated(lite6, path=path, tool=tool) as controller:
-        arm = connect(controller, report_type=kind)
-        until(lambda: np.allclose(arm.angles[:6], [0.3, 0.2, 1.0, 0.1, 0.5, 0.2], atol=1e-6))
-        np.testing.assert_allclose(arm.position, arm.get_position()[1], atol=1e-3)
-        np.testing.assert_allclose(arm.joints_torque, arm.get_joints_torque()[1], atol=1e-4)
-        until(lambda: arm.state == 1)
-        if kind == "normal":
-            until(lambda: arm.tcp_offset == tool)
-        else:
-            assert arm.tcp_offset == [0] * 6  # the SDK's trap: port 30003 does not say
-
-
 # ------------------------------------------------------------------------------------------ hidden physics
 
 
@@ -180,20 +148,6 @@ def test_compliance_is_in_the_pose_and_nowhere_else(lite6, sines):
     moments, _ = gravity_moments(lite6.kinematics, q, 0.0, inertia)
     q[:, 1] += 1e-3 * moments[:, 1, 2]
     assert_poses(records, six_parameter_poses(lite6.kinematics, q))
-
-
-def test_register_44_knows_nothing_of_it(lite6, connect):
-    with emulated(hidden(lite6, "joint_compliance:joint=2,compliance_rad_per_Nm=1e-2")) as controller:
-        q = np.array([0.1, 0.5, 1.0, 0.2, 0.3, 0.4])
-        code, pose = connect(controller).get_forward_kinematics(q.tolist())
-        assert code == 0
-        np.testing.assert_allclose(pose[:3], 1e3 * six_parameter_poses(lite6.kinematics, q[None])[0, :3, 3], atol=2e-4)
-        # nor the slow ports
-        slow = read_reports(controller, 30003, 3)
-        at_rest = six_parameter_poses(lite6.kinematics, np.zeros((1, 6)))[0, :3, 3]
-        np.testing.assert_allclose(slow["pose"][:, :3], 1e3 * at_rest[None].repeat(3, 0), atol=2e-4)
-        fast = read_reports(controller, 30000, 3)
-        assert np.abs(fast["pose"][:, :3] - 1e3 * at_rest).max() > 1.0
 
 
 def test_backlash_remembers_the_last_direction_while_it_stands(lite6):

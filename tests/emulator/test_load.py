@@ -1,9 +1,7 @@
 """Many clients at once, and clients that do not read: bounded memory, counted losses, and others undisturbed."""
 
 import gc
-import select
 import socket
-import time
 from contextlib import ExitStack, suppress
 
 import numpy as np
@@ -62,21 +60,6 @@ def test_two_hundred_clients_of_which_most_never_read(lite6, monkeypatch, speed)
         assert {line.ask(13)[6] for line in asking} == {13}
         assert set(np.diff(read_reports(controller, protocol.REALTIME, 100)["time_us"].astype(np.int64))) == {4000}
         until(lambda: connected(controller) == len(lines))
-
-
-def test_a_client_that_asks_and_never_reads_costs_no_more_than_its_buffers(lite6, monkeypatch):
-    monkeypatch.setattr(server, "KERNEL_BUFFER", 4096)
-    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
-        with idle(controller, CONTROL_PORT) as line:
-            request = protocol.Frame(8).encode() * 100
-            sent = 0
-            while select.select([], [line], [], 0.3)[1]:  # until the controller takes no more
-                sent += line.send(request)
-            assert 100_000 < sent < 50_000_000
-            time.sleep(0.15)
-            assert waiting(controller) < 1 << 18
-        with Line(controller) as other:
-            assert other.ask(13)[6] == 13
 
 
 def test_a_connection_that_has_just_begun_is_closed_with_the_controller(lite6):

@@ -60,13 +60,6 @@ def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
         np.testing.assert_allclose(found, by_pinocchio(body, sample, ddq, payload, CENTER), atol=1e-12)
 
 
-def test_without_masses_there_are_no_torques(lite6):
-    body = Body(replace(lite6.arm, mass=None, center_of_mass=None, inertia=None), lite6.kinematics)
-    assert not body.torque(*moved(), Load(TOOL, 0.7, CENTER)).any()
-    with pytest.raises(InputError, match="has no masses, which torques need; add `inertial` to its description"):
-        with_effects(body, "torque_offset:joint=1,offset_Nm=1")
-
-
 def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
     rigid = Body(arm, lite6.kinematics)
     sample, ddq = moved()

@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 import yaml
-from typed import flat, refused, run
+from typed import refused, run
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import ArmJoints, read_recording
@@ -145,23 +145,6 @@ def test_lists_in_cells_are_a_column_for_each_number(tmp_path, cell):
         opened(tmp_path, text + '4,"[1, 2]",0.5\n')
 
 
-def test_the_rows_of_a_table_are_counted_from_its_first(tmp_path):
-    path = tmp_path / "run7.csv"
-    path.write_text("Robot test 7\n\nq1_rad,x_m,y_m,z_m\n,m,m,m\n0.5,1,2,3\n,1,2,3\n0.25,1,2,3\n")
-    path.with_suffix(".yaml").write_text("recording: {motion: static}\n")
-    recording = read_recording(path)
-    assert recording.row.tolist() == [1, 3]
-    assert recording.notes[0] == ABOVE
-    path.write_text(path.read_text() + "0.25,1,oops,3\n")
-    with pytest.raises(InputError, match="column y_m: row 4 holds 'oops', which is no number"):
-        read_recording(path)
-    path.write_text("q1_rad,q2_rad,q3_rad\n0.5,lost,lost\n" + rows())
-    with pytest.raises(InputError, match="column q2_rad: row 1 holds 'lost', which is no number"):
-        read_recording(path)
-    path.write_text("note,q1_rad\nbefore,\nmoved,0.5\n,0.25\n")  # whose first number is missing
-    assert read_recording(path).row.tolist() == [2, 3]
-
-
 def test_a_table_without_names_gets_them(capsys, tmp_path):
     path = tmp_path / "run 7.txt"
     path.write_text(ALIGNED)
@@ -180,15 +163,6 @@ def test_a_table_without_names_gets_them(capsys, tmp_path):
     assert "names its columns already; say what they are by --column" in refused(
         capsys, "init", named, "--names", "q1_deg,q2_deg,q3_deg"
     )
-
-
-def test_a_column_may_be_named_without_its_unit(capsys, tmp_path):
-    path = tmp_path / "run7.csv"
-    path.write_text("Nr.;Achse 1;Achse 2\n;[°];[°]\n" + rows(";", ","))
-    code, out, _ = run(capsys, "init", path, "--column", "Achse 1=q1_deg", "--column", "Achse 2=q2_deg")
-    assert code == 0
-    assert "line 2 holds units, which are added to the names, such as 'Achse 1 [°]'" in flat(out)
-    np.testing.assert_allclose(read_recording(path).joint_position, VALUES[:, 1:] * pi / 180)
 
 
 @pytest.mark.parametrize("name", ["a.json", "a.yaml", "a.txt", "a.py", "a.csv"])

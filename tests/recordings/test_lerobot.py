@@ -76,15 +76,6 @@ def test_the_state_of_all_episodes_is_read(tmp_path, version, kind):
     assert recording.source == str(folder)
 
 
-@pytest.mark.parametrize(
-    ("names", "wanted"), [({"motors": NAMES}, "observation.state.joint_1.pos"), (None, "observation.state.0")]
-)
-def test_names_below_a_heading_and_none(tmp_path, names, wanted):
-    folder = dataset(tmp_path / "picks", names=names)
-    _, table = open_table(folder, (), ArmJoints(), [])
-    assert table.names[0] == wanted
-
-
 @pytest.mark.parametrize("said", [{"units": "rad"}, {"info": {"unit": ["rad"] * 6 + ["percent"]}}])
 def test_units_that_the_data_set_states(tmp_path, said):
     folder = dataset(tmp_path / "picks")

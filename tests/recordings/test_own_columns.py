@@ -103,14 +103,6 @@ def test_a_rotation_matrix_becomes_a_quaternion():
         Recording.from_dataframe(table | dict(zip(entries[:8], written.T, strict=False)))
 
 
-def test_without_their_unit_angles_are_any_columns():
-    table = {"q1_rad": Q[:, 0], "alpha": Q[:, 0], "roll": Q[:, 0]}
-    said = "ignored columns that mean nothing here: 'alpha' (meant alpha_rad?), 'roll' (meant roll_rad?)"
-    assert Recording.from_dataframe(table).notes[0] == said
-    written = dict.fromkeys(("rx_std_rad", "x_std_m", "tau1_std_Nm"), Q[:, 0])  # beside what `predict` predicts
-    assert Recording.from_dataframe(table | written).notes[0] == said
-
-
 def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
     path = tmp_path / "run 7.csv"
     path.write_text(
@@ -141,15 +133,6 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
     )
 
 
-def test_a_table_cut_short_is_told_with_the_names(tmp_path):
-    path = tmp_path / "run7.csv"
-    path.write_text("q1_rad,y_m\n0.1,0.2\n0.1\n")
-    assert refusal(path) == (
-        "2 problems of its columns: (1) x_m or x_mm is missing; give all of x_m y_m z_m, or none. (2) row 2 has 1 of 2 "
-        "columns, y_m is the first without a value: the file is truncated; complete the row or remove it"
-    )
-
-
 @pytest.mark.parametrize(
     ("sidecar", "message"),
     [
@@ -167,12 +150,6 @@ def test_a_sidecar_that_names_columns_wrongly(tmp_path, sidecar, message):
     assert message in refusal(path)
 
 
-def test_two_forms_of_an_orientation_are_one_too_many():
-    names = ("q1_rad", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "rx_rad", "ry_rad", "rz_rad")
-    with pytest.raises(InputError, match="orientation twice, qw qx qy qz and rx_rad ry_rad rz_rad; keep one"):
-        Recording.from_dataframe({name: [0.5] for name in names})
-
-
 # ------------------------------------------------------------------ frames that are not pandas'
 
 
@@ -184,12 +161,6 @@ class Capsule:
 
     def __arrow_c_stream__(self, requested_schema=None):
         return self._table.__arrow_c_stream__(requested_schema)
-
-
-def test_frames_of_any_library():
-    frame = Capsule(pa.table({"J1": Q[:, 0], "q2_rad": Q[:, 1]}))
-    recording = Recording.from_dataframe(frame, columns={"J1": "q1_rad"})
-    np.testing.assert_array_equal(recording.joint_position, Q)
 
 
 # ------------------------------------------------------------------ names
@@ -437,23 +408,6 @@ def test_the_names_of_a_recording_mean_what_they_say():
     }
     assert found["rotation"].form == ("roll", "pitch", "yaw")
     assert sorted(sum((block.columns for block in found.values()), ())) == sorted(names)
-
-
-def test_units_stand_at_the_end_of_names_in_many_ways():
-    said = {"tcp x [mm]": "mm", "tcp_x_mm": "mm", "tcp.x (m)": "m", "tcp_x": None}
-    for name, unit in said.items():
-        names = [name.replace("x", axis, 1) if "x" in name else name for axis in "xyz"]
-        ((block,), _) = meant(names)
-        assert (block.kind, block.unit) == ("position", unit)
-    (_, block), _ = meant([f"pose_{part}" for part in "xyzabc"])
-    assert (block.kind, block.columns) == ("rotation", ("pose_c", "pose_b", "pose_a"))  # not amperes and degrees
-
-
-def test_torques_and_commands_are_those_of_the_same_arm():
-    names = [f"{side}_{what}_{k}" for what in ("joint", "torque", "target_joint") for side in ("left", "right")
-             for k in range(2)]  # fmt: skip
-    found = naming.choose(naming.candidates(names), 2, ["right_joint_0", "right_joint_1"])
-    assert [block.columns[0] for block in found] == ["right_joint_0", "right_torque_0", "right_target_joint_0"]
 
 
 def test_what_may_be_meant_instead_is_named():

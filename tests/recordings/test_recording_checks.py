@@ -12,7 +12,6 @@ from lite6jax.recordings import (
     check_position_scale,
     check_torque_scale,
     check_velocity_scale,
-    drop_missing,
     outside_limits,
     repeated_rows,
     require_samples,
@@ -33,14 +32,6 @@ def plausible():
 
 def with_joints(recording, joint_position):
     return dataclasses.replace(recording, joint_position=joint_position)
-
-
-def test_plausible_numbers_pass(plausible):
-    check_joint_scale(plausible, LITE6)
-    check_position_scale(plausible, REACH)
-    assert outside_limits(plausible, LITE6) == []
-    assert len(repeated_rows(plausible).rows) == len(time_disorder(plausible).rows) == 0
-    assert drop_missing(plausible) is plausible
 
 
 def test_faults_that_the_diagnosis_must_see_are_not_taken_for_degrees(plausible):
@@ -118,15 +109,6 @@ def test_a_fit_needs_measured_positions():
         require_samples(Recording.from_arrays(np.zeros((4, 6)), source="a.csv"), 1)
 
 
-def test_time_disorder_is_found_within_runs_only():
-    time = [0, 1, 2, 1.5, 1.75, 3, 0, 1, 0.25, 2]
-    run = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1]
-    found = time_disorder(Recording.from_arrays(np.zeros((10, 1)), time=time, run=run))
-    assert found.rows.tolist() == [4, 5, 9]
-    assert found.samples.tolist() == [3, 4, 8]
-    assert found.largest_step_back_s == 0.75
-
-
 def test_time_disorder_agrees_with_a_plain_loop():
     rng = np.random.default_rng(1)
     time, run = rng.integers(0, 50, 300) * 0.5, np.sort(rng.integers(0, 6, 300))[::-1]
@@ -144,10 +126,6 @@ def test_repeated_rows_are_found_with_their_first(plausible):
     assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None])).rows) == 0
     assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None])).rows) == 0
     assert len(repeated_rows(again).rows) == 200
-
-
-def test_rows_that_differ_by_the_sign_of_zero_are_repeated():
-    assert repeated_rows(Recording.from_arrays([[0.0, 1.0], [-0.0, 1.0]])).rows.tolist() == [2]
 
 
 def test_joints_outside_their_limits_are_listed(plausible):

@@ -1,5 +1,4 @@
 import os
-from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -15,7 +14,6 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from tests.damaged import flip_bit, recording
 
-SHARED = Path(__file__).resolve().parents[2] / "../shared"
 JOINTS = "q1_rad,q2_rad"
 SIDECAR = "recording: {motion: static}\n"
 
@@ -165,12 +163,6 @@ def test_columns_that_cannot_be_understood(tmp_path, header, message, suffix):
     assert message in refusal(path)
 
 
-def test_the_number_of_joints_is_held_against_the_arm(tmp_path):
-    path = file(tmp_path, f"{JOINTS}\n1,2\n")
-    assert refusal(path, dof=6) == "has 2 joints (q1 ... q2), the arm has 6; choose the arm it is of"
-    assert read_recording(path, dof=2).dof == 2
-
-
 FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
 
 
@@ -238,11 +230,6 @@ def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
     assert refusal(path).startswith(
         "row 100001 has 1 of 2 columns, q2_rad is the first without a value: the row is cut"
     )
-
-
-def test_a_missing_last_line_break_is_said(tmp_path):
-    recording = read_recording(file(tmp_path, FINE[:-1]))
-    assert recording.notes == ("the file does not end with a line break: its last number may have been cut short",)
 
 
 @pytest.mark.parametrize(
@@ -354,16 +341,6 @@ def test_over_half_missing_is_an_error_that_names_the_column(tmp_path):
     assert read_recording(half).samples == 1
 
 
-def test_a_run_must_be_a_whole_number(tmp_path):
-    path = file(tmp_path, "q1_rad,run\n0,1\n0,1.5\n")
-    assert refusal(path) == "column run: row 2 is 1.5; give whole numbers"
-
-
-def test_a_quaternion_beyond_one_per_cent_names_the_row_of_the_file(tmp_path):
-    path = file(tmp_path, "q1_rad,x_m,y_m,z_m,qw,qx,qy,qz\n,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0.2\n")
-    assert refusal(path).startswith("columns qw qx qy qz: row 3 has length 1.0198, not 1; give unit quaternions")
-
-
 def test_times_of_a_clock_are_counted_from_the_first(tmp_path):
     recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,1750000000.5\n1,1750000008\n"))
     assert recording.time.tolist() == [0, 7.5]
@@ -404,20 +381,6 @@ def test_degrees_named_radians_are_asked_about_and_accepted(tmp_path):
     np.testing.assert_allclose(np.rad2deg(recording.joint_velocity), [[1, 2], [3, 4], [5, 6]], rtol=1e-15)
     assert recording.notes == ("columns q1_rad ... dq2_rad_per_s are taken as degrees, as asked",)
     assert read_recording(path).joint_position[1, 0] == 170  # without limits nothing can be said
-
-
-def test_degrees_that_are_far_out_as_well_are_not_asked_about(tmp_path):
-    path = file(tmp_path, "q1_deg,q2_rad\n4000,0\n5000,0\n")
-    assert refusal(path, joint_limits=LIMITS).endswith("joint 1 goes from -6.283 to 6.283 rad; check the unit")
-    path = file(tmp_path, f"{JOINTS}\n4000,0\n5000,0\n")
-    assert refusal(path, joint_limits=LIMITS, assume_degrees=True).endswith("6.283 rad; check the unit")
-
-
-def test_degrees_named_so_are_not_converted_twice(tmp_path):
-    path = file(tmp_path, "q1_deg,q2_deg\n10,20\n")
-    recording = read_recording(path, joint_limits=LIMITS, assume_degrees=True)
-    np.testing.assert_allclose(np.rad2deg(recording.joint_position), [[10, 20]])
-    assert recording.notes == ()
 
 
 def test_millimetres_named_metres_are_asked_about_and_accepted(tmp_path):
@@ -574,83 +537,6 @@ def test_a_sidecar_that_moves_still_names_its_files(tmp_path):
     moved = read_recording(write_recording(read_recording(path), tmp_path / "out/run8.parquet"))
     assert moved.settings.arm == "../arm.urdf"
     assert moved.settings.factory_path(tmp_path / "out").resolve() == tmp_path / "own.yaml"
-
-
-def columns_by_hand(path):
-    """The file through NumPy's own reader."""
-    names = path.read_text().split("\n", 1)[0].split(",")
-    return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).T, strict=True))
-
-
-def agrees_with_numpy(path, recording):
-    table, ours = columns_by_hand(path), recording.columns()
-    for name, column in table.items():
-        if name in ("qw", "qx", "qy", "qz"):
-            continue
-        np.testing.assert_array_equal(ours.get(name, np.zeros(recording.samples)), column, err_msg=name)
-    if "qw" in table:
-        theirs = np.column_stack([table[name] for name in ("qw", "qx", "qy", "qz")])
-        np.testing.assert_allclose(np.abs(np.sum(theirs * recording.quaternion, axis=1)), 1.0, atol=1e-8)
-
-
-@pytest.mark.parametrize(("series", "rows"), [("a", 11911), ("b", 1495)])
-def test_the_real_ur10_series(series, rows):
-    path = SHARED / f"real/ur10/ur10_series_{series}.csv"
-    if not path.exists():
-        pytest.skip("the real UR10 series are not on this machine")
-    recording = read_recording(path, dof=6, joint_limits=np.tile([-2 * np.pi, 2 * np.pi], (6, 1)), reach=1.3)
-    assert (recording.samples, recording.dof, recording.numbers_per_sample) == (rows, 6, 6)
-    assert recording.notes == ()
-    assert recording.motion == "static"
-    assert recording.settings.pose_source == "laser_tracker"
-    assert recording.settings.arm_reference(path.parent) == path.parent / "ur10.yaml"
-    agrees_with_numpy(path, recording)
-
-
-CASES = sorted((SHARED / "concealed/open").glob("*/recording.csv"))
-
-
-@pytest.mark.skipif(not CASES, reason="the open trial recordings are not on this machine")
-def test_the_open_trial_recordings():
-    assert len(CASES) == 8
-    for path in CASES:
-        recording = read_recording(path, dof=6, joint_limits=np.tile([-2 * np.pi, 2 * np.pi], (6, 1)), reach=0.7)
-        assert recording.notes == ()
-        assert recording.settings.arm == "lite6"
-        assert recording.motion == ("trajectory" if "dq1_rad_per_s" in recording.columns() else "static")
-        agrees_with_numpy(path, recording)
-        unseen = read_recording(path.with_name("unseen.csv"), dof=6)
-        assert (unseen.samples, unseen.numbers_per_sample, unseen.motion) == (400, 0, recording.motion)
-
-
-TORQUES = sorted((SHARED / "dynamics/open").glob("*/recording.csv"))
-
-
-@pytest.mark.skipif(not TORQUES, reason="the open torque recordings are not on this machine")
-def test_the_open_torque_recordings():
-    for path in TORQUES:
-        recording = read_recording(path, dof=6)
-        assert recording.notes == ()
-        settings = recording.settings
-        assert (settings.arm, settings.torque_source, settings.inertial) == ("arm.yaml", "measured", "declared")
-        assert settings.torque_noise_Nm == (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
-        assert recording.torques().shape == recording.velocities().shape == (recording.samples, 6)
-        agrees_with_numpy(path, recording)
-        unseen = read_recording(path.with_name("unseen.csv"), dof=6)
-        assert (unseen.joint_torque, unseen.motion) == (None, "trajectory")
-
-
-@pytest.mark.parametrize(("name", "arm"), [("ur10", "ur10"), ("tx40", "tx40.urdf")])
-def test_the_real_torque_recordings(name, arm):
-    path = SHARED / f"real/torque/{name}_first.csv"
-    if not path.exists():
-        pytest.skip("the real torque recordings are not on this machine")
-    recording = read_recording(path, dof=6)
-    assert recording.notes == ()
-    settings = recording.settings
-    assert (settings.arm, settings.torque_source, settings.inertial) == (arm, "current", "unknown")
-    assert recording.torques().shape == (recording.samples, 6)
-    agrees_with_numpy(path, recording)
 
 
 def test_no_flipped_bit_of_a_parquet_file_changes_numbers_in_silence(tmp_path):

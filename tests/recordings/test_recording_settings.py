@@ -72,53 +72,6 @@ def test_every_key_is_read(tmp_path):
     )
 
 
-def test_the_defaults_are_those_of_the_document(tmp_path):
-    documented = {
-        "arm": None,
-        "factory_calibration": None,
-        "factory_uncertainty": None,
-        "joint_source": "unknown",
-        "joint_noise_rad": 0.0,
-        "pose_source": "unknown",
-        "motion": None,
-        "pose_frame": "unknown",
-        "tool": "unknown",
-        "position_noise_m": None,
-        "orientation_noise_rad": None,
-        "payload_com_m": (0.0, 0.0, 0.0),
-        "reference_temperature_degC": 25.0,
-        "gravity_m_per_s2": (0.0, 0.0, -9.81),
-        "inertial_uncertainty": 0.1,
-        "payload_uncertainty_kg": 0.0,
-        "torque_source": "unknown",
-        "torque_noise_Nm": None,
-        "inertial": "declared",
-        "torque_constant_Nm_per_A": None,
-        "contact_noise_m": None,
-        "contact_distances": (),
-        "contact_points": None,
-        "plane_noise_m": None,
-        "planes": None,
-        "distance_noise_m": None,
-        "anchor_m": "unknown",
-        "distance_offset": "none",
-        "axis_noise_m": None,
-        "axis": "unknown",
-        "pixel_noise_px": None,
-        "camera": None,
-        "board": None,
-        "points_m": None,
-        "date": None,
-        "instrument": None,
-    }
-    for settings in (
-        read_settings(tmp_path / "absent.yaml"),
-        read_settings(sidecar(tmp_path, "recording:\n")),
-        read_settings(sidecar(tmp_path, "recording: {}\n")),
-    ):
-        assert dataclasses.asdict(settings) == documented
-
-
 @pytest.mark.parametrize("settings", ["full", "default", "awkward"])
 def test_round_trip_is_exact(tmp_path, settings):
     settings = {
@@ -285,11 +238,6 @@ def test_an_alias_bomb_is_refused(tmp_path):
     lines = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
     assert "aliases expand" in refusal(sidecar(tmp_path, "\n".join([*lines, "recording: *a11"])))
-
-
-def test_a_tool_may_be_written_as_in_the_document(tmp_path):
-    assert read_settings(sidecar(tmp_path, "recording: {tool: 0 0 0.1 0 0 1.5}")).tool == (0, 0, 0.1, 0, 0, 1.5)
-    assert read_settings(sidecar(tmp_path, "recording: {tool: none}")).tool == "none"
 
 
 def test_a_sidecar_of_the_other_suffix_is_not_passed_over(tmp_path):

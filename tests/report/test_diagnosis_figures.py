@@ -1,8 +1,6 @@
 """The figures of a diagnosis show errors, shares, orders and curves on the data they are of, with labels and units."""
 
-import io
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.diagnosis.partial_residuals import finding_curves
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report.canvas import medians
 from lite6jax.report.diagnosis_figures import drawings, explained_map, finding_figure, order_spectrum
 from lite6jax.simulation import simulate
 
@@ -64,18 +61,6 @@ def test_a_finding_lies_on_its_data(recorded, text, given, across, up):
     assert (panel.get_xlabel(), panel.get_ylabel()) == (across, up)
     assert_on_its_data(panel, 0.4)
     assert np.isfinite(panel.get_ylim()).all()
-
-
-def test_links_turn_about_two_axes(recorded):
-    found = diagnosed(*recorded("link_compliance:link=2,compliance_x_rad_per_Nm=1e-4,compliance_y_rad_per_Nm=6e-5"))
-    assert [(panel.get_xlabel(), panel.get_ylabel()) for panel in finding_figure(found, "run.csv").axes] == [
-        (f"gravity moment {axis} of link 2 (Nm)", f"rotation about {axis} (mrad)") for axis in "xy"
-    ]
-
-
-def test_one_finding_alone(found):
-    (panel,) = finding_figure(found, "", [1]).axes
-    assert panel.get_title() == "2. joint harmonic, joint1"
 
 
 def test_the_spectrum_of_a_gear_lies_on_its_data(wavy):
@@ -134,23 +119,6 @@ def test_a_loop_has_a_point_at_each_sample(recorded):
     assert not panel.collections
 
 
-def test_many_findings_fit_a_page(compliant):
-    """Fourteen findings and more: no figure is higher than a page of its width, and panels stay readable."""
-    for count in (1, 4, 6, 7, 14, 15, 20):
-        figure = finding_figure(compliant, "", [0] * count)
-        width, height = figure.get_size_inches()
-        assert sum(panel.get_visible() for panel in figure.axes) == count
-        assert height <= 1.42 * width
-        assert width <= 18.5
-
-
-def test_two_components_do_not_mix(recorded):
-    """What one component does is not in the data that the other one is drawn over."""
-    found = diagnosed(*recorded("base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=3e-5"))
-    for panel in finding_figure(found, "").axes:
-        assert_on_its_data(panel, 0.3)
-
-
 # ------------------------------------------------------------------ errors, shares, orders and what is left of poses
 
 
@@ -191,19 +159,6 @@ def test_where_it_is(compliant):
     assert f"{100 * shares[at, driver]:.0f}" in [text.get_text() for text in panel.texts]
 
 
-def test_where_little_is_explained_the_map_is_scaled_to_that(clean):
-    low, high = explained_map(clean, "run.csv").axes[0].images[0].get_clim()
-    assert (low, high) == (0, pytest.approx(max(100 * np.nanmax(explained_shares(clean).shares), 2.0)))
-
-
-def test_a_median_of_a_thin_bin_is_left_out():
-    x = np.concatenate([np.linspace(0, 1, 400), np.full(6, 2.0)])
-    at, thick, _ = medians(x, np.ones(406), share=0.5)
-    assert np.isfinite(thick[at < 1]).all()
-    assert np.isnan(thick[at > 1.1]).all()
-    assert np.isfinite(medians(x, np.ones(406))[1][-1])
-
-
 def test_the_share_is_what_a_plain_fit_explains(compliant):
     """Of joint 2 and gravity's torque, by least squares on the residuals, the adjusted share of the variance."""
     problem, baseline = compliant.problem, compliant.selection.state.baseline
@@ -219,24 +174,6 @@ def test_the_share_is_what_a_plain_fit_explains(compliant):
     assert shares[sites.index("joint2"), drivers.index("load")] == pytest.approx(share, abs=0.01)
 
 
-def test_what_a_constant_explains_is_shown_beside_functions_that_contain_it(recorded):
-    """A joint whose zero is off: functions of any driver there explain as much, and nothing says by which."""
-    sites, drivers, shares = explained_shares(diagnosed(*recorded("joint_offset:joint=2,offset_rad=1e-3")))
-    joint2 = shares[sites.index("joint2")]
-    assert joint2[drivers.index("constant")] > 0.9
-    np.testing.assert_allclose(joint2[[drivers.index("position"), drivers.index("time")]], joint2[0], atol=0.02)
-
-
-def test_an_error_of_the_image_is_at_the_sensor(recorded):
-    recording, _ = recorded()
-    p = recording.position
-    seen = replace(recording, position=p * (1 + 4e-3 * np.sum(p**2, 1, keepdims=True)))
-    sites, drivers, shares = explained_shares(diagnosed(seen, ()))
-    assert drivers[-1] == "two drivers"  # products of two measured positions explain even more
-    at, driver = np.unravel_index(np.nanargmax(shares[:, :-1]), shares[:, :-1].shape)
-    assert (sites[at], drivers[driver]) == ("sensor", "measured position")
-
-
 def test_the_order_found_is_marked(drawn):
     figure = drawn["orders"]
     assert [panel.get_xlabel() for panel in figure.axes] == [f"order per turn of joint {i}" for i in range(1, 7)]
@@ -249,21 +186,6 @@ def test_the_order_found_is_marked(drawn):
     assert orders[np.argmax(shares)] == pytest.approx(2.0, abs=0.3)
     assert orders[0] == 1
     assert orders[-1] > 195
-
-
-def test_orders_are_drawn_where_nothing_is_left(compliant, monkeypatch):
-    """Of two identical recordings, whose difference is zero."""
-    tested = evidence_map.score_test
-
-    def nothing(problem, fit, options):
-        test = tested(problem, fit, options)
-        return replace(test, residual=np.zeros_like(test.residual))
-
-    monkeypatch.setattr(evidence_map, "score_test", nothing)
-    figure = order_spectrum(compliant, "run.csv")
-    assert np.isfinite(figure.axes[0].get_ylim()).all()
-    assert all((joint.noise == 1.0).all() for joint in evidence_map.joint_spectra(compliant))
-    figure.savefig(io.BytesIO())
 
 
 # ------------------------------------------------------------------ torques

@@ -71,17 +71,6 @@ def test_the_distances_between_arms(comparison):
     assert f"{table[1, 2]:.2f}" in [text.get_text() for text in panel.texts]
 
 
-def test_many_arms_are_drawn_without_names(comparison):
-    rng = np.random.default_rng(2)
-    many = compare(
-        [FactoryCalibration(perturbed(rng, LITE6.kinematics), LITE6, np.eye(4), f"{i}.yaml") for i in range(14)]
-    )
-    assert figures.parameter_differences(many).legends == []
-    panel = figures.distance_between(many).axes[0]
-    assert panel.get_xlabel() == "arm (0: nominal)"
-    assert len(panel.texts) == 0
-
-
 def test_written_whole_and_the_same_again(tmp_path, solution):
     drawn = {"one": figures.error_by_joint(solution, "arm.yaml")}
     paths = canvas.save(drawn, tmp_path)

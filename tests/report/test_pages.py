@@ -7,20 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, Reader, diagnosed, documented
+from diagnosed import COMPLIANCE, Reader, diagnosed, documented
 from matplotlib.image import imread
-from torque_diagnosed import COULOMB, LITE6, VISCOUS, moved
+from torque_diagnosed import COULOMB, VISCOUS, moved
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
-import lite6jax
 from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.diagnosis.partial_residuals import finding_curves
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.errors import InputError
 from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, ranking
 from lite6jax.report.diagnosis_figures import NAMES, drawings
@@ -183,28 +179,6 @@ def test_all_that_was_found_is_said(shown):
     assert "0.0200 mm is declared" in text
 
 
-def test_the_same_diagnosis_gives_the_same_page(shown):
-    found, _, html = shown["poses"]
-    again = dict(drawings(found, "run.csv"))
-    assert diagnosis_page(found, documented(found), "folder/run.csv", again) == html
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_physics_without_a_name(recorded):
-    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, "medium", spread=1e-3)
-    text = paged(diagnosed(recorded(HARMONIC)[0], (curve,)))
-    assert "Unnamed: no effect of the catalogue explains the largest effect that was found." in text
-    assert "1. Unnamed effect at joint1 as a function of its position" in text
-    said = (
-        r"explains an effect at joint1 as a function of the position of joint 1: a curve \(\d+ effective parameters\)"
-    )
-    assert re.search(f"{said}, peak to peak", text)
-    assert "coefficient" not in text
-    swing, std = row_of(r"peak to peak ([\d.]+) ± ([\d.]+) µrad", text)
-    assert swing == pytest.approx(800, abs=4 * std)  # twice the amplitude
-    assert std < 100
-
-
 @pytest.mark.usefixtures("unpainted")
 def test_what_was_ruled_out_is_folded_and_commands_stand_on_the_page(shown):
     found, drawn, _ = shown["poses"]
@@ -269,23 +243,3 @@ def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     assert "Joint 2 has a torque that no effect of the catalogue names: " in text
     assert f"No effect of the catalogue explains {of}: it contributes " in text
     assert not re.search(r"coefficient|level|step\d", text)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_without_declared_noise():
-    text = paged(torques_diagnosed(torques_recorded(declared=False), (ViscousFriction(2), CoulombFriction(2))))
-    assert "the sidecar declares no torque_noise_Nm" in text
-    assert "none is declared" in text
-
-
-def test_a_summary_is_sentences(motors):
-    text = motors.summary()
-    assert text.startswith("Joint 2 rubs ")
-    assert re.search(r"viscous 2\.0\d* ± 0\.\d+ Nm·s/rad", text)
-    assert text.endswith(".")
-    assert not re.search(r"https?:|src=|href=|style|script", motors._repr_html_())
-
-
-def test_poses_and_torques_have_functions_of_their_own():
-    with pytest.raises(InputError, match=r"has torques and no poses; call lite6jax\.diagnose_torques$"):
-        lite6jax.diagnose(torques_recorded(), LITE6)

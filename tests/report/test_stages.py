@@ -34,7 +34,3 @@ def test_a_short_computation_says_nothing(capsys):
     with screen.stages() as follow:
         follow(Stage("naming", 1, 5))
     assert capsys.readouterr().err == ""
-
-
-def test_every_code_has_words():
-    assert set(screen._STAGES) == set(screen.Code.__args__)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import textwrap
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -16,7 +15,6 @@ from rich.text import Text
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
@@ -25,7 +23,7 @@ from lite6jax.report import diagnosis_figures, ranking, remedies, statements, wo
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
-from lite6jax.report.words import listed, quantity, rounded
+from lite6jax.report.words import quantity, rounded
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -125,30 +123,6 @@ def test_faults_come_before_the_findings(compliant, drawn):
     assert start < said.index("1. Joint compliance at joint2, a function") < said.index(short[0]) < said.index(short[1])
 
 
-def test_one_row_is_an_outlier(compliant):
-    wild = np.zeros(compliant.problem.samples, bool)
-    wild[11] = True
-    (fault,) = documented(replace(compliant, outliers=wild))["data_faults"]
-    assert fault["statement"] == fault_statement(DataFault("outliers", (12,)))
-    assert documented(compliant)["data_faults"] == []
-
-
-def test_rows_are_listed_in_short():
-    assert listed([3, 5, 6, 9, 10, 11, 12]) == "3, 5, 6, 9–12"
-    assert listed(range(1, 100, 2)) == "1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23 and 38 more"
-    assert listed([]) == ""
-
-
-def test_sites_are_listed_in_short():
-    sites = dict(remedies.by_site({"effect": effect.name, "site": effect.site} for effect in catalogue(7)))
-    assert sites["joint lag"] == "joint1–7"
-    assert sites["joint coupling"] == "joint1–7"  # each once, of 42
-    assert sites["link thermal expansion"] == "links, link1–6"
-    assert sites["time offset"] == "clock"
-    some = [{"effect": "joint_lag", "site": f"joint{joint}"} for joint in (1, 3, 4, 6)]
-    assert remedies.by_site(some) == [("joint lag", "joint1, 3, 4, 6")]
-
-
 def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
     document = documented(compliant)
     groups = statements.untested(document)
@@ -221,47 +195,6 @@ def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, t
     entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
     assert remedies.effect_title(entry) == f"unnamed effect at {title}"
     assert remedies.shape(where) == shape
-
-
-def alike(site, driver, gap, **more):
-    return {
-        "effect": "unnamed",
-        "site": site,
-        "driver": driver,
-        "log_likelihood_gap": gap,
-        "status": "undecided",
-        **more,
-    }
-
-
-def test_an_unnamed_effect_is_said_by_its_sites_and_drivers():
-    """What depends on a further driver contains the effect itself, and says nothing of another cause."""
-    rivals = [
-        alike("link3", "time", 2.0, component="ry"),
-        alike("link3", "position of joint 1 and time", 3.0, component="ry"),
-        alike("joint3", "position of joint 3 and payload", 0.5),
-        {
-            "effect": "joint_offset",
-            "site": "joint4",
-            "driver": "none",
-            "log_likelihood_gap": 4.0,
-            "status": "undecided",
-        },
-    ]
-    finding = alike("joint3", "position of joint 3", 0.0, confusable_with=rivals)
-    assert statements.rivals(finding) == [
-        "unnamed effect at link3 (ry) as a function of the time (log evidence -2.0)",
-        "joint offset at joint4 (log evidence -4.0)",
-    ]
-    cause = "joint 3, link 3 or joint 4 has an error that no effect of the catalogue names"
-    assert remedies.cause_of(finding) == cause
-    assert remedies.cause_of({**finding, "confusable_with": []}) == cause.replace(", link 3 or joint 4", "")
-
-
-def test_numbers_have_the_digits_that_they_are_known_to():
-    assert rounded(1.52689, 0.0123) == ("1.527", "0.012")
-    assert rounded(21654.3, 4320.0) == ("21654", "4320")
-    assert rounded(1.0, np.inf) == ("1", "unknown")
 
 
 @pytest.mark.parametrize(
@@ -350,10 +283,6 @@ def test_what_to_record_next(undecided, drawn):
     assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
 
 
-def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
-    assert not any("Poses that separate" in said for said in (page(compliant, drawn), screen(compliant)[1]))
-
-
 def test_the_status_of_each_rival_is_in_the_document(undecided):
     (finding,) = documented(undecided)["findings"]
     found = {(rival["effect"], rival["site"]): rival["status"] for rival in finding["confusable_with"]}
@@ -363,32 +292,6 @@ def test_the_status_of_each_rival_is_in_the_document(undecided):
         ("joint_harmonic", "joint2"): "rejected",
         ("joint_compliance", "joint2"): "found",
     }
-
-
-def test_orders_that_are_one_wave_are_told_apart_by_other_positions(compliant):
-    orders = [f"joint_harmonic:joint=2,order={order},amplitude_rad=1e-4,phase_rad=0" for order in (2, 178, 182.5)]
-    effect, *others = (parse_effect(order)[0] for order in orders)
-    (finding,) = compliant.findings
-    found = replace(compliant, findings=(replace(finding, effect=effect, values=np.zeros(2), covariance=np.eye(2)),))
-    document = documented(with_rivals(found, (others[0], 0.0), (others[1], 0.3)))
-    assert [rival["status"] for rival in document["findings"][0]["confusable_with"]] == ["undecided"] * 2
-    assert statements.what_to_record(document)[0] == (
-        "To separate joint harmonic of order 2 at joint2 from order 178 or 182.5, record positions of joint2 that are "
-        "no multiples of one angle."
-    )
-
-
-def test_most_of_a_deviation_may_be_from_the_payload(compliant):
-    (finding,) = compliant.findings
-    said = {}
-    for share in (0.4, 0.6):
-        document = documented(replace(compliant, findings=(replace(finding, input_share=share),)))
-        assert document["findings"][0]["payload_share"] == share
-        said[share] = statements.what_to_record(document)
-    assert [line for line in said[0.6] if line not in said[0.4]] == [
-        "To narrow the ± of joint compliance at joint2, record poses with another payload, or with none, as well: most "
-        "of its variance is that the payload may be wrong by too little to be found."
-    ]
 
 
 def test_what_is_confounded_is_to_be_declared(compliant):
@@ -431,15 +334,6 @@ def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_se
     assert as_declared.verdict == "consistent"
 
 
-def test_of_a_noise_that_is_not_declared_no_size_is_claimed(tmp_path):
-    document = documented(of_six_numbers(tmp_path, 2e-3))
-    assert statements.verdict_statement(document) == (
-        "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
-        "sidecar declares no position_noise_m and no orientation_noise_rad."
-    )
-    assert ranking.headline(document).startswith("No effect is significant, and the error of ")
-
-
 def test_poses_of_the_controller_test_the_table_alone(compliant):
     document = documented(compliant)
     none = {**document, "findings": [], "pose_source": "controller_fk"}
@@ -450,16 +344,6 @@ def test_poses_of_the_controller_test_the_table_alone(compliant):
     assert statements.cautions(none)[0].startswith("The poses are the controller's own computation from the joints")
     assert "To diagnose the arm itself, record the poses with a sensor." in reported(none)[1]
     assert statements.COMPUTED not in reported(document)[1]
-
-
-def test_a_finding_without_a_test_of_its_own_has_no_p_value(compliant):
-    document = documented(compliant)
-    document["findings"][0]["p_value"] = 1.0
-    (finding,) = statements.findings_of(document)
-    said = finding["statement"] + " " + statements.p_value_statement(finding)
-    assert "significant: " not in said
-    assert said.endswith("It is part of the likeliest model, and is not significant beside the other findings alone.")
-    assert "p-value" not in reported(document)[1]
 
 
 def test_the_verdict_says_what_the_numbers_say(compliant):
@@ -510,19 +394,6 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
     }
     again = json.loads(json.dumps(plain, allow_nan=False))
     assert statements.with_statements(again) == json.loads(json.dumps(stated))
-
-
-def test_a_summary_is_sentences_of_a_few_lines(compliant):
-    text = compliant.summary()
-    assert len(textwrap.wrap(text, 80)) < 15
-    (finding,) = documented(compliant)["findings"]
-    size = ", ".join(str(quantity(name, estimate)) for name, estimate in finding["parameters"].items())
-    assert f"is significant: {size}; it moves" in text
-    rms = 1e3 * np.sqrt(np.mean(compliant.after**2))
-    assert f"The held-out position error is {rms:.4f} mm RMS with these effects" in text
-    html = compliant._repr_html_()
-    assert f"is significant: {size}; it moves" in html
-    assert "<script" not in html
 
 
 def test_a_number_that_is_not_finite_is_unknown():
