@@ -1,19 +1,16 @@
 """Physics outside the catalogue: each family is what its formula says; sealed ones are drawn on request only."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from benchmarks.concealed import campaign, hiding, outside, plans, recorded, rivals, trials
-from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed import plans, recorded, rivals, trials
+from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
-from benchmarks.concealed.outside import FAMILIES, families, places
+from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
-from benchmarks.measure import UNUSABLE
 from tests import vault_formulas
 from tests.outside_signals import (
     PAYLOAD_CENTER,
@@ -330,63 +327,6 @@ def test_families_not_looked_at_are_sealed_and_drawn_on_request_only(seed):
         assert all(plan.sealed == chosen for plan in drawn)
 
 
-def test_a_seed_means_the_same_families_whatever_was_opened_since():
-    """Those of seed 2311 were the sixteen of the first version; what was sealed next is open from the next seed on."""
-    openings = sorted({first for first in outside.OPENED.values() if first != outside.SEALED})
-    last = openings[-1]
-    assert len(families(2311)) == 16
-    assert families(last - 1) == tuple(name for name in families(last) if name in families(last - 1))
-    for earlier, later in pairwise(openings):
-        assert families(later) == tuple(n for n in FAMILIES if n in families(earlier) + families(earlier, True))
-    assert set(families(last)) | set(families(last, sealed=True)) == set(FAMILIES)
-
-
-def test_every_family_that_was_written_is_drawn_some_day():
-    of_places = (places.JOINT, places.LINK, places.BASE, places.TOOL, places.SENSOR, outside.workshop.FAMILIES)
-    written = [name for place in (*of_places, outside.vault.FAMILIES) for name in place]
-    assert len(written) == len(set(written))
-    assert set(written) == set(FAMILIES)
-
-
-def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
-    row = dict.fromkeys(campaign.SCHEMA.names) | {"seed": 0, "index": 0, "kind": "outside", "sealed": False}
-    campaign.POSES.write_rows([row], tmp_path / "a.parquet")
-    arguments = [
-        "--trials",
-        "1",
-        "--kind",
-        "outside",
-        "--kind",
-        "edge",
-        "--sealed",
-        "--out",
-        str(tmp_path / "a.parquet"),
-    ]
-    assert campaign.main(arguments) == UNUSABLE
-    assert "has trials of open families" in capsys.readouterr().err
-
-
-def test_rows_are_from_fifteen_to_three_thousand_and_mostly_moderate():
-    drawn = [
-        plans.draw_plan(6, i, np.random.default_rng(i)) for i in plans.ROUNDS.indices(6, 120, *plans.NAMES_AT_STAKE)
-    ]
-    rows = [plan.rows for plan in drawn]
-    assert min(rows) >= plans.FEWEST
-    assert 1000 < max(rows) <= 3000
-    assert np.mean([60 <= count <= 500 for count in rows]) > 0.5
-    assert all(plan.rows <= plans.FEW for plan in drawn if plan.edge == "few rows")
-    assert {plan.edge for plan in drawn if plan.kind == "edge"} == set(plans.EDGES)
-    assert any(plan.masses_off for plan in drawn if plan.kind == "outside")
-    assert all(plan.rows >= 100 for plan in drawn if plan.moving)
-
-
-def test_what_an_earlier_version_did_not_draw_is_not_in_its_truths():
-    assert set(plans.draw_plan(0, 5, np.random.default_rng(0)).told()) == {
-        *("seed", "index", "kind", "engine", "arm", "sensor", "moving", "geometry", "mounted"),
-        *("noise", "fault", "effects", "sizes"),
-    }
-
-
 def test_sites_that_move_what_is_seen_alike_are_one(scene):
     setup, motion = scene
     view = View(setup, Open(frame=True, tool=3, geometry=False), motion, (2e-5, 1e-4))
@@ -419,30 +359,6 @@ def test_what_a_name_does_as_well_is_taken_for_it(scene, straight, name):
     assert found.apart < 1e-2
 
 
-def test_what_two_names_of_a_site_do_together_is_taken_for_them(scene):
-    """Friction that fades slowly with the speed is play and a lag."""
-    setup, _ = scene
-    motion = recorded.draw_motion(np.random.default_rng(43), setup.chain, True, 60)
-    fading = Hidden("fading_friction", "joint4", (1e-3,), {"joint": 4.0, "fades": 2.0})
-    found = nearest((setup, motion), fading)
-    assert (found.name, found.site) == ("joint_backlash and joint_lag", "joint4")
-
-
-def test_a_wobbling_axis_tilts_before_its_joint_turns(scene):
-    """By one wave: the link after the joint turns with it, so that a tilt about the fixed x is about x and y there."""
-    setup, motion = scene
-    view = View(setup, Open(frame=False, tool=0, geometry=False), motion.thinned(40), (2e-5, 1e-4))
-    columns = {site: columns for _, site, columns in rivals._wobbles(view)}["joint4"]
-    tilt = 1e-6
-    rows = setup.chain.rows.copy()
-    fixed = rotation_from_rpy(*rows[3, 3:]) @ rotation_from_vector(np.array([tilt, 0.0, 0.0]))
-    rows[3, 3:] = Rotation.from_matrix(fixed).as_euler("xyz")
-    tilted = replace(setup, chain=replace(setup.chain, rows=rows))
-    moved = view.difference(poses(setup, (), view.motion), poses(tilted, (), view.motion)) / tilt
-    wave = np.repeat(np.sin(view.motion.q[:, 3]), 6)
-    np.testing.assert_allclose(columns[:, 0], moved * wave, rtol=1e-4, atol=1e-4 * np.abs(moved).max())
-
-
 def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):
     setup, motion = scene
     following = replace(motion, q=np.column_stack([motion.q[:, :5], 0.1 * motion.q[:, 0]]))
@@ -453,47 +369,11 @@ def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):
     assert nearest(scene, bent).apart > 1.0
 
 
-def test_of_twice_the_size_all_else_is_twice_as_far(scene):
-    tilt = Hidden("base_tilt_by_joint", "base", (1e-5,), {"axis": 3.0, "by": 4.0})
-    once, twice = nearest(scene, tilt), nearest(scene, replace(tilt, values=(2e-5,)))
-    assert twice.apart == pytest.approx(2 * once.apart, rel=1e-3)
-    assert (twice.name, twice.site) == (once.name, once.site)
-
-
-def test_a_recording_of_many_rows_holds_apart_as_much_as_the_rows_it_is_thinned_to_stand_for(scene):
-    setup, _ = scene
-    rows = 5 * rivals._COMPARED_ROWS
-    motion = recorded.draw_motion(np.random.default_rng(42), setup.chain, False, rows)
-    bent = Hidden("squared_coupling", "joint4", (1e-5,), {"by": 1.0, "power": 2.0})
-    whole, fifth = nearest((setup, motion), bent, rows=rows), nearest((setup, motion), bent, rows=rows // 5)
-    assert whole.site == fifth.site
-    assert whole.apart == pytest.approx(5**0.5 * fifth.apart, rel=0.1)
-
-
-def test_a_tool_that_turns_is_no_offset_of_it(scene):
-    turning = Hidden("tool_turn_by_joint", "tool", (1e-3,), {"axis": 3.0, "by": 1.0})
-    assert nearest(scene, turning).name != "tool_offset"
-
-
 def a_plan(edge):
     index = next(
         i for i in plans.ROUNDS.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge
     )
     return index, plans.draw_plan(7, index, np.random.default_rng(0))
-
-
-def test_two_harmonics_share_a_joint_and_differ_in_order(scene):
-    setup, motion = scene
-    _, plan = a_plan("two harmonics")
-    plan = replace(plan, effects=("joint_harmonic",) * 2, sizes=(5.0, 10.0))
-    view = View(setup, Open(frame=False, tool=0, geometry=False), motion, (2e-5, None))
-    drawn = [hiding.hide(plan, np.random.default_rng(k), view) for k in range(12)]
-    pairs = [found for found in drawn if found]
-    assert pairs
-    for first, second in pairs:
-        assert first.site == second.site
-        orders = {first.fixed["order"], second.fixed["order"]}
-        assert orders == {1.0, 2.0} or (len(orders) == 2 and min(orders) >= 20)
 
 
 def test_masses_are_off_in_the_arm_and_not_in_its_files():
@@ -508,21 +388,6 @@ def test_masses_are_off_in_the_arm_and_not_in_its_files():
     motion = recorded.draw_motion(np.random.default_rng(1), actual, False, 1)
     files = recorded.files_of(plan, nominal, told, motion, measured, motion.q, (2e-5, None), motion)
     assert files["arm.yaml"] == description_text(nominal)  # the diagnosis is not
-
-
-def test_a_loaded_backlash_of_mujoco_rests_on_the_flank_that_gravity_presses_it_to():
-    rng = np.random.default_rng(43)
-    setup = Setup(lite6().moved(rng, *MADE), np.eye(4), np.eye(4), PAYLOAD_CENTER)
-    motion = recorded.draw_motion(rng, setup.chain, False, 14)
-    motion = replace(motion, payload=np.full(14, 0.5))
-    hidden = (Hidden("joint_backlash", "joint2", (6e-4,), {"friction_Nm": 0.3}),)
-    found = Arm(setup, hidden, 0.5).at_rest(motion)
-    shown, rigid = poses(setup, hidden, found.motion)[1], poses(setup, (), found.motion)[1]
-    clear = np.abs(torque(setup, found.motion, 2)[:, 2]) > 1
-    off = np.linalg.norm(found.position - shown, axis=1)[clear]
-    assert np.all(off < 0.1 * np.linalg.norm(rigid - shown, axis=1)[clear])
-    follows = poses(setup, (replace(hidden[0], fixed={}),), found.motion)[1]
-    assert np.abs(follows - shown).max() > 1e-4  # the direction alone would say otherwise
 
 
 def test_play_and_compliance_of_one_joint_of_mujoco_add_up():

@@ -1,11 +1,8 @@
 """`diagnose` and `predict` as they are typed: what is printed, written and refused."""
 
-import hashlib
 import json
 import re
 import shlex
-from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +10,6 @@ import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
 from domains.pose.documents import OWN, document
-from matplotlib.image import imread
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import write_factory
@@ -206,30 +202,6 @@ def test_predict_another_motion(capsys, arm, diagnosed, motion, motion_file, tmp
     assert run(capsys, "predict", diagnosed[0], motion_file, "--out", out, "--force")[0] == 0
 
 
-def test_predict_says_which_rows_are_empty(capsys, arm, tmp_path):
-    from diagnosis.recorded import moving_motion
-
-    motion = moving_motion(9, 30)
-    content = document(arm, ["time_offset:offset_s=0.05"], "trajectory", orientation=False)
-    model = tmp_path / "diagnosis.json"
-    model.write_text(json.dumps(content))
-    path = write_recording(
-        Recording.from_arrays(
-            motion["joint_position"], time=motion["time"], joint_velocity=motion["joint_velocity"], run=motion["run"]
-        ),
-        tmp_path / "motion.csv",
-    )
-    out = tmp_path / "predicted.csv"
-    code, said, _ = run(capsys, "predict", model, path, "--out", out)
-    assert code == 0
-    assert "4 rows are empty: there, the clock offset reaches beyond the ends of the motion." in flat(said)
-    lines = out.read_text().splitlines()
-    assert lines[0] == "x_m,y_m,z_m"
-    assert len(lines) == 31
-    rows = [[float(value) for value in line.split(",")] for line in lines[1:]]
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(rows).all(1)), [13, 14, 28, 29])
-
-
 def test_what_predict_refuses(capsys, arm, diagnosed, motion_file, tmp_path):
     out = tmp_path / "p.csv"
     said = refused(capsys, "predict", diagnosed[0], motion_file, "--out", tmp_path / "p.json")
@@ -259,26 +231,6 @@ def test_without_out_nothing_is_written_and_json_is_the_file(capsys, recorded, d
     code, said, err = run(capsys, "diagnose", recorded, "--json")
     assert (code, err) == (0, "")
     assert json.loads(said) == json.loads(diagnosed[0].read_text())
-
-
-def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, monkeypatch, corpus):
-    from lite6jax.diagnosis.heldout import held_out_folds
-    from lite6jax.diagnosis.options import QUICK, Options
-
-    given, found = [], corpus["compliance"].diagnosis
-    found = replace(found, options=QUICK, folds=tuple(held_out_folds(found.problem, QUICK)))
-
-    def diagnose(*_, options, **__):
-        given.append(options)
-        return found
-
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", diagnose)
-    code, said, _ = run(capsys, "diagnose", recorded, "--quick")
-    assert code == 0
-    assert given == [QUICK]
-    assert QUICK.folds < Options().folds
-    assert "This was a quick diagnosis: fewer blocks than usual" in flat(said)
-    assert "held out in 2 contiguous blocks" in flat(said)
 
 
 def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
@@ -354,38 +306,3 @@ def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
     assert not pdf.exists()
     broken.write_text(json.dumps({**document, "schema": "lite6jax/diagnosis/1"}))
     assert "is no diagnosis (lite6jax/diagnosis/2 with a model)" in refused(capsys, "report", broken)
-
-
-def test_the_document_names_its_inputs(diagnosed, recorded):
-    document = json.loads(diagnosed[0].read_text())
-    roles = {entry["role"]: entry for entry in document["inputs"]}
-    assert roles["recording"]["file"] == recorded.name
-    assert roles["recording"]["sha256"] == hashlib.sha256(recorded.read_bytes()).hexdigest()
-    assert roles["settings"]["sha256"] == hashlib.sha256(recorded.with_suffix(".yaml").read_bytes()).hexdigest()
-    assert "calibration" in roles
-
-
-def test_what_a_finding_moves_is_by_how_much_the_arm_was_bent(corpus, arm, diagnosed):
-    motion = corpus["compliance"].motion
-    bent, rigid = with_effects(arm, COMPLIANCE).poses(motion), arm.poses(motion)
-    moved = np.sqrt(np.mean(np.sum((bent - rigid)[:, :3, 3] ** 2, 1)))
-    turned = np.linalg.norm((bent - rigid)[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
-    (finding,) = json.loads(diagnosed[0].read_text())["findings"]
-    assert finding["moves_rms_m"] == pytest.approx(moved, rel=0.03)
-    assert finding["moves_rms_rad"] == pytest.approx(np.sqrt(np.mean(turned**2)), rel=0.03)
-
-
-def test_a_diagnosis_plots_its_figures(corpus):
-    figures = corpus["compliance"].diagnosis.plot()
-    assert list(figures) == ["ranking", "error_by_joint", "where", "orders", "findings"]
-    (panel,) = figures["ranking"].axes
-    document = corpus["compliance"].diagnosis.to_dict()
-    assert [bar.get_width() for bar in panel.patches] == [1e3 * f["moves_rms_m"] for f in document["findings"]]
-    assert panel.get_xlabel() == "moves the measured point (mm RMS)"
-    assert figures["where"].get_suptitle().startswith("run.csv: ")
-    some = figures.only(["where", "ranking"])  # as a notebook shows them: below each other, in this order
-    whole, one, other = (imread(BytesIO(f._repr_png_())) for f in (some, *(some.only([name]) for name in some)))
-    assert whole.shape[:2] == (one.shape[0] + other.shape[0], max(one.shape[1], other.shape[1]))
-    for part, alone in ((whole[: one.shape[0], : one.shape[1]], one), (whole[one.shape[0] :, : other.shape[1]], other)):
-        assert np.abs(part - alone).mean() < 0.02 < np.std(alone)  # the layout moves a little when drawn again
-    assert figures.only([])._repr_png_() is None

@@ -12,7 +12,6 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, write_table
 from lite6jax.arms.files import read_arm, write_arm
 from lite6jax.diagnosis.document import SCHEMA, read_model, write_document
-from lite6jax.errors import InputWarning
 
 EFFECTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_offset:joint=3,offset_rad=2e-4")
 LITE6 = load_bundled("lite6")
@@ -128,13 +127,6 @@ def test_the_undamaged_diagnosis_is_read_without_a_word(diagnosis, tmp_path):
     np.testing.assert_array_equal(read_model(tmp_path / "d.json").values, model.values)
 
 
-def test_a_payload_lighter_than_declared_may_make_the_last_link_lighter_than_nothing(diagnosis, tmp_path):
-    content = copy.deepcopy(diagnosis)
-    content["model"]["inertia"]["mass"][5] = -0.1
-    content["model"]["uncertainty"]["sites"] = [["payload", 0, 0]]
-    assert read_model(write_document(content, tmp_path / "d.json")).inertia.mass[5] == -0.1
-
-
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
@@ -147,13 +139,6 @@ def test_what_a_table_says_of_its_fit_is_checked(tmp_path, key, value, says):
     fit = {"result": "converged", "quality": "good", "checked_position_rms_m": 1e-9} | {key: value}
     path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
     assert f"{path}: {says}" in refused(read_table, path)
-
-
-def test_a_table_of_a_bad_fit_says_so(tmp_path):
-    fit = {"result": "converged", "quality": "bad", "checked_position_rms_m": None}
-    path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
-    with pytest.warns(InputWarning, match="fit: the fit that this table is from does not describe its data"):
-        read_table(path)
 
 
 @pytest.mark.parametrize(

@@ -72,12 +72,6 @@ def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
     assert sorted(os.listdir(tmp_path)) == ["late.txt", "new.txt"]
 
 
-def test_a_temporary_folder_goes_at_the_end():
-    with storage.temporary_folder() as folder:
-        (folder / "inside").write_text("")
-    assert not folder.exists()
-
-
 @pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
 @pytest.mark.parametrize(
     ("text", "message"),
@@ -97,12 +91,6 @@ def test_yaml_that_would_end_the_process(tmp_path, monkeypatch, loader, text, me
     path = tmp_path / "deep.yaml"
     path.write_text(text)
     assert message in refused(storage.read_yaml, path)
-
-
-def test_yaml_may_be_as_deep_as_the_limit(tmp_path):
-    path = tmp_path / "deep.yaml"
-    path.write_text("[" * storage.YAML_DEPTH_LIMIT + "]" * storage.YAML_DEPTH_LIMIT)
-    assert storage.read_yaml(path) == eval(path.read_text())
 
 
 _NAMES = st.sampled_from(["x", "y", "joint1", "no", "true", "Null", "1", "a b", "kinematics", "_z"])
