@@ -164,18 +164,9 @@ def test_a_recording_is_the_experiment_its_sidecar_says():
         (lambda: Sensor("axis", 1e-5, direction=(0.0, 0.0, 0.0)), "give three numbers that are not all zero"),
         (lambda: Sensor("position", 1e-5, joint_noise=-1.0), "joint noise -1.0: give one standard deviation in rad"),
         (lambda: sensor_named("theodolite"), f"sensor 'theodolite': is none of {', '.join(SENSORS)}"),
-        (
-            lambda: plan_experiment("lite6").rows(np.zeros((3, 7))),
-            "joint_position of shape (3, 7): lite6 takes (sample, 6)",
-        ),
-        (
-            lambda: plan_experiment("lite6").root(np.zeros((0, 6))),
-            "joint_position of shape (0, 6): lite6 takes (sample, 6)",
-        ),
-        (
-            lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]),
-            "joint_position: row 2 is not finite; leave it out",
-        ),
+        (lambda: plan_experiment("lite6").rows(np.zeros((3, 7))), "joint_position of shape (3, 7): lite6 takes"),
+        (lambda: plan_experiment("lite6").root(np.zeros((0, 6))), "joint_position of shape (0, 6): lite6 takes"),
+        (lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]), "joint_position: row 2 is not finite; leave"),
     ],
 )
 def test_what_is_refused(make, says):

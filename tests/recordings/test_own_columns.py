@@ -202,14 +202,6 @@ NAMINGS = {
             "payload": "payload",
         },
     ),
-    "rtde without what is measured": (
-        "target_q_{0-5}|target_qd_{0-5}|target_moment_{0-5}",
-        {"q": "target_q_{0-5}", "dq": "target_qd_{0-5}", "tau": "target_moment_{0-5}"},
-    ),
-    "currents as torques": (
-        "actual_q_{0-5}|target_qdd_{0-5}|actual_current_as_torque_{0-5}",
-        {"q": "actual_q_{0-5}", "tau": "actual_current_as_torque_{0-5}"},
-    ),
     "libfranka": (
         (
             "tau_ext_hat_filtered[{0-6}]|tau_J_d[{0-6}]|q_d[{0-6}]|q[{0-6}]|dq_d[{0-6}]|dq[{0-6}]|tau_J[{0-6}]|"
@@ -217,44 +209,11 @@ NAMINGS = {
         ),
         {"q": "q[{0-6}]", "dq": "dq[{0-6}]", "tau": "tau_J[{0-6}]", "cmd": "q_d[{0-6}]"},
     ),
-    "torques from outside": (
-        "q{0-5}|tau_ext_hat_filtered_{0-5}|tau_ext.shoulder_pan|tau_ext.shoulder_lift",
-        {"q": "q{0-5}"},
-    ),
     "mujoco": (
         "qpos[{0-5}]|qvel[{0-5}]|qacc[{0-5}]|ctrl[{0-5}]|qfrc_bias[{0-5}]|qfrc_actuator[{0-5}]",
         {"q": "qpos[{0-5}]", "dq": "qvel[{0-5}]", "ddq": "qacc[{0-5}]", "tau": "qfrc_actuator[{0-5}]"},
     ),
-    "lists of a LeRobot data set": (
-        "observation.state.{0-5}|observation.effort.{0-5}|action.{0-5}",
-        {"q": "observation.state.{0-5}", "tau": "observation.effort.{0-5}", "cmd": "action.{0-5}"},
-    ),
     "kuka": ("A{1-6}|X|Y|Z|A|B|C", {"q": "A{1-6}", "position": "X|Y|Z", "rotation": "C|B|A"}),
-    "plain": (
-        "q{0-5}|dq{0-5}|ddq{0-5}|tau{0-5}|x|y|z|qx|qy|qz|qw|t",
-        {
-            "q": "q{0-5}",
-            "dq": "dq{0-5}",
-            "ddq": "ddq{0-5}",
-            "tau": "tau{0-5}",
-            "position": "x|y|z",
-            "rotation": "qw|qx|qy|qz",
-            "time": "t",
-        },
-    ),
-    "arrays": (
-        (
-            "position_{0-5}|velocity_{0-5}|effort_{0-5}|tcp_x|tcp_y|tcp_z|tcp_rx|tcp_ry|tcp_rz|"
-            "gripper_position|position_error_0"
-        ),
-        {
-            "q": "position_{0-5}",
-            "dq": "velocity_{0-5}",
-            "tau": "effort_{0-5}",
-            "position": "tcp_x|tcp_y|tcp_z",
-            "rotation": "tcp_rx|tcp_ry|tcp_rz",
-        },
-    ),
     "plotjuggler": (
         (
             "__time|/joint_states/position[{0-5}]|/tracker/pose/position/x|/tracker/pose/position/y|"
@@ -265,10 +224,6 @@ NAMINGS = {
             "q": "/joint_states/position[{0-5}]",
             "position": "/tracker/pose/position/x|/tracker/pose/position/y|/tracker/pose/position/z",
         },
-    ),
-    "camel": (
-        "currentJointPosition{1-6}|jointTorque{1-6}|toolX|toolY|toolZ",
-        {"q": "currentJointPosition{1-6}", "tau": "jointTorque{1-6}", "position": "toolX|toolY|toolZ"},
     ),
     "universal robots' joints": (
         "elbow_joint|shoulder_lift_joint|shoulder_pan_joint|wrist_{1-3}_joint",
@@ -290,28 +245,12 @@ NAMINGS = {
             "run": "episode_index",
         },
     ),
-    "a quaternion q_w": (
-        "jt{1-6}|px|py|pz|q_w|q_x|q_y|q_z",
-        {"q": "jt{1-6}", "position": "px|py|pz", "rotation": "q_w|q_x|q_y|q_z"},
-    ),
     "opencv": ("θ{1-6}|tvec_{0-2}|rvec_{0-2}", {"q": "θ{1-6}", "position": "tvec_{0-2}", "rotation": "rvec_{0-2}"}),
-    "an end effector's": (
-        "theta_{1-6}|tx|ty|tz|ee_quat_x|ee_quat_y|ee_quat_z|ee_quat_w",
-        {"q": "theta_{1-6}", "position": "tx|ty|tz"},
-    ),
     "commanded and measured": (
         "J{1-6}|x_cmd|y_cmd|z_cmd|x_meas|y_meas|z_meas",
         {"q": "J{1-6}", "position": "x_meas|y_meas|z_meas"},
     ),
     "yaskawa": ("T|B|R|U|L|S|X|Y|Z|time", {"q": "S|L|U|R|B|T", "position": "X|Y|Z", "time": "time"}),
-    "yaskawa, seven axes": (
-        "pos_S [°]|pos_L [°]|pos_E [°]|pos_U [°]|pos_R [°]|pos_B [°]|pos_T [°]",
-        {"q": "pos_S [°]|pos_L [°]|pos_E [°]|pos_U [°]|pos_R [°]|pos_B [°]|pos_T [°]"},
-    ),
-    "external axes": (
-        "E1|E2|Ext1|linear_axis|ext_axis_1|A{1-6}|tau_ext_{0-5}|temp_sensor_{0-5}",
-        {"q": "A{1-6}", "temp": "temp_sensor_{0-5}"},
-    ),
     "fanuc": ("J{1-6}|X|Y|Z|W|P|R", {"q": "J{1-6}", "position": "X|Y|Z", "rotation": "W|P|R"}),
     "motion capture": (
         (
@@ -328,10 +267,6 @@ NAMINGS = {
     "units that bind": (
         "Achse {1-6} [°]|M{1-6} [Nm]|T{1-6}_degC|T (°C)|t/s|q7_kg|T_room_degC",
         {"q": "Achse {1-6} [°]", "tau": "M{1-6} [Nm]", "temp": "T{1-6}_degC", "time": "t/s", "ambient": "T_room_degC"},
-    ),
-    "positions of a point beside joints": (
-        "theta_{0-3}|position_{0-2}",
-        {"q": "theta_{0-3}", "position": "position_{0-2}"},
     ),
 }
 

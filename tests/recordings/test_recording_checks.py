@@ -82,11 +82,7 @@ def test_a_distant_tracker_is_not_taken_for_millimetres_but_a_distant_base_is(pl
 @pytest.mark.parametrize(
     ("oriented", "unknowns", "message"),
     [
-        (
-            False,
-            13,
-            "4 samples of 3 numbers (position without orientation) give 12 numbers, fewer than the 13 to determine",
-        ),
+        (False, 13, "4 samples of 3 numbers (position without orientation) give 12 numbers, fewer than the 13 to"),
         (False, 28, "fewer than the 28 to determine; record at least 10 samples"),
         (True, 28, "4 samples of 6 numbers (position and orientation) give 24 numbers, fewer than the 28 to determine"),
         (True, 30, "fewer than the 30 to determine; record at least 5 samples"),
@@ -178,14 +174,8 @@ def test_torques_in_another_unit_are_asked_about():
 @pytest.mark.parametrize(
     ("factors", "message"),
     [
-        (
-            {"velocity_factor": 180 / np.pi},
-            "57.3 times what the positions change per second (median); are these degrees?",
-        ),
-        (
-            {"time_factor": 1e3},
-            "1e+03 times what the positions change per second (median); check their unit and time_s",
-        ),
+        ({"velocity_factor": 180 / np.pi}, "57.3 times what the positions change per second (median); are these"),
+        ({"time_factor": 1e3}, "1e+03 times what the positions change per second (median); check their unit and"),
         ({"velocity_factor": 0.0}, "0 times what the positions change per second"),
     ],
 )

