@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_arm import ARM, KINEMATICS, new_host, reply, serving
+from live import ARM, KINEMATICS, new_host, reply, serving
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol, station

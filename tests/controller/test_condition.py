@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from live_arm import ARM, emulated
+from live import ARM, emulated
 
 from lite6jax.controller import protocol
 from lite6jax.controller.station import Station, parse_condition, read_condition

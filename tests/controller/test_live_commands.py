@@ -16,7 +16,7 @@ import pyarrow.ipc
 import pyarrow.parquet
 import pytest
 import yaml
-from live_arm import ARM, KINEMATICS, emulated, new_host
+from live import ARM, KINEMATICS, emulated, new_host
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory

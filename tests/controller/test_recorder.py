@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import yaml
-from live_arm import ARM, KINEMATICS, emulated
+from live import ARM, KINEMATICS, emulated
 from test_table import room_for
 
 from lite6jax.arms.factory import read_factory

@@ -1,7 +1,7 @@
 """Reports as rows: every report once, gaps counted, clocks that jump, and which way orientations are meant."""
 
 import numpy as np
-from live_arm import ARM, KINEMATICS
+from live import ARM, KINEMATICS
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_arm import emulated, new_host, serving
+from live import emulated, new_host, serving
 
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address

@@ -4,7 +4,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
-from live_arm import ARM, emulated
+from live import ARM, emulated
 
 from benchmarks import soak
 from lite6jax.controller.recorder import record

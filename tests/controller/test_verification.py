@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from live_arm import ARM, KINEMATICS, emulated
+from live import ARM, KINEMATICS, emulated
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller import sdk

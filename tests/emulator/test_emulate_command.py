@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from emulated import new_address
+from live import new_host
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
@@ -22,7 +22,7 @@ PORT = "15020"
 
 def emulate(capsys, *arguments, width=80):
     return run(
-        capsys, "emulate", "--address", new_address(), "--control-port", PORT, "--duration", "0.05", *arguments,
+        capsys, "emulate", "--address", new_host(), "--control-port", PORT, "--duration", "0.05", *arguments,
         width=width,
     )  # fmt: skip
 
@@ -99,7 +99,7 @@ def test_a_prismatic_joint_is_refused_and_the_chain_without_it_is_not(capsys, tm
 
 def test_ctrl_c_ends_it(tmp_path):
     """As a process of its own, with a calibration that is read back from it, and exit code 130."""
-    arm, address = load_bundled("lite6"), new_address()
+    arm, address = load_bundled("lite6"), new_host()
     own = (arm.kinematics + 1e-3).astype(np.float32).astype(float)
     file = write_factory(own, tmp_path / "arm.yaml")
     command = [sys.executable, "-m", "lite6jax.cli", "emulate", "--factory", str(file), "--address", address]

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from emulated import CONTROL_PORT, new_address, read_reports, until
+from live import CONTROL_PORT, Line, new_host, read_reports, until
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.effects.composition import Physics
@@ -19,7 +19,7 @@ Q = [0.1, 0.2, 0.9, 0.3, 0.4, 0.5]
 
 def faulty(body, *texts, **options):
     return Controller(
-        body, **{"faults": parse_faults(texts), "address": new_address(), "control_port": CONTROL_PORT} | options
+        body, **{"faults": parse_faults(texts), "address": new_host(), "control_port": CONTROL_PORT} | options
     )
 
 
@@ -55,7 +55,7 @@ def test_faults_that_are_none(text, message):
 # ------------------------------------------------------------------------------------------ the line
 
 
-def test_silence(lite6, connect, raw):
+def test_silence(lite6, connect):
     with faulty(lite6, "silence:44") as controller:
         arm = connect(controller)
         arm.arm.set_timeout(0.5)
@@ -65,7 +65,7 @@ def test_silence(lite6, connect, raw):
         assert arm.get_state()[0] == 0
         controller.set_faults(Faults(silent=frozenset({-1})))
         assert arm.get_state()[0] == 3
-        with raw(controller) as line:
+        with Line(controller) as line:
             line.socket.settimeout(0.2)
             with pytest.raises(TimeoutError):
                 line.ask(8)
@@ -73,12 +73,12 @@ def test_silence(lite6, connect, raw):
         assert arm.get_state()[0] == 0
 
 
-def test_a_connection_closed_half_way(lite6, raw):
+def test_a_connection_closed_half_way(lite6):
     with faulty(lite6, "close:90") as controller:
-        with raw(controller) as line, pytest.raises(EOFError) as cut:
+        with Line(controller) as line, pytest.raises(EOFError) as cut:
             line.ask(8)
         assert len(cut.value.args[0]) == 90 - 6
-        with raw(controller) as line:
+        with Line(controller) as line:
             assert line.ask(13)[6] == 13  # shorter replies come whole
 
 
@@ -116,16 +116,16 @@ def test_lost_reports(lite6):
 # ------------------------------------------------------------------------------------------ the controller
 
 
-def test_the_invalid_flag_and_old_firmware(lite6, raw, connect):
-    with faulty(lite6, "invalid") as controller, raw(controller) as line:
+def test_the_invalid_flag_and_old_firmware(lite6, connect):
+    with faulty(lite6, "invalid") as controller, Line(controller) as line:
         message = line.ask(8)
         assert len(message) == 179
         assert message[8] == 0
         assert not any(message[11:])
-    with faulty(lite6, "firmware:1.11.5") as controller, raw(controller) as line:
+    with faulty(lite6, "firmware:1.11.5") as controller, Line(controller) as line:
         assert line.ask(8)[8] == 0
         assert connect(controller).version_number == (1, 11, 5)
-    with faulty(lite6, "firmware:1.12.1") as controller, raw(controller) as line:
+    with faulty(lite6, "firmware:1.12.1") as controller, Line(controller) as line:
         assert connect(controller).version_number == (1, 12, 1)
         line.socket.settimeout(0.2)
         with pytest.raises(TimeoutError):
@@ -133,9 +133,9 @@ def test_the_invalid_flag_and_old_firmware(lite6, raw, connect):
 
 
 @pytest.mark.parametrize("where", ["calibration", "kinematics", "reports"])
-def test_nan(lite6, raw, connect, where):
+def test_nan(lite6, connect, where):
     with faulty(lite6, f"nan:{where}") as controller:
-        with raw(controller) as line:
+        with Line(controller) as line:
             rows = np.frombuffer(line.ask(8)[11:], "<f4")
         assert np.isnan(rows[:36]).all() == (where == "calibration")
         assert not np.isnan(rows[36:]).any()
@@ -167,7 +167,7 @@ def test_a_controller_in_error(lite6, connect):
         until(lambda: arm.tcp_offset == tool)
 
 
-def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite6, connect, raw):
+def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite6, connect):
     with faulty(lite6, "nominal") as controller:
         code, pose = connect(controller).get_forward_kinematics(Q)
         assert code == 0
@@ -175,7 +175,7 @@ def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite
         nominal = lite6.flange(np.array(Q), nominal=True)[:3, 3]
         np.testing.assert_allclose(pose[:3], 1e3 * nominal, atol=2e-4)
         assert np.linalg.norm(pose[:3] - 1e3 * own) > 0.5
-        with raw(controller) as line:
+        with Line(controller) as line:
             rows = np.frombuffer(line.ask(8)[11:], "<f4").reshape(7, 6)
         np.testing.assert_array_equal(rows[:6], lite6.kinematics)
 
@@ -183,10 +183,10 @@ def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite
 # ------------------------------------------------------------------------------------------ how it is run
 
 
-def test_it_can_be_opened_again_and_leaves_nothing_behind(lite6, raw):
+def test_it_can_be_opened_again_and_leaves_nothing_behind(lite6):
     controller = faulty(lite6)
     for _ in range(2):
-        with controller, raw(controller) as line:
+        with controller, Line(controller) as line:
             assert line.ask(13)[6] == 13
             before = controller.snapshot().time
             until(lambda before=before: controller.snapshot().time > before + 0.1)

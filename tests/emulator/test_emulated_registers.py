@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from emulated import CONTROL_PORT, new_address, until
+from live import CONTROL_PORT, Line, new_host, until
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import load_bundled
@@ -14,7 +14,7 @@ from tests.oracles.chains import six_parameter_poses
 
 @pytest.fixture(scope="module")
 def controller(lite6):
-    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as running:
+    with Controller(lite6, address=new_host(), control_port=CONTROL_PORT, speed=5.0) as running:
         yield running
 
 
@@ -51,8 +51,8 @@ def test_version_and_serial_number(arm):
     assert arm.arm.control_box_sn == "DL1000230801E02"
 
 
-def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller, raw):
-    with raw(controller) as line:
+def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller):
+    with Line(controller) as line:
         message = line.ask(8)
     assert len(message) == 179
     assert message[:11] == bytes.fromhex("0001 0002 00AD 08 10 01 06 09".replace(" ", ""))
@@ -63,10 +63,10 @@ def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller, r
 
 
 @pytest.mark.parametrize(("name", "dof", "kind"), [("xarm5", 5, 5), ("xarm6", 6, 6), ("xarm7", 7, 7), ("uf850", 6, 12)])
-def test_other_arms(name, dof, kind, connect, raw):
+def test_other_arms(name, dof, kind, connect):
     nominal = load_bundled(name)
     body = Body(nominal, draw_calibration(nominal, seed=2))
-    with Controller(body, address=new_address(), control_port=CONTROL_PORT) as controller:
+    with Controller(body, address=new_host(), control_port=CONTROL_PORT) as controller:
         arm = connect(controller)
         assert (arm.axis, arm.device_type) == (dof, kind)
         q = np.random.default_rng(0).uniform(*np.clip(nominal.joint_limits.T, -3, 3))
@@ -76,13 +76,28 @@ def test_other_arms(name, dof, kind, connect, raw):
         distance, turn = pose_difference(pose, T)
         assert distance < 2e-4
         assert turn < 2e-6
-        with raw(controller) as line:
+        with Line(controller) as line:
             message = line.ask(8)
         assert message[8:11] == bytes([1, dof, kind])
         rows = np.frombuffer(message[11:], "<f4").reshape(7, 6)
         np.testing.assert_allclose(rows[:dof], body.kinematics, atol=1e-6)
         until(lambda: arm.arm._first_report_over)
         assert (arm.axis, arm.device_type) == (dof, kind)
+
+
+def test_the_dh_table_of_an_xarm6_is_the_one_the_vendor_prints(connect):
+    """Register 67 in the vendor's protocol document: modified DH, theta d alpha a of each joint."""
+    printed = bytes.fromhex(
+        "00000000008085430000000000000000FD44B1BF00000000DB0FC9BF00000000FD44B13F000000000000000049BE904300000000"
+        "0040AB43DB0FC9BF00009B420000000000000000DB0FC93F00000000000000000000C242DB0FC9BF0000984200000000000000000000"
+        "000000000000"
+    )
+    expected = np.frombuffer(printed, "<f4").reshape(7, 4)
+    nominal = load_bundled("xarm6")
+    with Controller(Body(nominal, nominal.kinematics), address=new_host(), control_port=CONTROL_PORT) as controller:
+        code, table = connect(controller).get_dh_params()
+    assert code == 0
+    np.testing.assert_allclose(np.reshape(table, (7, 4)), expected, atol=2e-5)
 
 
 # ------------------------------------------------------------------------------------------ kinematics
@@ -107,10 +122,10 @@ def test_forward_kinematics_at_the_precision_of_the_wire(arm, controller):
     assert pose_difference(poses, T_rounded)[0].max() < 3.5e-5
 
 
-def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, controller, raw):
-    reference = joints[:12] + 0.3
+def test_inverse_kinematics_goes_back_through_the_forward_one(arm, controller):
     lower, upper = controller.body.arm.joint_limits.T
-    for q, near in zip(joints[:12], np.clip(reference, lower, upper), strict=True):
+    joints = np.random.default_rng(7).uniform(lower, upper, (12, 6))
+    for q, near in zip(joints, np.clip(joints + 0.3, lower, upper), strict=True):
         pose = arm.get_forward_kinematics(q.tolist())[1]
         code, found = arm.get_inverse_kinematics(pose)
         assert code == 0
@@ -118,7 +133,7 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, contr
         back = np.array(arm.get_forward_kinematics(found)[1])
         assert np.linalg.norm(back[:3] - pose[:3]) < 2e-3
         # firmware 2.7.103 on takes a reference to stay near; the SDK decides by the version whether it sends one
-        with raw(controller) as line:
+        with Line(controller) as line:
             asked = protocol.encode_floats(pose) + b"\1" + protocol.encode_floats(protocol.pad_joints(near))
             given = np.frombuffer(line.send(protocol.Frame(43, asked))[8:], "<f4")
         there = six_parameter_poses(controller.body.kinematics, given[None, :6])[0, :3, 3]
@@ -172,7 +187,7 @@ def test_tool_offset_and_payload(ready, controller):
 
 
 def test_a_controller_that_was_just_switched_on(lite6, connect):
-    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
+    with Controller(lite6, address=new_host(), control_port=CONTROL_PORT) as controller:
         arm = connect(controller)
         assert arm.get_state() == (0, 4)
         assert arm.get_err_warn_code() == (0, [0, 0])
@@ -241,10 +256,10 @@ def test_pause_goes_on_and_stop_does_not(ready):
     assert 0 < ready.get_servo_angle()[1][0] < 1.5
 
 
-def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller, raw):
+def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller):
     assert ready.set_servo_angle(angle=[0, 2.7, 1, 0, 0, 0]) == -8  # the SDK looks itself
     message = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]))
-    with raw(controller) as line:
+    with Line(controller) as line:
         status = line.send(message)[7]
     assert status & 0x50 == 0x50
     assert ready.get_err_warn_code() == (0, [23, 0])
@@ -278,9 +293,9 @@ def test_servo_mode_follows_at_once_within_the_limit_of_speed(ready, controller)
 # ------------------------------------------------------------------------------------------ what is not emulated
 
 
-def test_what_is_not_emulated_is_called_invalid(arm, raw, controller):
+def test_what_is_not_emulated_is_called_invalid(arm, controller):
     assert arm.get_gripper_position()[0] != 0
-    with raw(controller) as line:
+    with Line(controller) as line:
         assert line.send(protocol.Frame(199))[7] & 8
         assert line.send(protocol.Frame(44, bytes(5)))[7] & 8  # a size that is none
         assert line.send(protocol.Frame(11))[7] & 8
@@ -293,13 +308,13 @@ def test_standard_modbus_is_answered_with_an_exception(arm):
     assert arm.read_holding_registers(0, 1)[0] == 0x81
 
 
-def test_garbage_on_the_control_port_hangs_up(raw, controller):
+def test_garbage_on_the_control_port_hangs_up(controller):
     rng = np.random.default_rng(0)
-    with raw(controller) as line:
+    with Line(controller) as line:
         line.socket.sendall(bytes(64))
         assert line.socket.recv(10) == b""
     for size in range(0, 200, 7):
-        with raw(controller) as line:
+        with Line(controller) as line:
             line.socket.sendall(rng.bytes(size))
-    with raw(controller) as line:
+    with Line(controller) as line:
         assert line.ask(13)[6] == 13

@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from emulated import CONTROL_PORT, new_address, read_reports, until
+from live import CONTROL_PORT, new_host, read_reports, until
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
@@ -18,7 +18,7 @@ from tests.oracles.gravity import gravity_moments
 
 
 def emulated(body, **options):
-    return Controller(body, **{"address": new_address(), "control_port": CONTROL_PORT, "speed": 40.0} | options)
+    return Controller(body, **{"address": new_host(), "control_port": CONTROL_PORT, "speed": 40.0} | options)
 
 
 @pytest.fixture(scope="module")

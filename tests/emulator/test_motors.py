@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from emulated import CONTROL_PORT, new_address, read_reports
+from live import CONTROL_PORT, new_host, read_reports
 from scipy.stats import kstest
 
 from lite6jax.controller import protocol
@@ -150,7 +150,7 @@ def test_the_reports_carry_friction_and_noise(arm, lite6):
         Body(arm, lite6.kinematics), "viscous_friction:joint=1,viscous_Nm_s_per_rad=20", torque_noise=np.full(6, 0.01)
     )
     path = draw_sines(arm, seed=5)
-    with Controller(body, path=path, address=new_address(), control_port=CONTROL_PORT, speed=40.0) as controller:
+    with Controller(body, path=path, address=new_host(), control_port=CONTROL_PORT, speed=40.0) as controller:
         read = read_reports(controller, protocol.REALTIME, 500)
     time = (read["time_us"].astype(np.int64) - 60_000_000) / 1e6
     plain = Core(Body(arm, lite6.kinematics), path=path)

@@ -237,19 +237,6 @@ def test_lists_and_structs_of_a_parquet_are_a_column_for_each_number(tmp_path):
     )
 
 
-def test_a_parquet_may_hold_any_numbers_and_other_columns(tmp_path):
-    path = parquet(
-        tmp_path, note=["a", "b"], q1_deg=pa.array([90, None], pa.int16()), q2_rad=np.array([0.5, 1], np.float32)
-    )
-    recording = read_recording(path)
-    np.testing.assert_allclose(recording.joint_position, [[np.pi / 2, 0.5]], rtol=1e-15)
-    assert recording.notes == (
-        "ignored columns that mean nothing here: 'note'",
-        "dropped 1 row with NaN, infinite or empty fields, that is row 2",
-    )
-    assert refusal(parquet(tmp_path, q1_rad=pa.array([], pa.float64()))) == "has column names but no rows; record again"
-
-
 @pytest.mark.parametrize("blank", ["", "NaN", "-inf", "null", "1e999"])
 @pytest.mark.parametrize("column", [0, 2, 3, 7])
 def test_rows_with_anything_missing_are_dropped_and_counted(tmp_path, blank, column):
@@ -275,12 +262,6 @@ def test_over_half_missing_is_an_error_that_names_the_column(tmp_path):
     assert read_recording(half).samples == 1
 
 
-def test_times_of_a_clock_are_counted_from_the_first(tmp_path):
-    recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,1750000000.5\n1,1750000008\n"))
-    assert recording.time.tolist() == [0, 7.5]
-    assert recording.notes == ("time_s is a clock's: times are counted from the first, 1750000000 s",)
-
-
 def test_a_recording_without_a_sidecar_says_what_it_assumes(tmp_path):
     recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,0\n1,0.1\n2,0.2\n", sidecar=None))
     assert recording.settings == RecordingSettings()
@@ -291,14 +272,6 @@ def test_a_recording_without_a_sidecar_says_what_it_assumes(tmp_path):
         "the joint velocities were not recorded and come from differentiating the positions over time",
     )
     np.testing.assert_allclose(recording.velocities(), 10.0)
-
-
-def test_a_bad_sidecar_is_named(tmp_path):
-    path = file(tmp_path, FINE, sidecar="recording: {motion: moving}")
-    with pytest.raises(
-        InputError, match=r"run7\.yaml: recording\.motion: 'moving' is not accepted; give static or traj"
-    ):
-        read_recording(path)
 
 
 LIMITS = np.deg2rad([[-360, 360], [-150, 150]])

@@ -56,18 +56,6 @@ def test_arrays_are_kept_and_keys_of_the_sidecar_are_declared(plausible):
     assert both.settings == RecordingSettings(pose_frame="base", position_noise_m=1e-4)
 
 
-def test_rows_that_are_not_finite_are_dropped_and_counted(plausible):
-    plausible["position"][[3, 7], 1] = np.nan, np.inf
-    recording = Recording.from_arrays(**plausible)
-    assert recording.row.tolist() == [k for k in range(1, SAMPLES + 1) if k not in (4, 8)]
-    assert recording.notes[-1] == "dropped 2 rows with NaN, infinite or empty fields, the first is row 4"
-    plausible["position"][:30] = np.nan
-    assert refused(Recording.from_arrays, **plausible) == (
-        "recording: 30 of 40 rows have NaN, infinite or empty fields, the first is row 1, most of them in column x_m "
-        "(30); fill or remove that column, or record again"
-    )
-
-
 def test_degrees_are_refused_and_name_the_remedy(plausible):
     degrees = np.rad2deg(plausible["joint_position"])
     row, joint = np.argwhere(abs(degrees) > 4 * np.pi)[0][0], 0

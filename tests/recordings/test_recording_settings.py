@@ -2,10 +2,9 @@ import dataclasses
 import math
 
 import pytest
-import yaml
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import FactoryUncertainty, RecordingSettings, read_settings, sidecar_path, write_settings
+from lite6jax.recordings import FactoryUncertainty, RecordingSettings, read_settings, write_settings
 
 FULL = """
 recording:
@@ -83,14 +82,6 @@ def test_round_trip_is_exact(tmp_path, settings):
     }[settings]
     path = write_settings(settings, tmp_path / "out.yaml")
     assert read_settings(path) == settings
-
-
-def test_writing_needs_permission_to_replace(tmp_path):
-    path = write_settings(RecordingSettings(), tmp_path / "out.yaml")
-    with pytest.raises(InputError, match=r"out\.yaml: exists already; .*--force"):
-        write_settings(RecordingSettings(arm="ur5e"), path)
-    write_settings(RecordingSettings(arm="ur5e"), path, overwrite=True)
-    assert read_settings(path).arm == "ur5e"
 
 
 @pytest.mark.parametrize(
@@ -174,18 +165,3 @@ def test_settings_made_in_python_are_held_to_the_same_rules():
         RecordingSettings(joint_noise_rad=-1.0)
     with pytest.raises(InputError, match="position_noise_m: nan is not accepted"):
         dataclasses.replace(RecordingSettings(), position_noise_m=math.nan)
-
-
-def test_the_written_form_is_plain_yaml(tmp_path):
-    path = write_settings(
-        RecordingSettings(tool=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), joint_noise_rad=1e-5), tmp_path / "out.yaml"
-    )
-    content = yaml.safe_load(path.read_text())
-    assert list(content) == ["recording"]
-    assert content["recording"]["tool"] == [0, 0, 0.1, 0, 0, 0]
-    assert content["recording"]["joint_noise_rad"] == 1e-5  # a number again, not text
-    assert "motion" not in content["recording"]
-
-
-def test_the_sidecar_stands_beside_the_recording():
-    assert sidecar_path("data/run7.csv").as_posix() == "data/run7.yaml"

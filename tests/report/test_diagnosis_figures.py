@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, LITE6, WAVES, diagnosed, of_waves
+from diagnosed import COMPLIANCE, LITE6, WAVES, diagnosed, of_waves
 from torque_diagnosed import COULOMB, EFFECTS, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
@@ -20,17 +20,16 @@ TURN = "joint deflection (mrad)"
 ALONG = "displacement along it (mm)"
 FITTED = "fitted displacement of the measured pose (mm)"
 GEAR = "joint_harmonic:joint=1,order=80.4,amplitude_rad=4e-4,phase_rad=1"
-EXPANSION = "link_thermal_expansion:expansion_per_K=4e-5"
 CURVES = [
     (COMPLIANCE, {}, "gravity torque of joint 2 (Nm)", TURN),
-    (HARMONIC, {}, "position of joint 1 (deg)", TURN),
-    ("joint_offset:joint=3,offset_rad=5e-4", {}, "position of joint 3 (deg)", TURN),
+
+
     ("joint_backlash:joint=2,gap_rad=8e-4", {}, "direction of motion of joint 2", TURN),
     ("joint_lag:joint=1,lag_s=2e-3", {"motion": "trajectory"}, "velocity of joint 1 (deg/s)", TURN),
     (GEAR, {}, "phase of the harmonic, position of joint 1 (deg)", TURN),
-    (EXPANSION, {"warm_up": 15.0}, "temperature rise (K)", "growth of the links (ppm)"),
+
     ("tool_offset:x_m=2e-3,y_m=1e-3", {}, "row of the recording", ALONG),
-    ("measurement_scale:scale=5e-4", {}, FITTED, ALONG),
+
     ("time_offset:offset_s=0.02", {"motion": "trajectory"}, FITTED, ALONG),
 ]  # fmt: skip
 

@@ -3,7 +3,6 @@
 import base64
 import re
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, ranking
 from lite6jax.report.diagnosis_figures import NAMES, drawings
 from lite6jax.report.pages import diagnosis_page
-from lite6jax.report.ranking import Files
 
 DOMAINS = ("poses", "torques")
 both_domains = pytest.mark.parametrize("domain", DOMAINS)
@@ -177,20 +175,6 @@ def test_all_that_was_found_is_said(shown):
     assert "2 rows are outliers" in text
     assert ", ".join(map(str, found.problem.recording.row[[3, 5]])) in text
     assert "0.0200 mm is declared" in text
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_what_was_ruled_out_is_folded_and_commands_stand_on_the_page(shown):
-    found, drawn, _ = shown["poses"]
-    html = diagnosis_page(found, documented(found), "run.csv", drawn, Files(Path("my run.csv"), Path("d.json")))
-    folded = html[html.index("<details>") : html.index("</details>")]
-    assert "Effects not tested" in folded
-    assert "Effects not tested" not in html.replace(folded, "")
-    text = text_of(html)
-    assert "lite6jax compensate d.json 'my run.csv' --out 'my run_compensated.csv'" in text
-    assert text.index("Joint 2 gives way to gravity: ") < text.index("Explained: ")
-    widths = [float(width) for width in re.findall(r'class="bar"><span style="width: ([\d.]+)%"', html)]
-    assert widths[0] == 100 > widths[1]
 
 
 # ------------------------------------------------------------------ torques
