@@ -46,17 +46,6 @@ def test_the_simulated_sensor_has_the_noise_it_says():
     assert np.abs(read.joint_position[0] - read.joint_position[1]).max() > 1
 
 
-def test_the_seeds_way_finds_the_parameters_and_writes_the_seeds_table(tmp_path):
-    rng = np.random.default_rng(RNG_SEED)
-    parameters, q = some_parameters(rng), seed_way.sample_joints(12, rng)
-    found = seed_way.fit(q, seed_poses(parameters, q))
-    np.testing.assert_allclose(found, parameters, atol=1e-11)
-    table = seed_way.as_table(found)
-    assert table.keys() == {"units", "base", "dh", "beta_joint2"}
-    assert table["dh"][1]["d"] == 0
-    assert table["beta_joint2"] == pytest.approx(np.rad2deg(parameters[27]))
-
-
 def test_a_table_is_wrong_unless_it_is_the_calibrations_chain(tmp_path):
     truth = problem.measured(1, 1, RNG_SEED)
     table = seed_way.as_table(fits.convert(truth)[0])

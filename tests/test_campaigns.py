@@ -113,13 +113,6 @@ def test_results_keep_their_types_and_are_read_again(campaign, rows, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_goals_of_poses_are_met_or_not(rows):
-    met = {goal.asked: goal.met for goal in POSES.goals([row for _, row in rows["concealed"]])}
-    assert met["found at twice the threshold, effect and site: 95 %"] is True
-    assert met["false alarms, upper end of the interval: 1 %"] is False  # none, of too few
-    assert met["outside the catalogue: unnamed, at its site, by its driver: 90 %"] is True
-
-
 @DOMAINS
 def test_the_diagnosis_is_given_no_truth_and_a_touched_one_is_not_opened(campaign, tmp_path):
     index = campaign.indices(4, 1, "single")[0]

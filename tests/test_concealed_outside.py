@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.concealed import plans, recorded, rivals, trials
-from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
+from benchmarks.concealed import plans, recorded, rivals
+from benchmarks.concealed.chain import MADE, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses
@@ -243,27 +243,6 @@ def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):
     assert (found.name, found.site) == ("function of position of joint 6", "joint4")
     assert found.apart < 1e-2
     assert nearest(scene, bent).apart > 1.0
-
-
-def a_plan(edge):
-    index = next(
-        i for i in plans.ROUNDS.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge
-    )
-    return index, plans.draw_plan(7, index, np.random.default_rng(0))
-
-
-def test_masses_are_off_in_the_arm_and_not_in_its_files():
-    index, plan = a_plan("masses off")
-    trial = trials.draw(7, index)
-    errors = np.array(trial.truth["mass_errors"])
-    assert 0.01 < np.abs(errors).max() <= 0.2 + 1e-12
-    nominal, actual, told = trials._arms(replace(plan, arm="six"), np.random.default_rng(1))
-    assert 0.01 < np.abs(actual.mass / nominal.mass - 1).max() <= 0.2 + 1e-12
-    np.testing.assert_array_equal(told.mass, actual.mass)  # the oracle is told them
-    measured = (np.tile(np.eye(3), (1, 1, 1)), np.zeros((1, 3)))
-    motion = recorded.draw_motion(np.random.default_rng(1), actual, False, 1)
-    files = recorded.files_of(plan, nominal, told, motion, measured, motion.q, (2e-5, None), motion)
-    assert files["arm.yaml"] == description_text(nominal)  # the diagnosis is not
 
 
 def test_play_and_compliance_of_one_joint_of_mujoco_add_up():

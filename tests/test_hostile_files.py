@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 
-import numpy as np
 import pytest
 from typed import refused
 
@@ -110,34 +109,3 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ what crashed on numbers
-
-
-def test_a_recording_without_missing_numbers_is_required():
-    from lite6jax import InputError, fit, identify, identify_recording, plan_experiment
-
-    whole = recording()
-
-    def with_joints(joint_position):
-        from dataclasses import replace
-
-        return replace(whole, joint_position=joint_position)
-
-    gap = whole.joint_position.copy()
-    gap[3, 1] = np.nan
-    for call in (fit, identify_recording):
-        with pytest.raises(InputError, match="row 4 has nan in column q2_rad; leave such rows out with drop_missing"):
-            call(with_joints(gap))
-        with pytest.raises(InputError, match="column q1_rad holds complex numbers; give real ones"):
-            call(with_joints(whole.joint_position + 1j))
-        with pytest.raises(InputError, match="are these degrees"):
-            call(with_joints(np.rad2deg(whole.joint_position)))
-    with pytest.raises(InputError, match="joint_position: holds complex numbers; give real ones"):
-        Recording.assembled(whole.joint_position + 1j)
-    experiment = plan_experiment("lite6")
-    for wrong, message in (
-        (np.rad2deg(whole.joint_position), r"are these degrees\? give radians: np\.deg2rad\(joint_position\)"),
-        (whole.joint_position + 1j, "joint_position: holds complex numbers; give real ones"),
-        (gap, "joint_position: row 4 is not finite; leave it out"),
-    ):
-        with pytest.raises(InputError, match=message):
-            identify(experiment, wrong)

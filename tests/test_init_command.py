@@ -205,19 +205,6 @@ def test_the_pose_of_the_source_that_is_declared_is_taken(two_poses, capsys):
     assert [(pose["computed"], pose["taken"]) for pose in json.loads(out)["poses"]] == [(True, False), (False, True)]
 
 
-def test_a_pose_that_the_controller_computed_is_said_to_be(two_poses, capsys):
-    ignored = [f"--column=tracker_{axis}=ignore" for axis in "xyz"]
-    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, width=200)
-    assert code == 0
-    assert "The poses are the controller's own computation from the joints: no sensor is that exact." in out
-    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "controller_fk"
-    declared = ["--set", "pose_source=camera", "--force"]
-    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, *declared, width=200)
-    assert code == 0
-    assert "The poses were computed, not measured by a camera: errors of the arm do not show in them." in out
-    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "camera"  # said, and not corrected
-
-
 def test_normalised_joints_are_not_taken_for_degrees(tmp_path, capsys, monkeypatch):
     path = tmp_path / "run7.csv"
     names = [f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]

@@ -138,16 +138,6 @@ def test_a_finding_is_the_truth_by_name_site_order_and_source():
     assert not a_row([pulled], a_finding("joint_coupling", "joint3", coupling=1e-4, source_joint=4.0))["exact"]
 
 
-def test_a_finding_admits_what_it_says_it_cannot_be_told_from():
-    soft = a_hidden("joint_compliance", "joint2", {"compliance_rad_per_Nm": 1e-5})
-    said = a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 0.3)])
-    row = a_row([soft], said)
-    assert (row["exact"], row["exact_in_set"], row["top_in_set"], row["top_site"]) == (False, True, True, False)
-    far = a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 7.0)])
-    assert not a_row([soft], far)["exact_in_set"]
-    assert not a_row([soft], said, a_finding("base_drift", "base", gain=1.0))["exact_in_set"]  # one too many
-
-
 def test_unseen_errors_leave_out_rows_that_cannot_be_predicted_and_say_how_many():
     row = a_row(off=3e-5)
     assert row["unseen_m"] == pytest.approx(3e-5 / np.sqrt(2))

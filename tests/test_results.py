@@ -3,7 +3,6 @@
 import json
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -129,16 +128,6 @@ def test_a_saved_diagnosis_is_what_other_commands_read(found, name, tmp_path):
     assert document["findings"][0]["statement"].startswith("Joint compliance at joint2")
 
 
-def test_the_table_of_a_diagnosis_has_a_row_for_each_parameter(found):
-    diagnosis = of(found, "Diagnosis")
-    frame = diagnosis.to_frame()
-    (row,) = frame.to_dict("records")
-    estimate = diagnosis.findings[0].parameters["compliance_rad_per_Nm"]
-    assert (row["effect"], row["site"], row["driver"]) == ("joint_compliance", "joint2", "gravity torque of joint 2")
-    assert (row["parameter"], row["value"], row["std"]) == ("compliance_rad_per_Nm", estimate.value, estimate.std)
-    assert set(of(found, "CombinedDiagnosis").to_frame()["of"]) == {"poses", "torques"}
-
-
 def test_a_saved_fit_is_the_effective_table_and_a_saved_recording_keeps_its_settings(found, tmp_path):
     assert lite6jax.read_factory(of(found, "Solution").save(tmp_path / "model.json"))
     recording = of(found, "Recording")
@@ -159,9 +148,3 @@ def test_a_result_that_nothing_shows_says_where_to_add_it():
 
     with pytest.raises(TypeError, match=r"Other has no function `describe` in lite6jax\.report\.summaries"):
         Other().summary()
-
-
-def test_the_package_says_which_modules_register():
-    assert set(results.registering) == set(GENERIC)
-    for module in results.registering.values():
-        assert Path(lite6jax.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py").is_file()

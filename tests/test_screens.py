@@ -87,12 +87,3 @@ def test_the_options_that_a_text_names_exist():
 )
 def test_what_the_comparison_finds(shown, printed, right):
     assert (screens.difference(shown, printed) == "") == right
-
-
-@pytest.mark.parametrize(
-    ("printed", "kept"),
-    [("d1 0.50\nd6 0.50\nend\n", "d6 0.50"), ("d1 0.50\nd6 0.51\nend\n", "d6 0.51"), ("a\nd6 0.90\nend\n", "d6 0.90")],
-)
-def test_a_shortened_screen_keeps_the_line_whose_digits_are_the_same(printed, kept):
-    page = "```console\n$ lite6jax arms\n…\n{}\n…\n```\n"
-    assert screens.renewed(page.format("d6 0.50"), {("lite6jax", "arms"): printed}) == page.format(kept)

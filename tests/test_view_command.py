@@ -21,10 +21,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report import statements
 from lite6jax.report.viewer import (
-    ARM,
     FOUND,
-    WITH,
-    WITHOUT,
     _rgb,
     pose_scene,
     served,
@@ -113,17 +110,6 @@ def test_the_row_moves_the_arm(shown, scene):
     shown.playing.value = False
     shown.play(1.0)
     assert shown.row.value == (45 + 198) % scene.samples + 1
-
-
-def test_the_prediction_is_chosen_and_findings_are_marked(shown, scene):
-    handle = shown.server.scene.get_handle_by_name
-    found, rigid = scene.poses
-    for choice, errors in ((WITHOUT, rigid), (WITH, found)):
-        shown.prediction.value = choice
-        np.testing.assert_allclose(handle("/errors").points, errors.arrows(rigid.scale), atol=1e-6)
-    assert f"the median error of {1e3 * found.median:.4f} mm is" in shown._caption.content
-    assert tuple(handle("/arm/2/joint2").color) == tuple(handle("/arm/1/joint1").color) == _rgb(FOUND)
-    assert tuple(handle("/arm/3/joint3").color) == _rgb(ARM)
 
 
 def test_it_says_where_it_is_shown_and_ends(made, capsys):

@@ -22,7 +22,6 @@ from typed import flat, refused, run
 from lite6jax.arms.factory import read_factory
 from lite6jax.controller import station
 from lite6jax.emulator import Faults, draw_sines
-from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,20 +58,6 @@ def test_read_refuses_before_it_calls(capsys, tmp_path):
     assert run(capsys, "read")[0] == 2
 
 
-def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsys, tmp_path):
-    out = tmp_path / "arm.yaml"
-    out.write_text("mine")
-    with emulated(faults=Faults(invalid=True)) as (controller, address):
-        message = refused(capsys, "read", "--ip", address, "--out", out, "--force")
-        assert message.startswith(f"{address}: the controller reports no valid calibration")
-        assert out.read_text() == "mine"
-        controller.set_faults(Faults(error=9))
-        code, said, _ = run(capsys, "read", "--ip", address, "--out", out, "--force")
-    assert code == 0
-    assert "reports an error or a warning, which does not affect the calibration" in flat(said)
-    assert read_factory(out).arm.name == "lite6"
-
-
 # ------------------------------------------------------------------ fit --ip
 
 
@@ -97,29 +82,6 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
     stem = str(address).replace(":", "_")
     kinds = ("error_by_joint", "controller")
     assert names == {f"{stem}_{kind}.{suffix}" for kind in kinds for suffix in ("png", "svg")}
-
-
-def test_fit_saves_the_calibration_that_it_read(capsys, tmp_path, monkeypatch):
-    saved, read = tmp_path / "arm.yaml", tmp_path / "read.yaml"
-    with emulated() as (_, address):
-        run(capsys, "read", "--ip", address, "--out", read)
-        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", saved)
-        assert code == 0
-        assert f"Wrote {saved}" in flat(said)
-        assert saved.read_bytes() == read.read_bytes()
-        assert "exists already" in refused(capsys, "fit", "--ip", address, "--save-calibration", saved)
-
-        def fail(*_, **__):
-            raise InputError("no fit")
-
-        monkeypatch.setattr("lite6jax.calibration.fit.fit_calibration", fail)
-        again = tmp_path / "again.yaml"
-        assert "no fit" in refused(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", again)
-        assert again.read_bytes() == saved.read_bytes()
-    assert "add --ip ADDRESS" in refused(capsys, "fit", saved, "--save-calibration", tmp_path / "other.yaml")
-    assert "let the name end in .yaml" in refused(
-        capsys, "fit", "--ip", address, "--save-calibration", tmp_path / "a.json"
-    )
 
 
 def test_fit_without_the_sdk_asks_for_the_calibration_only(capsys):
@@ -170,23 +132,6 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ record
-
-
-def test_what_the_controller_computes_is_recorded_for_given_poses_and_diagnosed(capsys, tmp_path):
-    poses, out = tmp_path / "poses.csv", tmp_path / "fk.csv"
-    limits = ARM.joint_limits
-    q = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (80, 6))
-    header = ",".join(f"q{i}_rad" for i in range(1, 7))
-    np.savetxt(poses, q, delimiter=",", header=header, comments="", fmt="%.17g")
-    with emulated() as (_, address):
-        code, said, _ = run(capsys, "record", "--ip", address, "--poses", poses, "--out", out)
-    assert code == 0
-    assert "forward kinematics at 80 joint positions; nothing moved" in flat(said)
-    assert read_recording(out).settings.pose_source == "controller_fk"
-    assert re.search(r"q1_rad … q6_rad +as requested, not measured", said)
-    code, said, _ = run(capsys, "diagnose", out, "--out", tmp_path / "d.json")
-    assert code == 0
-    assert "Consistent: " in said
 
 
 def test_record_refuses_before_it_calls(capsys, tmp_path):

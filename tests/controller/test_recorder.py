@@ -1,8 +1,6 @@
 """Recording a live arm: every report once, whatever happens to the line, the disk or the person at the keyboard."""
 
-import re
 import threading
-import time
 
 import numpy as np
 import pyarrow.parquet
@@ -105,36 +103,6 @@ def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_ther
     assert (np.diff(read.time) > 0).all()
 
 
-def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 1.0)  # more than a busy machine keeps a thread waiting
-
-    def go_away(controller):
-        time.sleep(0.5)
-        controller.set_faults(Faults(silent_reports=True))
-
-    done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
-    assert 0 < done.rows == read.samples < 250
-    assert done.short
-    (silent,) = re.findall(r"s before 1 s: no report for ([\d.]+) s", "\n".join(done.notes))
-    assert float(silent) > 0.5
-
-
-def test_it_ends_when_asked_and_keeps_what_it_has(tmp_path):
-    stop = threading.Event()
-    shown = []
-
-    def show(progress):
-        shown.append(progress)
-        if progress.rows > 300:
-            stop.set()
-
-    with emulated(speed=4.0) as (_, address):
-        done = record(address, tmp_path / "run.csv", read_station(address, ARM, "lite6"), stop=stop, show=show)
-    assert done.rows == read_recording(tmp_path / "run.csv").samples > 300
-    assert [p.rows for p in shown] == sorted(p.rows for p in shown)
-    np.testing.assert_allclose(shown[-1].rate, 250)
-
-
 @pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
 def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
     out = tmp_path / name
@@ -148,29 +116,6 @@ def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
     read = read_recording(out)
     assert read.samples == done.rows > 1000
     np.testing.assert_array_equal(np.rint(1e6 * read.time), 4000 * np.arange(done.rows))
-
-
-def test_a_disk_that_has_room_again_in_time_costs_nothing(tmp_path):
-    out, full = tmp_path / "run.csv", []
-
-    def show(progress):
-        if "the disk cannot be written" in progress.trouble and not full:
-            full.append(progress.trouble)
-            room.__exit__(None, None, None)
-
-    with emulated(speed=20.0) as (_, address):
-        station = read_station(address, ARM, "lite6")
-        room = room_for(300_000)
-        room.__enter__()
-        try:
-            done = record(address, out, station, seconds=30.0, show=show)
-        finally:
-            if not full:  # else later tests would have no room either
-                room.__exit__(None, None, None)
-    assert full
-    assert "rows are kept in memory" in full[0]
-    assert (done.unwritten, done.refusal, done.rows) == (0, "", 7500)
-    np.testing.assert_array_equal(np.rint(1e6 * read_recording(out).time), 4000 * np.arange(7500))
 
 
 def test_a_port_that_is_not_there_or_silent(tmp_path, monkeypatch):
@@ -214,22 +159,6 @@ def test_given_joints_are_answered_by_the_controller(tmp_path):
     assert settings.factory_calibration == "fk_factory.yaml"
     assert done.sources["q1_rad"] == "as requested, not measured"
     assert done.rows == 30
-
-
-def test_a_connection_that_is_lost_is_made_anew_and_no_row_is_left_out(tmp_path):
-    wanted, out = poses(400), tmp_path / "fk.parquet"
-    count = []
-
-    with emulated(faults=Faults(latency=0.001)) as (controller, address):
-
-        def advance(done):
-            count.append(done)
-            if len(count) == 100:
-                controller.close_connections()
-
-        done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted, advance=advance)
-    assert (done.rows, done.missing, done.refusal) == (400, 0, "")
-    np.testing.assert_array_equal(read_recording(out).joint_position, wanted.joint_position.astype(np.float32))
 
 
 def test_joints_of_another_arm_or_a_controller_that_refuses(tmp_path):

@@ -133,25 +133,6 @@ def test_the_tool_turns_the_orientation_that_is_expected():
     assert "qw" in took(rows, [row.tobytes() for row in made])
 
 
-def test_numbers_that_are_not_finite_stay_and_are_counted():
-    many = np.frombuffer(b"".join(reports(STEP * np.arange(6))), protocol.report_layout(protocol.REALTIME)).copy()
-    many["pose"][2] = np.nan
-    many["joint_position"][4, 1] = np.inf
-    rows = Rows(station())
-    table = took(rows, [row.tobytes() for row in many])
-    assert len(table["time_s"]) == 6
-    assert np.isnan(table["qw"][2])
-    assert np.isinf(table["q2_rad"][4])
-    assert "2 rows contain values that are not finite" in rows.notes()[-1]
-
-
-def test_a_clock_of_another_speed_is_said():
-    rows = Rows(station())
-    took(rows, reports(STEP * np.arange(2)), heard=0.0)
-    took(rows, reports(STEP * np.arange(2, 5000)), heard=10.0)
-    assert any("runs 2 times as fast" in note for note in rows.notes())
-
-
 def resting(noise=0.0, connection=0):
     """Rows of an arm at rest whose torques have some noise, in pieces of 33 reports."""
     rows = Rows(station())

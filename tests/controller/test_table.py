@@ -10,7 +10,6 @@ import pyarrow.parquet
 import pytest
 
 from lite6jax.controller.recorder import TableWriter
-from lite6jax.errors import InputError
 from lite6jax.recordings.parquet import open_stream
 
 
@@ -57,18 +56,6 @@ def test_what_was_added_is_read_back_bit_for_bit(tmp_path, suffix):
         assert pyarrow.parquet.read_schema(path).field("c0").metadata[b"source"] == b"measured"
 
 
-def test_csv_is_whole_after_every_piece(tmp_path):
-    path = tmp_path / "run.csv"
-    table = TableWriter(path, False, {})
-    for count in (1, 2, 3):
-        table.append(rows(10, count))
-        assert table.flush()
-        assert len(read(path)["c0"]) == 10 * count
-    table.append(rows(250))  # those of a second are written at once
-    assert len(read(path)["c0"]) == 280
-    table.close()
-
-
 def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(tmp_path):
     path = tmp_path / "run.parquet"
     table = TableWriter(path, False, {"c0": "measured"})
@@ -88,30 +75,6 @@ def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(
     table.file.write_bytes(content)
     table.close()
     assert [table.file, *tmp_path.iterdir()] == [path, path]
-
-
-def test_a_stream_with_a_flipped_bit_is_read_or_refused(tmp_path):
-    path = tmp_path / "run.parquet"
-    table = TableWriter(path, False, {})
-    for seed in range(3):
-        table.append(rows(20, seed, columns=4))
-        assert table.flush()
-    content, rng, refused = table.file.read_bytes(), np.random.default_rng(0), 0
-    for at in rng.integers(0, len(content), 150):
-        damaged = bytearray(content)
-        damaged[at] ^= 1 << rng.integers(8)
-        table.file.write_bytes(damaged)
-        notes = []
-        try:
-            assert len(next(iter(read_stream(table.file, notes).values()))) == 60 or notes
-        except InputError:
-            refused += 1
-    assert refused > 20
-    table.file.write_bytes(b"not a stream")
-    with pytest.raises(InputError, match="is not an Arrow stream"):
-        read_stream(table.file, [])
-    table.file.write_bytes(content)
-    table.close()
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

@@ -9,7 +9,7 @@ from live import ARM, KINEMATICS, emulated
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller import sdk
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, verify
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, verify
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
@@ -47,18 +47,6 @@ def test_another_chain_does_not_pass():
     q = found.joint_position.astype(np.float32).astype(float)
     apart = six_parameter_poses(KINEMATICS, q)[:, :3, 3] - six_parameter_poses(ARM.kinematics, q)[:, :3, 3]
     np.testing.assert_allclose(found.position, np.linalg.norm(apart, axis=1), atol=2e-7)
-
-
-@pytest.mark.parametrize("number", [(1, 0), (4, 5)])
-def test_a_change_of_the_chain_by_micrometres_is_seen(number):
-    other = KINEMATICS.copy()
-    other[number] += 5e-6
-    with emulated() as (_, address):
-        found = verify(calibration(other), address, samples=30)
-    assert not found.passed
-    assert (found.hidden_tool, found.other_chain) == (None, None)
-    assert found.position.max() < 2e-5
-    assert found.position.max() > GATE_M or found.orientation.max() > GATE_RAD
 
 
 def test_a_tool_is_taken_into_account():

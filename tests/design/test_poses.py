@@ -89,21 +89,6 @@ def test_how_many_poses_reach_an_accuracy(monkeypatch):
 # ------------------------------------------------------------------ discrimination
 
 
-@pytest.mark.long
-def test_the_poses_discriminate_better_than_random_ones():
-    compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)
-    found = plan_discrimination(OFFSET, ((compliance, [5e-5]), harmonic), CANDIDATES, 15)
-    assert found.distance[-1] > 1.5 * np.median(found.random_distance)
-    assert found.rivals == ("joint_compliance:joint2", "joint_harmonic:joint2")
-    # the definition: what of the one effect's readings the other and all else do not explain, at the chosen poses
-    both = replace(OFFSET, approach="zero").with_physics([compliance, harmonic])
-    J = both.rows(found.joint_position).reshape(-1, both.size) / both.unit
-    effect = 5e-5 * J[:, 28]
-    scaled = np.delete(J, 28, axis=1) * np.delete(both.unit, 28)
-    left = effect - scaled @ np.linalg.lstsq(scaled, effect, rcond=1e-9)[0]
-    assert found.distance[-1] == pytest.approx(np.linalg.norm(left), rel=1e-4)
-
-
 def test_the_distance_of_an_effect_of_several_numbers_is_that_at_its_hypothesised_size():
     harmonic, compliance, size = JointHarmonic(2, 1.0), JointCompliance(2), np.array([5e-5, 1e-4])
     found = plan_discrimination(OFFSET, ((harmonic, size), compliance), CANDIDATES, 15)

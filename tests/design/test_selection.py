@@ -83,14 +83,6 @@ def test_values_are_those_of_the_first_poses_and_no_exchange_improves_them(name)
     assert (exchanges, cycles) == (0, 1)
 
 
-def test_choices_do_not_depend_on_the_units():
-    rows, units = random_rows(1, candidates=200, rows=2, parameters=8), np.geomspace(1e-3, 1e3, 8)
-    pools = Pool(rows), Pool(rows * units)
-    ours, theirs = (choose(pool, 12, apply("D", pool)) for pool in pools)
-    np.testing.assert_array_equal(np.sort(ours.indices), np.sort(theirs.indices))
-    assert theirs.values[-1] - ours.values[-1] == pytest.approx(2 * np.log(units).sum(), abs=1e-6)
-
-
 @pytest.mark.parametrize("name", ["D", "A"])
 def test_directions_that_nothing_determines_drop_out(name):
     """Two columns that only ever act together, and one that never acts."""

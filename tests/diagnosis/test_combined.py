@@ -109,16 +109,6 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
     assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
 
 
-def test_what_disagrees_is_said(made, found):
-    heavier = torques_of(both(made, held=2.4))
-    payload = next(each for each in compare_domains(found.poses, heavier) if each.quantity == "payload_mass")
-    assert payload.agree is False
-    document = with_statements(CombinedDiagnosis(found.poses, heavier, compare_domains(found.poses, heavier)).to_dict())
-    said = next(entry["statement"] for entry in document["shared"] if entry["quantity"] == "payload_mass")
-    assert "they disagree" in said
-    assert "payload_com_m" in said
-
-
 def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
     path = write_document(with_statements(found.to_dict()), tmp_path / "d.json")
     document = json.loads(path.read_text())

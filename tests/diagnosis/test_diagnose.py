@@ -196,23 +196,6 @@ def test_noise_that_is_not_as_declared(arm, still):
     assert diagnosis.estimated_noise == pytest.approx(6e-5, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("undeclared", "noise"), [("orientation_noise_rad", (1e-3, 3e-3)), ("position_noise_m", (1e-3, 1e-2))]
-)
-def test_noise_that_is_declared_in_part_counts_where_it_is(arm, still, undeclared, noise):
-    """Of a hundred times the noise that is declared, nothing is the sensor's noise; the other part's is estimated."""
-    recording = arm.recording(still, noise=noise)
-    diagnosis = diagnose(replace(recording, settings=replace(recording.settings, **{undeclared: None})))
-    assert (diagnosis.findings, diagnosis.verdict) == ((), "unexplained")
-    assert diagnosis.quality.verdict == "above_noise"
-    left = (diagnosis.left.position, diagnosis.left.orientation)
-    part = int(undeclared == "position_noise_m")
-    assert left[1 - part] is None
-    assert left[part] == pytest.approx(noise[part] / NOISE[part], rel=0.2)
-    scale = diagnosis.fit.scale * np.array(diagnosis.problem.noise)
-    np.testing.assert_allclose(scale, noise, rtol=0.1)
-
-
 def test_a_recording_without_poses_is_refused(arm, still):
     recording = Recording.from_arrays(still["joint_position"], source="motion.csv")
     with pytest.raises(InputError, match=r"motion.csv: has no measured positions; a fit needs the columns x_m y_m z_m"):

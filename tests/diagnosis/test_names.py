@@ -12,7 +12,6 @@ from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.estimation.concentration import concentration
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -115,18 +114,6 @@ def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, c
     assert not found.fit.noise.white
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_what_two_joints_swing_round_in_a_short_motion_is_a_function_of_their_velocities(arm, seed):
-    """100 samples: functions of two positions were found first, and the four numbers of the truth were not significant,
-    as blocks were as long as the effect correlates the residuals.
-    """
-    motion = moving_motion(seed, 100)
-    motion["run"], motion["time"] = np.zeros(100, int), 0.02 * np.arange(100)
-    velocity = motion["joint_velocity"]
-    found = terms(deflected(arm, motion, 3, 1e-3 * velocity[:, 0] * velocity[:, 4]))
-    assert said(found) == [("unnamed", "joint3", "velocity of joint 1 and velocity of joint 5")]
-
-
 def test_one_axis_of_a_sensor_that_stretches_is_a_function_of_that_axis(arm, still):
     recording = arm.recording(still)
     stretched = replace(recording, position=recording.position * np.array([1.0, 1.0003, 1.0]))
@@ -152,19 +139,6 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
         statements.verdict_statement(document)
     )
     assert removed in statements.verdict_statement(document)
-
-
-def test_a_name_stays_that_explains_much_more_than_is_left_at_its_joint(arm, still):
-    q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
-    found = explain(Case(deflected(arm, still, 5, 6e-4 * rough + 8e-3 * q), None, "declared", OPTIONS, thorough=False))
-    assert [term.label for term in found.selection.state.fit.terms.terms] == ["joint_scale:joint5"]
-    assert concentration(found.problem, found.selection.state.fit, OPTIONS.engine).site == "joint5"
-
-
-def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):
-    few = static_motion(5, 22)
-    found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(few))
-    assert [term.label for term in found] == ["joint_compliance:joint2"]
 
 
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):

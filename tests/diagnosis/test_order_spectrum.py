@@ -70,14 +70,6 @@ def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest_whole_
     assert max([gap for _, gap in found], default=0.0) < (0.5 if others is None else 1e-6)
 
 
-def test_orders_that_angles_tell_apart_are_no_alternatives(arm, still):
-    made = with_effects(arm, "joint_harmonic:joint=2,order=2,amplitude_rad=6e-4,phase_rad=0.8")
-    against = evidence(made, still)
-    family = against.problem.periodic[1]
-    assert as_likely(against, family, 2.0, OPTIONS.close) == []
-    assert len(as_likely(against, family, 2.0, 1e6)) > 1  # where nothing is asked of them there are
-
-
 def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
     against = evidence(Made(arm.folder, seed=1), still)
     orders, gains = spectrum(against, against.problem.periodic[1])

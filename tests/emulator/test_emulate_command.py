@@ -42,20 +42,6 @@ def test_it_says_where_it_listens_and_what_is_hidden(capsys):
     assert "Stop with Ctrl-C." in said
 
 
-def test_what_the_motors_feel_is_said(capsys):
-    code, out, err = emulate(
-        capsys, "--effect", "viscous_friction:joint=2,viscous_Nm_s_per_rad=3", "--effect", "payload_error:mass_kg=0.2",
-        "--torque-noise", "0.05", width=120,
-    )  # fmt: skip
-    assert (code, err) == (0, "")
-    said = flat(out)
-    assert "Hidden effects, in the torques viscous_friction at joint2: viscous_Nm_s_per_rad = 3" in said
-    assert "payload_error at payload: mass_kg = 0.2" in said
-    assert "Noise of the torques: 0.05 0.05 0.05 0.05 0.05 0.05 N m." in said
-    message = refused(capsys, "emulate", "--torque-noise", "0.1", "0.1")
-    assert message == "lite6: the noise of torques; give one Nm per joint, 6, 0 or more"
-
-
 def test_several_arms_each_with_its_file(capsys, tmp_path):
     arm = load_bundled("lite6")
     files = [write_factory(arm.kinematics + 1e-4 * k, tmp_path / f"arm{k}.yaml") for k in range(2)]

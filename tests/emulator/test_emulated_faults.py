@@ -82,37 +82,6 @@ def test_a_connection_closed_half_way(lite6):
             assert line.ask(13)[6] == 13  # shorter replies come whole
 
 
-def test_report_connections_closed_and_reopened(lite6, connect):
-    path = draw_sines(lite6.arm)
-    with faulty(lite6, "close_reports:20", path=path) as controller:
-        received = b""
-        with socket.create_connection((controller.address, 30000), timeout=5) as line:
-            while chunk := line.recv(65536):
-                received += chunk
-        assert len(received) == 20 * 784 + 392
-        again = read_reports(controller, 30000, 10)
-        assert set(np.diff(again["time_us"].astype(np.int64))) == {4000}
-        arm = connect(controller)
-        until(lambda: arm.connected and arm.arm._first_report_over)
-
-
-def test_reports_that_never_come(lite6, connect):
-    """lite6.md: without a report the SDK's tool offset stays at its cached zero."""
-    with faulty(lite6, "silent_reports", tool=[0, 0, 100, 0, 0, 0]) as controller:
-        arm = connect(controller)
-        until(lambda: controller.snapshot().connections[30002] == 1)
-        assert arm.get_position()[0] == 0
-        assert arm.tcp_offset == [0] * 6
-        assert not arm.arm._first_report_over
-
-
-def test_lost_reports(lite6):
-    with faulty(lite6, "lose:10", speed=20.0) as controller:
-        times = read_reports(controller, 30000, 300)["time_us"].astype(np.int64)
-    assert set(np.diff(times)) == {4000, 8000}
-    assert not (((times - 60_000_000) // 4000) % 10 == 0).any()
-
-
 # ------------------------------------------------------------------------------------------ the controller
 
 
@@ -165,19 +134,6 @@ def test_a_controller_in_error(lite6, connect):
         controller.set_faults(Faults())
         assert arm.get_err_warn_code() == (0, [0, 0])
         until(lambda: arm.tcp_offset == tool)
-
-
-def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite6, connect):
-    with faulty(lite6, "nominal") as controller:
-        code, pose = connect(controller).get_forward_kinematics(Q)
-        assert code == 0
-        own = lite6.flange(np.array(Q))[:3, 3]
-        nominal = lite6.flange(np.array(Q), nominal=True)[:3, 3]
-        np.testing.assert_allclose(pose[:3], 1e3 * nominal, atol=2e-4)
-        assert np.linalg.norm(pose[:3] - 1e3 * own) > 0.5
-        with Line(controller) as line:
-            rows = np.frombuffer(line.ask(8)[11:], "<f4").reshape(7, 6)
-        np.testing.assert_array_equal(rows[:6], lite6.kinematics)
 
 
 # ------------------------------------------------------------------------------------------ how it is run

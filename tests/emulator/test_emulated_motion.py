@@ -34,14 +34,6 @@ def test_velocity_is_the_derivative_of_position(name):
     np.testing.assert_allclose(path.at(t)[1], slope, atol=1e-3 if name in ("move", "short move", "visits") else 1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in PATHS if np.isfinite(PATHS[name].duration)])
-def test_it_stands_before_and_after(name):
-    path = PATHS[name]
-    q, dq = path.at(np.array([path.duration + 1.0, path.duration + 1e-9]))
-    np.testing.assert_array_equal(q, [path.at(np.array([path.duration]))[0][0]] * 2)
-    assert not dq.any()
-
-
 @given(st.floats(0.01, 3.1), st.floats(0.1, 20.0), st.floats(1e-6, 6.0))
 def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
     path = move(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
@@ -117,13 +109,6 @@ def test_a_trajectory_is_played(tmp_path):
     path = read_path(recording(tmp_path / "run.csv", "\n".join(rows)), LITE6)
     assert path.duration == pytest.approx(5.9)
     np.testing.assert_allclose(path.at(np.array([2.0]))[0][0], [0.1 * np.sin(4), 0, 1, 0, 0, 0], atol=1e-9)
-
-
-def test_static_poses_are_visited(tmp_path):
-    rows = [",".join(f"q{i}_deg" for i in range(1, 7)), "0,0,60,0,0,0", "30,0,60,0,0,0"]
-    path = read_path(recording(tmp_path / "poses.csv", "\n".join(rows)), LITE6)
-    assert path.duration == np.inf
-    np.testing.assert_allclose(path.at(np.zeros(1))[0][0], np.deg2rad([0, 0, 60, 0, 0, 0]))
 
 
 @pytest.mark.parametrize(

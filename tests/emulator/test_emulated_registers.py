@@ -140,11 +140,6 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, controller):
         np.testing.assert_allclose(1e3 * there, pose[:3], atol=2e-3)
 
 
-def test_no_inverse_kinematics_out_of_reach(arm):
-    code, _ = arm.get_inverse_kinematics([5000, 0, 0, 0, 0, 0])
-    assert code == 10  # the SDK's "invalid"
-
-
 def test_torques_hold_the_arm_up(ready, controller):
     """Against the gradient of the potential energy by finite differences."""
     body = controller.body
@@ -219,20 +214,6 @@ def test_a_move_takes_the_time_of_its_limits(ready, controller):
     until(lambda: np.allclose(ready.get_servo_angle(is_real=True)[1], there, rtol=0, atol=1e-6))  # servos follow
 
 
-def test_moves_queue_up_and_are_waited_for(ready, controller):
-    goals = [[0.2, 0.1, 0.5, 0, 0, 0], [0.4, -0.1, 0.9, 0, 0.2, 0], [0, 0, 0, 0, 0, 0]]
-    for goal in goals[:-1]:
-        assert ready.set_servo_angle(angle=goal, speed=0.3, radius=10) == 0  # register 24
-    assert ready.get_cmdnum()[1] >= 1
-    assert ready.set_servo_angle(angle=goals[-1], speed=1.0, wait=True) == 0  # told of by feedback
-    assert ready.get_cmdnum() == (0, 0)
-    assert ready.get_servo_angle()[1] == [0] * 7
-    assert controller.snapshot().requests[24] >= 2
-    assert controller.snapshot().requests[254] >= 2
-    assert ready.arm.wait_all_task_finish(timeout=5) == 0  # register 253
-    assert controller.snapshot().requests[253] >= 1
-
-
 def test_pause_goes_on_and_stop_does_not(ready):
     goal = [1.5, 0, 1.0, 0, 0, 0]
     assert ready.set_servo_angle(angle=goal, speed=0.2) == 0  # 7.5 s, 1.5 s of ours
@@ -272,24 +253,6 @@ def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller):
     assert ready.get_state() == (0, 2)
 
 
-def test_servo_mode_follows_at_once_within_the_limit_of_speed(ready, controller):
-    assert ready.set_servo_angle(angle=[0] * 6, speed=3, wait=True) == 0
-    assert ready.set_mode(1) == 0
-    assert ready.set_state(0) == 0
-    until(lambda: ready.mode == 1)
-    assert ready.set_servo_angle_j([0.005, 0, 0.01, 0, 0, 0]) == 0
-    until(lambda: ready.get_servo_angle()[1][2] == pytest.approx(0.01, abs=1e-6))
-    assert ready.set_servo_angle_j([1.0, 0, 0.5, 0, 0, 0]) == 0
-    duration = controller.call(lambda core: core.timeline._paths[-1][1].duration)
-    assert duration == pytest.approx(0.995 / np.pi, rel=1e-5)
-    until(lambda: ready.get_servo_angle(is_real=True)[1][0] == pytest.approx(1.0, abs=1e-6))
-    # a move of position mode is refused here, and the other way round
-    assert ready.set_servo_angle(angle=[0] * 6, speed=1) == 10
-    assert ready.set_mode(0) == 0
-    assert ready.set_state(0) == 0
-    assert ready.set_servo_angle_j([0] * 6) == 10
-
-
 # ------------------------------------------------------------------------------------------ what is not emulated
 
 
@@ -301,11 +264,6 @@ def test_what_is_not_emulated_is_called_invalid(arm, controller):
         assert line.send(protocol.Frame(11))[7] & 8
         assert line.send(protocol.Frame(42, b"\7"))[7] & 8
         assert line.ask(13)[8] in (1, 2, 4, 5)
-
-
-def test_standard_modbus_is_answered_with_an_exception(arm):
-    """Silence would hold the SDK for 10 000 s."""
-    assert arm.read_holding_registers(0, 1)[0] == 0x81
 
 
 def test_garbage_on_the_control_port_hangs_up(controller):

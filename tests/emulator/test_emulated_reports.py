@@ -1,8 +1,5 @@
 """What the report ports say, to a plain socket and to the SDK; and that hidden physics is where it is said to be."""
 
-import socket
-import threading
-
 import numpy as np
 import pytest
 from live import CONTROL_PORT, new_host, read_reports, until
@@ -192,24 +189,3 @@ def test_warmth_and_a_payload_that_is_not_as_declared(lite6, sines):
 
 
 # ------------------------------------------------------------------------------------------ a long stream
-
-
-def test_a_minute_without_a_sample_lost_or_doubled(lite6, sines):
-    """Port 30000 at 200 times the speed, by a reader that now and then does nothing for a while."""
-    with (
-        emulated(lite6, path=sines, speed=200.0) as controller,
-        socket.create_connection((controller.address, 30000), timeout=10) as line,
-    ):
-        buffer, times = bytearray(), []
-        while len(times) < 15000:
-            buffer += line.recv(1 << 20)
-            reports = b"".join(protocol.take_reports(buffer))
-            times.extend(np.frombuffer(reports, protocol.report_layout(30000))["time_us"].tolist())
-            if len(times) % 7 == 0:
-                threading.Event().wait(0.05)
-    assert set(np.diff(times)) == {4000}
-
-
-def test_a_reader_that_never_reads_holds_nobody_up(lite6):
-    with emulated(lite6, speed=1.0) as controller, socket.create_connection((controller.address, 30000)):
-        assert len(read_reports(controller, 30000, 100)) == 100

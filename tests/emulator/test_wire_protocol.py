@@ -124,33 +124,7 @@ def test_poses_are_millimetres_and_fixed_angles():
     np.testing.assert_array_equal(rotation_vector[:, :3], pose[:, :3])
 
 
-def test_feedback_is_where_the_sdk_reads_it():
-    """The SDK's documentation of a feedback's bytes."""
-    command = protocol.Frame(Register.MOVE_JOINTS, transaction=0x0A0B, protocol=3)
-    told = protocol.encode_feedback(command, protocol.MOTION_ENDED, 2, 1_000_000, task=7).encode()
-    assert struct.unpack(">H", told[0:2]) == (0x0A0B,)
-    assert struct.unpack(">H", told[4:6]) == (len(told) - 6,)
-    assert (told[6], told[8], told[9], told[12]) == (0xFF, 2, 23, 2)
-    assert struct.unpack(">H", told[10:12]) == (7,)
-    assert struct.unpack(">Q", told[13:21]) == (1_000_000,)
-
-
 # The offsets of lite6.md, and the first bytes of the vendor's table of port 30000.
-OFFSETS = [
-    (30000, "time_us", 4), (30000, "target_position", 32), (30000, "joint_position", 116),
-    (30000, "joint_velocity", 144), (30000, "joint_acceleration", 172), (30000, "current", 200),
-    (30000, "torque", 228), (30000, "target_pose", 424), (30000, "pose", 472),
-    (30001, "tool_offset", 91), (30002, "tool_offset", 91), (30002, "temperature", 245), (30002, "current", 355),
-    (30003, "state_mode", 4), (30003, "commands", 5), (30003, "joint_position", 7), (30003, "pose", 35),
-    (30003, "torque", 59),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("port", "field", "offset"), OFFSETS)
-def test_where_fields_stand(port, field, offset):
-    fields = protocol.report_layout(port).fields
-    assert fields is not None
-    assert fields[field][1] == offset
 
 
 SDK_NAMES = {
@@ -197,24 +171,6 @@ def test_reports_are_laid_out_as_the_sdk_reads_them(port, sdk_reports):
     whole = ctypes.sizeof(theirs)
     # newer firmware appends general inputs and outputs to port 30000
     assert layout.itemsize == {30000: whole - 20}.get(port, whole)
-
-
-@pytest.mark.parametrize("port", list(protocol.RATES))
-def test_reports_are_read_as_written(port):
-    rng = np.random.default_rng(port)
-    records = np.zeros(3, protocol.report_layout(port))
-    records["length"] = protocol.LENGTHS[port]
-    records["joint_position"] = rng.normal(size=(3, 7))
-    records["pose"] = rng.normal(size=(3, 6))
-    records["state_mode"] = 0x12
-    buffer = bytearray(records.tobytes()) + b"\0\0"
-    reports = list(protocol.take_reports(buffer))
-    assert buffer == b"\0\0"
-    for report, record in zip(reports, records, strict=True):
-        read = np.frombuffer(report, protocol.report_layout(port))[0]
-        np.testing.assert_array_equal(read["joint_position"], record["joint_position"])
-        np.testing.assert_array_equal(read["pose"], record["pose"])
-        assert read["state_mode"] == 0x12
 
 
 @pytest.mark.parametrize("start", [b"\0\0\0\0", b"\0\0\0\4", b"\xff\0\0\0", b"GET "])

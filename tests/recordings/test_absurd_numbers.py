@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, read_recording, read_targets
+from lite6jax.recordings import read_recording, read_targets
 from tests.damaged import CSV, SAMPLES
 
 ROW = 20
@@ -67,20 +67,6 @@ def test_many_rows_are_listed_and_over_half_are_an_error(written):
         "59 of 60 rows have numbers beyond any arm or sensor (1e+09 in column q1_rad, row 1); check the unit and the "
         "column"
     )
-
-
-@pytest.mark.parametrize(
-    ("column", "absurd", "kept"), [("tau2_Nm", 1.1e5, 9e4), ("tau1_mNm", -1.1e8, 9e7), ("ddq1_rad_per_s2", 1e8, 1e6)]
-)
-def test_rows_of_torques_and_accelerations_that_no_arm_has_are_dropped(column, absurd, kept):
-    table = {"q1_rad": np.zeros(9), "q2_rad": np.zeros(9)}
-    quantity, unit = column.split("_", 1)
-    table |= {f"{quantity[:-1]}{joint}_{unit}": np.zeros(9) for joint in (1, 2)}
-    table[column][4], table[column][7] = absurd, kept
-    read = Recording.from_dataframe(table)
-    assert read.row.tolist() == [1, 2, 3, 4, 6, 7, 8, 9]
-    si = absurd / 1e3 if unit == "mNm" else absurd
-    assert read.notes[0] == (f"numbers beyond any arm or sensor count as missing: {si:.5g} in column {column}, row 5")
 
 
 def test_a_target_that_is_absurd_is_a_target_without_a_value(tmp_path):

@@ -154,11 +154,3 @@ def test_a_table_without_names_gets_them(capsys, tmp_path):
     assert "names its columns already; say what they are by --column" in refused(
         capsys, "init", named, "--names", "q1_deg,q2_deg,q3_deg"
     )
-
-
-@pytest.mark.parametrize("name", ["a.json", "a.yaml", "a.txt", "a.py", "a.csv"])
-def test_what_is_no_table_is_left_as_it_is(capsys, tmp_path, name):
-    path = tmp_path / name
-    path.write_text('{"recording": {"arm": "lite6"}}')
-    assert str(path) in refused(capsys, "init", path, "--force")
-    assert path.read_text() == '{"recording": {"arm": "lite6"}}'

@@ -1,6 +1,5 @@
 """Logs of ROS 1 and 2, by the package's own writers, and what is made of them."""
 
-import json
 import sys
 
 import numpy as np
@@ -11,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.description import write_arm
 from lite6jax.arms.files import read_arm
 from lite6jax.calibration.source import read_source
-from lite6jax.cli import main
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
@@ -162,23 +160,6 @@ def test_efforts_are_torques_without_poses_too(tmp_path):
     assert refusal(write(path, two)).startswith("has 2 topics of sensor_msgs/JointState: /left/joint_states, /right")
 
 
-def test_efforts_may_be_named_currents(tmp_path, capsys):
-    t = np.arange(9) / 10
-    q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
-    path = write(tmp_path / "run.mcap", {"/joint_states": joints(t, q, efforts=tau)}, sidecar=None)
-    assert main(["init", str(path), "--yes"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "Joint torques: tau1_Nm, tau2_Nm, in N m (assumed: the largest is 3.8)." in said
-    assert "Check in the sidecar what was assumed: joint torques." in said
-    assert "If the efforts are currents, say so for each: --column tau1_Nm=current1_A." in said
-    assert read_recording(path).motor_current is None
-    named = [f"--column=tau{k}_Nm=current{k}_A" for k in (1, 2)]
-    assert main(["init", str(path), "--yes", "--force", *named, "--set", "torque_constant_Nm_per_A=[2, 3]"]) == 0
-    recording = read_recording(path)
-    assert recording.joint_torque is None
-    np.testing.assert_array_equal(recording.torques(), tau * [2, 3])
-
-
 @pytest.mark.parametrize("share", [0.999, 0.5, 0.01])
 def test_a_truncated_file(tmp_path, share):
     path = small(tmp_path / "run.mcap")
@@ -247,20 +228,6 @@ def test_joints_are_in_the_order_of_the_arm_that_names_them(tmp_path):
     assert note.endswith("left out: gripper")
 
 
-def test_init_names_the_units_of_a_log_by_the_arm(tmp_path, capsys):
-    write_arm(slid.arm(), tmp_path / "telescope.yaml")
-    path, (_, q, *_) = sliding_log(tmp_path)
-    assert main(["init", path, "--arm", str(tmp_path / "telescope.yaml"), "--json", "--set", "motion=trajectory"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["columns"] == {}
-    units = {tuple(block["columns"]): block["unit"]["choice"] for block in found["blocks"]}
-    assert units["q3_m",] == "m"
-    assert units["tau3_N",] == "N"
-    again = read_recording(path)
-    assert again.sliding == (2,)
-    np.testing.assert_allclose(again.joint_position, q, atol=1e-12)
-
-
 # ------------------------------------------------------------------ kinds of logs
 
 
@@ -303,13 +270,6 @@ def test_a_file_of_ros_1(tmp_path):
     holds_the_motion(read_recording(path))
     path.write_bytes(path.read_bytes()[:3000])
     assert refusal(path).startswith("is no bag, truncated or damaged (")
-
-
-@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
-def test_a_folder_whose_recorder_was_ended_is_read_by_its_file(tmp_path, plugin):
-    path = write(tmp_path / "run7", topics_of(), plugin=plugin)
-    (path / "metadata.yaml").unlink()
-    holds_the_motion(read_recording(path))
 
 
 def test_frames_of_tf_are_named(tmp_path):

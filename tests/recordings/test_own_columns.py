@@ -166,10 +166,6 @@ class Capsule:
 # ------------------------------------------------------------------ names
 
 
-def joints(pattern, count=6, first=0):
-    return [pattern.format(k) for k in range(first, first + count)]
-
-
 NAMINGS = {
     "ros": (
         (
@@ -320,32 +316,3 @@ def test_joints_have_the_names_that_the_arm_gives_them():
     names = ["elevator.pos", "time", "claw.pos", "swivel.pos", "elevator.vel", "swivel.vel"]
     found = {block.kind: block.columns for block in meant(names, ("swivel_joint", "elevator"))[0]}
     assert found == {"q": ("swivel.pos", "elevator.pos"), "dq": ("swivel.vel", "elevator.vel"), "time": ("time",)}
-
-
-def test_the_names_of_a_recording_mean_what_they_say():
-    names = ["time_ms", "q1_rad", "q2_rad", "dq1_rad_per_s", "dq2_rad_per_s", "ddq1_deg_per_s2", "ddq2_deg_per_s2"]
-    names += ["tau1_mNm", "tau2_mNm", "current1_A", "current2_A", "temp1_degC", "temp2_degC", "ambient_degC"]
-    names += ["payload_kg", "run", "x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg"]
-    found = {block.kind: block for block in meant(names)[0]}
-    assert {kind: block.unit for kind, block in found.items()} == {
-        "q": "rad",
-        "dq": "rad_per_s",
-        "ddq": "deg_per_s2",
-        "tau": "mNm",
-        "current": "A",
-        "temp": "degC",
-        "position": "mm",
-        "rotation": "deg",
-        "time": "ms",
-        "payload": "kg",
-        "ambient": "degC",
-        "run": None,
-    }
-    assert found["rotation"].form == ("roll", "pitch", "yaw")
-    assert sorted(sum((block.columns for block in found.values()), ())) == sorted(names)
-
-
-def test_what_may_be_meant_instead_is_named():
-    names = [*joints("left_joint_{}"), *joints("right_joint_{}")]
-    ((block,), _) = meant(names)
-    assert (block.columns[0], block.rivals) == ("left_joint_0", ("right_joint_0",))

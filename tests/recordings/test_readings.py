@@ -80,29 +80,6 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path, name, columns, rows, 
     assert "\n" not in str(error.value)
 
 
-def test_joints_of_an_image_agree(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_text(f"{JOINTS},image,corner,u_px,v_px\n0,0,0,0,0,0,0,0,1,2\n0,0.1,0,0,0,0,0,1,3,4\n")
-    with pytest.raises(InputError, match="row 2: its joint positions differ"):
-        read_recording(file)
-
-
-def test_rows_without_a_label_are_dropped(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_text(f"{JOINTS},contact\n" + "".join(f"0,0,0,0,0,0,{label}\n" for label in ("a", "", "b")))
-    (tmp_path / "run.yaml").write_text("recording:\n  arm: lite6\n  motion: static\n")
-    found = read_recording(file)
-    assert found.samples == 2
-    assert any("dropped 1 row" in note for note in found.notes)
-
-
-def test_each_block_that_is_held_out_leaves_rows_of_every_place(recordings):
-    recording = recordings["plane"]
-    for fold in recording.contiguous_folds(3):
-        left = recording.select(~fold).readings.group
-        assert set(left) == set(recording.readings.group)
-
-
 def test_several_files_have_places_of_their_own(tmp_path, recordings):
     files = [write_recording(recordings["contact"], tmp_path / f"{name}.csv") for name in ("left", "right")]
     both = join_recordings([read_recording(file) for file in files])

@@ -3,10 +3,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, drop_missing
-from lite6jax.recordings.motion import with_joints
 
 STATIC = RecordingSettings(motion="static")
 TRAJECTORY = RecordingSettings(motion="trajectory")
@@ -40,19 +38,6 @@ def test_trajectory_without_times_takes_the_direction_from_the_row_order_and_say
         recording.velocities()
 
 
-def test_commanded_positions_stay_beside_the_measured_ones():
-    time = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.015, 400))
-    q, dq = swing(time)
-    recording = Recording.from_arrays(q, time=time, joint_velocity=dq, joint_torque=dq, commanded_position=q + 0.1)
-    even, fault, _ = evenly_timed(recording)
-    assert fault is not None
-    np.testing.assert_allclose(even.commanded_position, even.joint_position + 0.1, atol=1e-4)
-    A, b = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([0.5, 0.0])
-    changed = with_joints(recording, A, b)
-    np.testing.assert_allclose(changed.commanded_position, (q + 0.1) @ A.T + b, atol=1e-12)
-    assert changed.made_anew().commanded_position is None
-
-
 def test_a_dropped_row_does_not_change_its_neighbours_direction_or_velocity():
     q = np.array([[0.0], [2.0], [1.0], [3.0]])
     position = np.array([[0.1, 0, 0], [np.nan, 0, 0], [0.2, 0, 0], [0.3, 0, 0]])
@@ -72,19 +57,6 @@ def test_a_dropped_row_does_not_change_its_neighbours_direction_or_velocity():
     part = drop_missing(Recording.assembled(q, time=time, position=seen, settings=TRAJECTORY))
     np.testing.assert_array_equal(part.velocities(), np.delete(whole.velocities(), [7, 8, 20], axis=0))
     assert part.notes[-1] == "dropped 3 rows with NaN, infinite or empty fields, the first is row 8"
-
-
-def test_differentiation_follows_an_analytic_trajectory_to_second_order_ends_included():
-    errors = []
-    for step in (0.02, 0.01):
-        time = uneven_times(int(4 / step), step)
-        q, dq = swing(time)
-        recording = Recording.from_arrays(q, time=time, settings=TRAJECTORY)
-        assert recording.velocity_differentiated
-        assert "differentiating the positions over time" in recording.notes[0]
-        errors.append(np.abs(recording.velocities() - dq).max())
-    assert errors[0] < 2e-3
-    assert errors[0] / errors[1] > 3.0  # halving the step quarters the error
 
 
 def test_differentiation_is_exact_for_parabolas_and_agrees_with_numpy():

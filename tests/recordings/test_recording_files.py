@@ -204,21 +204,6 @@ def test_a_parquet_that_is_none(tmp_path):
         assert message.endswith("; write it again")
 
 
-@pytest.mark.parametrize(
-    ("column", "kind"),
-    [
-        (["a", "b"], "string"),
-        ([True, False], "bool"),
-        ([["a"], ["b"]], "string"),
-        ([[1.0] * 65] * 2, "list<element: double>"),
-        (pa.array([1, 2], pa.timestamp("ms")), r"timestamp\[ms\]".replace("\\", "")),
-    ],
-)
-def test_a_parquet_column_without_numbers(tmp_path, column, kind):
-    path = parquet(tmp_path, q1_rad=[1.0, 2.0], q2_rad=column)
-    assert refusal(path) == f"column q2_rad: holds {kind}, not numbers; write it as float64"
-
-
 def test_lists_and_structs_of_a_parquet_are_a_column_for_each_number(tmp_path):
     path = parquet(
         tmp_path,
@@ -405,14 +390,6 @@ def test_writing_replaces_nothing_unasked_and_leaves_nothing_half_done(tmp_path,
     with pytest.raises(InputError, match=r"other\.csv: cannot be written \(No space left on device\); free space"):
         write_recording(recording, tmp_path / "other.csv")
     assert sorted(os.listdir(tmp_path)) == ["run7.yaml"]
-
-
-@pytest.mark.parametrize("key", ["torque_noise_Nm", "torque_constant_Nm_per_A"])
-def test_a_list_with_a_number_per_joint_is_held_against_the_joints(tmp_path, key):
-    path = file(tmp_path, f"{JOINTS}\n1,2\n", sidecar=f"recording: {{motion: static, {key}: [1, 2, 3]}}")
-    assert refusal(path) == f"recording.{key} has 3 numbers for 2 joints; give one per joint"
-    with pytest.raises(InputError, match=rf"^mine: recording\.{key} has 1 numbers for 2 joints; give one per joint$"):
-        Recording.from_arrays([[0.1, 0.2]], source="mine", **{key: [1.0]})
 
 
 def test_torques_are_those_recorded_or_currents_times_constants(tmp_path):

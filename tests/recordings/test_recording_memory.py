@@ -6,7 +6,7 @@ import pytest
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, RecordingSettings, read_recording, require_radians
+from lite6jax.recordings import Recording, RecordingSettings, read_recording
 
 LITE6 = load_bundled("lite6")
 SAMPLES = 40
@@ -69,20 +69,6 @@ def test_degrees_are_refused_and_name_the_remedy(plausible):
     assert refused(Recording.from_arrays, mixed) == (
         f"recording: joint_position: row {row + 1} is at {degrees[row, 0]:.5g} rad while the arm's joint 1 goes from "
         "-6.283 to 6.283 rad; are these degrees? give radians: np.deg2rad(joint_position)"
-    )
-
-
-def test_millimetres_are_refused_and_name_the_remedy(plausible):
-    message = refused(Recording.from_arrays, plausible["joint_position"], 1e3 * plausible["position"], arm="lite6")
-    assert message.startswith("recording: position: the positions lie ")
-    assert message.endswith(
-        f" m from their middle (median) while the arm reaches {LITE6.reach:.3g} m; are these millimetres? give metres: "
-        "position / 1000"
-    )
-    far = plausible["position"] + [30.0, 0.0, 0.0]
-    assert Recording.from_arrays(plausible["joint_position"], far).samples == SAMPLES  # a distant sensor
-    assert "m from the base (median)" in refused(
-        Recording.from_arrays, plausible["joint_position"], far, pose_frame="base"
     )
 
 
@@ -164,17 +150,3 @@ def test_what_is_no_data_frame(frame):
 
 
 # ------------------------------------------------------------------ the check that public calls share
-
-
-@pytest.mark.parametrize("shape", [(6,), (20, 6), (3, 20, 6)])
-def test_the_shared_check_of_joint_positions(shape):
-    q = np.random.default_rng(1).uniform(LITE6.joint_limits[:, 0], LITE6.joint_limits[:, 1], shape)
-    require_radians(q, LITE6.joint_limits)
-    require_radians(np.where(q > 1, np.nan, q), LITE6.joint_limits)
-    at = {1: "it", 2: r"row 1", 3: "sample (1, 1)"}[len(shape)]
-    wrong = np.full(shape, 90.0)
-    assert refused(require_radians, wrong, LITE6.joint_limits, "q") == (
-        f"q: {at} is at 90 rad while the arm's joint 1 goes from -6.283 to 6.283 rad; are these degrees? give radians: "
-        "np.deg2rad(q)"
-    )
-    assert refused(require_radians, q + 0j) == "joint_position: holds complex numbers; give real ones"

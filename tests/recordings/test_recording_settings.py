@@ -1,6 +1,3 @@
-import dataclasses
-import math
-
 import pytest
 
 from lite6jax.errors import InputError
@@ -148,20 +145,3 @@ def test_paths_are_kept_and_resolved_beside_the_sidecar(tmp_path):
     assert bundled.factory_path(tmp_path) is None
     for name in ("mine.urdf", "mine.YAML", "./mine", "mine.urdf.xacro", "arms\\mine"):
         assert RecordingSettings(arm=name).arm_is_file
-
-
-def test_settings_that_move_lead_to_the_same_files(tmp_path):
-    (tmp_path / "there/deep").mkdir(parents=True)
-    settings = RecordingSettings(arm="../arm.urdf", factory_calibration=str(tmp_path / "own.yaml"))
-    moved = settings.moved(tmp_path / "there", tmp_path / "there/deep")
-    assert moved.arm == "../../arm.urdf"
-    assert moved.factory_calibration == str(tmp_path / "own.yaml")
-    assert settings.moved(tmp_path, tmp_path) is settings
-    assert RecordingSettings().moved(tmp_path, tmp_path / "there") == RecordingSettings()
-
-
-def test_settings_made_in_python_are_held_to_the_same_rules():
-    with pytest.raises(InputError, match=r"joint_noise_rad: -1\.0 is not accepted \(expected float >= 0\.0\)"):
-        RecordingSettings(joint_noise_rad=-1.0)
-    with pytest.raises(InputError, match="position_noise_m: nan is not accepted"):
-        dataclasses.replace(RecordingSettings(), position_noise_m=math.nan)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, read_recording, streams
+from lite6jax.recordings import Recording, streams
 from lite6jax.recordings.streams import join
 
 
@@ -52,19 +52,6 @@ def test_joints_are_interpolated_at_the_times_of_the_poses(sparse):
         "80 poses and 200 joint states stand in different rows: the joints are interpolated by cubics"
     )
     assert f"dropped {80 - inside.sum()} poses before the first or after the last joint state" in recording.notes
-
-
-def test_a_file_is_read_as_a_frame_is(sparse, tmp_path):
-    columns, _ = table(*sparse)
-    rows = [",".join(columns)] + [
-        ",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True)
-    ]
-    path = tmp_path / "merged.csv"
-    path.write_text("\n".join(rows) + "\n")
-    found, wanted = read_recording(path), Recording.from_dataframe(columns)
-    np.testing.assert_array_equal(found.joint_position, wanted.joint_position)
-    np.testing.assert_array_equal(found.row, wanted.row)
-    assert any("stand in different rows" in note for note in found.notes)
 
 
 def test_nothing_is_interpolated_where_rows_hold_both(sparse):
@@ -131,16 +118,3 @@ def test_each_run_has_its_own_clock():
     del columns["run"]
     with pytest.raises(InputError, match="number the runs in a column `run`"):
         streams.merged(columns, ["q1"], ["x"], "time")
-
-
-@pytest.mark.parametrize("kind", ["wrapped", "rounded"])
-def test_a_dense_log_follows_the_motion(kind):
-    """Joints that wrap round at half a turn, and joints that are written to a tenth of a degree."""
-    t = np.arange(0, 20, 0.01)
-    q = 3.0 + 0.4 * np.sin(0.5 * t)
-    written = (q + np.pi) % (2 * np.pi) - np.pi if kind == "wrapped" else np.round(q, 3)
-    found = streams.JointStream.of(t, written[:, None])
-    assert found.resolved
-    at = t[:-1] + 0.004
-    error = found.at(at)[:, 0] - (3.0 + 0.4 * np.sin(0.5 * at))
-    np.testing.assert_allclose(error - 2 * np.pi * np.round(error / (2 * np.pi)), 0, atol=1.5e-3)

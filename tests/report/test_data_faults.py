@@ -1,7 +1,5 @@
 """The sentences about data faults: whole, with the number and the remedy, from codes and numbers alone."""
 
-import json
-
 import pytest
 
 from lite6jax.recordings.fault import DataFault
@@ -9,8 +7,6 @@ from lite6jax.report.faults import (
     fault_name,
     fault_statement,
     ruled_out_statement,
-    ruled_out_statements,
-    with_statements,
 )
 
 COLUMNS = {"median_error_m": 0.2, "corrected_error_m": 1e-4, "alternatives": []}
@@ -134,26 +130,6 @@ def test_what_rules_a_fault_out_is_stated(fault, words):
     assert said.endswith(".")
 
 
-def test_columns_that_the_same_numbers_rule_out_share_a_sentence():
-    faults = [DataFault(code, (), COLUMN_ERRORS) for code in ("swapped_joints", "mirrored_joint")]
-    assert ruled_out_statements(faults) == [
-        "Not found: swapped joints, joint with reversed sign; the median error is 0.3 mm, and such faults are searched "
-        "for above 7.48 mm."
-    ]
-
-
 def test_a_code_of_another_version_has_a_name():
     assert fault_name("of_tomorrow") == "Of tomorrow"
     assert fault_statement(DataFault("of_tomorrow", (3,), {"something": 1})) == "Of tomorrow."
-
-
-def test_a_document_gets_its_statements():
-    document = {
-        "schema": "lite6jax/diagnosis/2",
-        "data_faults": [fault.to_dict() for fault, _ in FOUND],
-        "ruled_out": [fault.to_dict() for fault, _ in RULED_OUT],
-    }
-    read = with_statements(json.loads(json.dumps(document)))
-    assert [entry["statement"] for entry in read["data_faults"]] == [fault_statement(fault) for fault, _ in FOUND]
-    assert all(entry["statement"] for entry in read["ruled_out"])
-    assert "statement" not in document["data_faults"][0]

@@ -80,24 +80,6 @@ def test_the_spectrum_of_a_gear_lies_on_its_data(wavy):
     assert [tuple(mark.get_xdata()) for mark in marks] == [(0.5, 60.0)]
 
 
-def test_a_function_of_two_drivers_has_a_point_at_each_sample(recorded):
-    """Over its first driver, among its partial residuals."""
-    settings = recorded(COMPLIANCE)[0].settings
-    drivers = "position of joint 2 and gravity torque of joint 2"
-    both = Unnamed("joint2", drivers, -3.0, 3.0, "smooth*line", further=(-40.0, 40.0), spread=3e-4)
-    values = np.random.default_rng(4).normal(scale=3e-4, size=both.size)
-    recording = simulate(LITE6, effects=[(both, values)], motion="static", samples=300, settings=settings)
-    found = diagnosed(recording, (both,))
-    (curve,) = finding_curves(found, 0)
-    assert (curve.quantity.phrase, curve.scattered) == ("position of joint 2", True)
-    at = both.functions_at(np.asarray(both.values_at(found.problem.motion, found.problem.loads)))
-    truth = values @ at - (values @ at).mean()
-    order = np.argsort(np.asarray(found.problem.motion.joint_position[1]), kind="stable")
-    assert np.abs(curve.curve - truth[order]).max() < 5 * curve.std.max()
-    (panel,) = finding_figure(found, "", [0]).axes
-    assert panel.get_xlabel() == "position of joint 2 (deg)"
-
-
 def test_a_loop_has_a_point_at_each_sample(recorded):
     """Over its driver it has more than one value."""
     settings = recorded(COMPLIANCE)[0].settings
@@ -188,15 +170,6 @@ def test_the_order_found_is_marked(drawn):
 
 
 # ------------------------------------------------------------------ torques
-
-
-def test_bars_are_the_errors_of_each_joint(motors, motors_drawn):
-    (panel,) = motors_drawn["error_by_joint"].axes
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("joint", "torque error (Nm RMS)")
-    for bars, errors in zip(panel.containers, (motors.before, motors.after), strict=True):
-        np.testing.assert_allclose([bar.get_height() for bar in bars], np.sqrt(np.mean(errors**2, 1)))
-    spread = [segment[0, 1] for segment in panel.collections[0].get_segments()]
-    np.testing.assert_allclose(spread, np.std(motors.problem.measured, axis=1))
 
 
 def test_torques_over_time(motors, motors_drawn):

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from diagnosed import COMPLIANCE, Reader, diagnosed, documented
 from matplotlib.image import imread
-from torque_diagnosed import COULOMB, VISCOUS, moved
+from torque_diagnosed import COULOMB, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
 from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
-from lite6jax.diagnosis.partial_residuals import finding_curves
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
 from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, ranking
 from lite6jax.report.diagnosis_figures import NAMES, drawings
@@ -39,10 +37,6 @@ def text_of(html):
     page = Reader(html)
     assert page.open == []
     return " ".join(page.text.split())
-
-
-def paged(found):
-    return text_of(diagnosis_page(found, documented(found), "run.csv", dict(drawings(found, "run.csv"))))
 
 
 def row_of(pattern, text):
@@ -200,30 +194,3 @@ def test_the_cause_comes_first_and_all_that_was_found_is_said(shown):
     assert "Rows 7, 9." in text
     assert "0.06, 0.08, 0.05, 0.02, 0.02, 0.015 Nm are declared" in text
     assert "Friction temperature at joint1–6" in text  # not tested: no temperatures
-
-
-@pytest.mark.usefixtures("unpainted")
-@pytest.mark.parametrize("signed", [False, True])
-def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
-    _, q, dq, _ = moved()
-    bump = 0.8 * np.exp(-(((q[1] - q[1].mean()) / 0.25) ** 2))
-    extra = np.zeros_like(q)
-    extra[1] = bump * np.sign(dq[1]) if signed else bump
-    signs = " and direction of motion of joint 2" if signed else ""
-    kernel, further = ("medium*line", (-1.0, 1.0)) if signed else ("medium", ())
-    ends = float(q[1].min()), float(q[1].max())
-    process = UnnamedTorque(2, f"position of joint 2{signs}", *ends, kernel, further, spread=1.0)
-    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (process,))
-    (curve,) = finding_curves(found, 0)
-    assert curve.scattered == signed
-    if not signed:
-        planted = 0.8 * np.exp(-(((curve.at - q[1].mean()) / 0.25) ** 2))
-        assert np.sqrt(np.mean((curve.curve - planted) ** 2)) < 0.05
-        near = np.interp(curve.driver, curve.at, curve.curve)
-        assert np.corrcoef(near, curve.partial)[0, 1] > 0.9
-    text = paged(found)
-    also = " and the direction of motion of joint 2" if signed else ""
-    of = f"a torque at joint2 that is a function of the position of joint 2{also}"
-    assert "Joint 2 has a torque that no effect of the catalogue names: " in text
-    assert f"No effect of the catalogue explains {of}: it contributes " in text
-    assert not re.search(r"coefficient|level|step\d", text)

@@ -52,18 +52,6 @@ def test_arrows_lead_from_predicted_to_measured_points(scene, poses):
     assert found.median < 0.5 * rigid.median
 
 
-def test_findings_have_their_place_their_size_and_plain_words(scene, poses):
-    document, _, _ = poses
-    first, second = scene.findings
-    assert (first.number, first.title, first.parts) == (1, "Joint compliance at joint2", ("joint2",))
-    assert second.parts == ("joint1",)
-    moved = next(entry for entry in document["findings"] if entry["site"] == "joint2")["moves_rms_m"]
-    assert float(first.size.removesuffix(" mm")) == pytest.approx(1e3 * moved, rel=0.05)
-    assert first.statement.startswith("Joint compliance at joint2")
-    assert scene.marked() == {"joint2": [1], "joint1": [2]}
-    assert scene.headline.startswith("Joint 2 gives way to gravity")
-
-
 def test_joints_are_coloured_by_the_errors_of_their_torques(motors):
     document, recording = documented(motors), motors.problem.data.recording
     shown = torque_scene(document, torque_model_from_document(document), recording)
@@ -80,14 +68,3 @@ def test_joints_are_coloured_by_the_errors_of_their_torques(motors):
     assert shown.marked() == {"joint2": [1, 2]}
     assert shown.moving
     assert shown.step == pytest.approx(0.01)
-
-
-def test_faults_of_the_data_are_said(poses):
-    document, model, recording = poses
-    faulty = {**document, "data_faults": [{"fault": "outliers", "rows": [3], "numbers": {}, "statement": ""}]}
-    assert pose_scene(faulty, model, recording).remarks == (
-        "The file is shown as it is. For the diagnosis these were corrected or weighted: outliers.",
-    )
-    bare = recording.made_anew(position=None, quaternion=None)
-    only = pose_scene(document, model, bare)
-    assert (only.poses, only.remarks) == ((), ("The recording has no measured poses: only the motion is shown.",))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed import LITE6, Reader, diagnosed, documented, gear, of_waves, with_rivals
+from diagnosed import LITE6, Reader, diagnosed, documented, gear, with_rivals
 from rich.console import Console
 from rich.text import Text
 
@@ -23,7 +23,7 @@ from lite6jax.report import diagnosis_figures, ranking, remedies, statements, wo
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
-from lite6jax.report.words import quantity, rounded
+from lite6jax.report.words import quantity
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -144,28 +144,6 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 # ------------------------------------------------------------------ physics without a name
 
 
-def test_the_spectrum_of_a_gear_is_said_without_its_orders(wavy, drawn):
-    text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
-    assert max(map(len, shown.splitlines())) <= 60
-    for rank, place in enumerate(ranking.order(documented(wavy)), 1):
-        joint = place + 1
-        title = f"Unnamed effect at joint{joint} as a function of its position"
-        assert text.count(f"{rank}. {title}") == 2  # in the ranking and above its figure
-        start = f"an effect at joint{joint} as a function of the position of joint {joint}: waves of many orders"
-        assert re.search(rf"{start}, as of a gear \(\d+ effective parameters\), peak to peak", said)
-    for shown_text in (text, said):
-        assert "sine" not in shown_text
-        assert "coefficient" not in shown_text
-    q = np.asarray(wavy.problem.motion.joint_position[0])
-    inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
-    swing, std = wavy.peak_to_peak(0)
-    assert 0 < std < 8e-5
-    assert swing == pytest.approx(np.ptp(of_waves(inside)), abs=5 * std)
-    value, spread = rounded(1e6 * swing, 1e6 * std)
-    assert f"peak to peak {value} ± {spread} µrad; it moves the measured point by " in said
-    assert f"peak to peak {value} ± {spread} µrad" in text
-
-
 @pytest.mark.parametrize(
     ("effect", "title", "shape"),
     [
@@ -272,17 +250,6 @@ def test_what_to_record_next(undecided, drawn):
     near = ", ".join(f"{name} (log evidence {gap})" for name, gap in gaps.items())
     assert f"Not distinguished from {near}." in said
     assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
-
-
-def test_the_status_of_each_rival_is_in_the_document(undecided):
-    (finding,) = documented(undecided)["findings"]
-    found = {(rival["effect"], rival["site"]): rival["status"] for rival in finding["confusable_with"]}
-    assert found == {
-        ("joint_lag", "joint2"): "undecided",
-        ("link_compliance", "link1"): "separable",
-        ("joint_harmonic", "joint2"): "rejected",
-        ("joint_compliance", "joint2"): "found",
-    }
 
 
 def test_what_is_confounded_is_to_be_declared(compliant):
