@@ -8,7 +8,7 @@ from benchmarks.campaigns import threshold
 from benchmarks.campaigns.campaign import write_files
 from benchmarks.concealed import information, plans, recorded, rivals, trials
 from benchmarks.concealed import view as views
-from benchmarks.concealed.chain import MADE, lite6, lite6_ros, seven
+from benchmarks.concealed.chain import MADE, lite6, seven
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import (
     COORDINATES,
@@ -20,7 +20,6 @@ from benchmarks.concealed.plain_physics import (
 )
 from benchmarks.concealed.view import Open, View
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.description import load_bundled
 from lite6jax.domains.pose.fit import fit
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import motion_of
@@ -44,14 +43,6 @@ def a_motion(rng, setup, moving=False, rows=60, load=True):
 
 def rms(points):
     return float(np.sqrt(np.mean(np.sum(np.square(points), 1))))
-
-
-@pytest.mark.parametrize(("ours", "theirs"), [(lite6, "lite6"), (lite6_ros, "lite6_ros")], ids=["published", "ros"])
-def test_both_lite6_are_the_bundled_ones(ours, theirs):
-    bundled = load_bundled(theirs)
-    np.testing.assert_allclose(ours().rows, bundled.kinematics, atol=1e-12)
-    np.testing.assert_allclose(ours().mass, bundled.mass)
-    np.testing.assert_allclose(ours().center, bundled.center_of_mass, atol=1e-12)
 
 
 SITES = {
@@ -177,16 +168,6 @@ def test_mujoco_s_clearance_follows_the_direction(moving):
     moved = poses(setup, (), found.motion)[1][after]
     off = found.position[after] - poses(setup, hidden, found.motion)[1][after]
     assert np.median(np.linalg.norm(off, axis=1)) < 0.05 * rms(found.position[after] - moved)
-
-
-def test_mujoco_s_late_clock_shows_the_arm_later():
-    rng = np.random.default_rng(17)
-    setup = a_setup(rng)
-    motion = a_motion(rng, setup, moving=True, rows=40)
-    hidden = (Hidden("time_offset", "clock", (0.0123,)),)
-    found = Arm(setup, hidden, float(motion.payload[0])).moving(motion)
-    np.testing.assert_allclose(found.position, poses(setup, hidden, found.motion)[1], atol=1e-9)
-    assert 1e-6 < abs(found.motion.q - motion.q).max() < 0.3  # servos err, encoders do not
 
 
 def a_view(rng, **left_open):

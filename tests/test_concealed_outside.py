@@ -235,16 +235,6 @@ def test_what_a_name_does_as_well_is_taken_for_it(scene, straight, name):
     assert found.apart < 1e-2
 
 
-def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):
-    setup, motion = scene
-    following = replace(motion, q=np.column_stack([motion.q[:, :5], 0.1 * motion.q[:, 0]]))
-    bent = Hidden("squared_coupling", "joint4", (1e-4,), {"by": 1.0, "power": 2.0})
-    found = nearest((setup, following), bent)
-    assert (found.name, found.site) == ("function of position of joint 6", "joint4")
-    assert found.apart < 1e-2
-    assert nearest(scene, bent).apart > 1.0
-
-
 def test_play_and_compliance_of_one_joint_of_mujoco_add_up():
     rng = np.random.default_rng(44)
     setup = Setup(lite6().moved(rng, *MADE), np.eye(4), np.eye(4), PAYLOAD_CENTER)

@@ -1,7 +1,6 @@
 """`diagnose` and `predict` as they are typed: what is printed, written and refused."""
 
 import json
-import re
 import shlex
 from pathlib import Path
 
@@ -110,13 +109,6 @@ def test_what_diagnose_refuses(capsys, arm, recorded, tmp_path):
     assert not out.exists()
 
 
-def test_diagnose_replaces_nothing_unasked(capsys, recorded, tmp_path):
-    out = tmp_path / "d.json"
-    out.write_text("mine")
-    assert f"{out}: exists already" in refused(capsys, "diagnose", recorded, "--out", out)
-    assert out.read_text() == "mine"
-
-
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -202,22 +194,6 @@ def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
         assert Path(command[-1]).exists()
         Path(command[-1]).unlink()
     recorded.with_name("run7_compensated.yaml").unlink()
-
-
-def test_what_was_ruled_out_is_folded(capsys, diagnosed):
-    assert "Effects not tested:" not in diagnosed[1]
-    folded = re.search(
-        r"(\d+) data faults ruled out and (\d+) effects not tested: --details lists them\.", diagnosed[1]
-    )
-    document = json.loads(diagnosed[0].read_text())
-    assert int(folded[1]) == len(document["ruled_out"])
-    assert int(folded[2]) == len(
-        {(e["effect"], e["site"]) for key in ("untestable", "confounded") for e in document[key]}
-    )
-    code, said, _ = run(capsys, "report", diagnosed[0], "--details")
-    assert code == 0
-    assert "Effects not tested:" in said
-    assert "Joint lag at joint1–6" in flat(said)
 
 
 def test_report_repeats_the_page_and_certifies(capsys, diagnosed, tmp_path):

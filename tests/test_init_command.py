@@ -124,14 +124,6 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
     assert run(capsys, "init", recorded, "--force")[0] == 0
 
 
-def test_an_arm_in_a_file_is_named_relative_to_the_sidecar(recorded, capsys, tmp_path):
-    (tmp_path / "arms").mkdir()
-    arm = tmp_path / "arms" / "mine.urdf"
-    assert run(capsys, "convert", "lite6", arm)[0] == 0
-    assert run(capsys, "init", recorded, "--arm", arm)[0] == 0
-    assert read_settings(recorded.with_suffix(".yaml")).arm == "arms/mine.urdf"
-
-
 def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypatch):
     asked = []
     answers = iter(["measured", "tracker", "laser_tracker", "", "none"])
@@ -152,20 +144,6 @@ def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypa
     monkeypatch.setattr("builtins.input", lambda question: pytest.fail(question))
     assert run(capsys, "init", recorded, "--force", "--yes")[0] == 0
     assert run(capsys, "init", recorded, "--force", "--json")[0] == 0
-
-
-def test_on_a_terminal_it_asks_for_what_it_assumes(tmp_path, capsys, monkeypatch):
-    path = tmp_path / "run7.csv"
-    path.write_text("q0,q1,current_0,current_1\n" + "".join(f"{k / 99},{k / 70},{k},1\n" for k in range(30)))
-    answers = iter(["", "deg", "mA", "", ""])
-    monkeypatch.setattr("builtins.input", lambda _: next(answers))
-    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
-    code, out, _ = run(capsys, "init", path)
-    assert code == 0
-    assert "Joint positions: q0, q1, in radians (assumed: none is beyond 0.413)." in flat(out)
-    assert "Joint positions: q0, q1, in degrees (certain: by name)." in flat(out)
-    columns = yaml.safe_load(path.with_suffix(".yaml").read_text())["columns"]
-    assert columns == {"q0": "q1_deg", "q1": "q2_deg", "current_0": "current1_mA", "current_1": "current2_mA"}
 
 
 @pytest.fixture

@@ -129,18 +129,6 @@ def test_the_names_of_the_joints_say_which_motors_are_meant(tmp_path, capsys):
     assert recording.velocity_differentiated  # of the numbered velocities none is known to be of this leg
 
 
-def test_of_two_arms_it_asks_which(tmp_path, capsys):
-    (q, dq), (other, _) = moved(6), moved(6, late=2.0)
-    path = table(tmp_path / "log.csv", blocks(left_q=q, right_q=other, left_effort=dq, right_effort=-dq))
-    said = refused(capsys, "init", path, "--arm", "lite6", "--yes")
-    assert "it holds 12 joint positions (left_q_0 … left_q_5; right_q_0 … right_q_5), and lite6 has 6 joints" in said
-    right = [word.replace("left", "right") for word in said.partition("such as ")[2].split()]
-    assert run(capsys, "init", path, "--arm", "lite6", "--yes", *right)[0] == 0
-    np.testing.assert_allclose(read_recording(path).torques(), -dq, atol=1e-6)
-    same = table(tmp_path / "twice.csv", blocks(q=q, theta=q + 1e-3))  # before and after the gears
-    assert run(capsys, "init", same, "--arm", "lite6", "--yes")[0] == 0
-
-
 # ------------------------------------------------------------------ servos of a LeRobot data set
 
 SERVOS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")

@@ -138,16 +138,6 @@ def test_a_finding_is_the_truth_by_name_site_order_and_source():
     assert not a_row([pulled], a_finding("joint_coupling", "joint3", coupling=1e-4, source_joint=4.0))["exact"]
 
 
-def test_unseen_errors_leave_out_rows_that_cannot_be_predicted_and_say_how_many():
-    row = a_row(off=3e-5)
-    assert row["unseen_m"] == pytest.approx(3e-5 / np.sqrt(2))
-    assert row["unseen_rad"] == pytest.approx(0, abs=1e-12)  # a quaternion and its negative are one rotation
-    missing = scored(
-        TRUTH | {"hidden": []}, a_diagnosis(), {"x_m": [np.nan, 0.2], "y_m": [0, 0.2], "z_m": [0, 0.2]}, 1, ""
-    )
-    assert (missing["unseen_missing"], missing["unseen_m"]) == (0.5, 0.0)
-
-
 def test_bars_hold_unseen_positions_or_not():
     """Noise is drawn for the truth, and counts beside the bars: a row that is far off is not within them."""
     shown = {name: [0.1, 0.2] for name in ("x_m", "y_m", "z_m")} | {"outside": [0.0, 1.0]}
@@ -159,13 +149,6 @@ def test_bars_hold_unseen_positions_or_not():
     assert campaign.within_bars([row], "inside") == 1.0
     assert campaign.within_bars([row], "outside") == pytest.approx(2 / 3)
     assert np.isnan(campaign.within_bars([scored(truth, a_diagnosis(), shown, 1, "")], "inside"))
-
-
-def test_a_trial_without_an_answer_counts_as_wrong():
-    row = scored(TRUTH | {"hidden": [WAVE]}, None, None, 2.0, "InputError: no")
-    assert (row["exact"], row["detected"], row["unseen_m"], row["error"]) == (False, False, None, "InputError: no")
-    clean = scored(TRUTH | {"hidden": [], "sizes": []}, None, None, 2.0, "InputError: no")
-    assert not clean["exact"]
 
 
 def test_shares_have_the_intervals_of_clopper_and_pearson():

@@ -42,22 +42,6 @@ def test_a_list_of_files_is_fitted_one_by_one(folder):
         np.testing.assert_array_equal(fit.parameters, lite6jax.fit(file).parameters)
 
 
-def test_a_diagnosis_of_a_file_is_that_of_its_recording(folder, monkeypatch):
-    seen = []
-
-    def stop(recording, *_):
-        seen.append(recording)
-        raise InputError("seen")
-
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.screen_rows", stop)
-    for given in (folder / "run.csv", str(folder / "run.csv"), lite6jax.read_recording(folder / "run.csv")):
-        with pytest.raises(InputError, match=r"^seen$"):
-            lite6jax.diagnose(given, "lite6")
-    for recording in seen[1:]:
-        np.testing.assert_array_equal(recording.position, seen[0].position)
-        assert recording.settings == seen[0].settings
-
-
 def test_motions_and_targets_are_read_from_files(folder, model):
     q = lite6jax.read_recording(folder / "motion.csv").joint_position
     np.testing.assert_array_equal(lite6jax.predict(model, folder / "motion.csv"), lite6jax.predict(model, q))

@@ -140,11 +140,3 @@ def test_without_pandas_the_remedy_is_named(found, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match=r"needs pandas; install it with: pip install pandas"):
         of(found, "Solution").to_frame()
-
-
-def test_a_result_that_nothing_shows_says_where_to_add_it():
-    class Other(PublicResult):
-        pass
-
-    with pytest.raises(TypeError, match=r"Other has no function `describe` in lite6jax\.report\.summaries"):
-        Other().summary()

@@ -41,18 +41,6 @@ def test_pipes_and_devices_are_neither_read_nor_replaced(tmp_path):
     assert "no such file" in refused(storage.read_text, pipe / "below", 10)
 
 
-def test_names_that_no_file_can_have(tmp_path):
-    name = tmp_path / os.fsdecode(b"\xff.txt")
-    assert refused(storage.read_text, name, 10).endswith("its name is not UTF-8; rename the file or its folder")
-    assert "its name is not UTF-8" in refused(storage.write_atomically, name, "text")
-    long = tmp_path / ("x" * 300)
-    assert "File name too long" in refused(storage.read_text, long, 10)
-    assert "File name too long" in refused(storage.check_writable, long)
-    assert not storage.exists(long)
-    longest = tmp_path / f"{'é' * 125}.yaml"  # 255 bytes, and the temporary file beside it needs a name too
-    assert storage.write_atomically(longest, "text").read_text() == "text"
-
-
 @pytest.mark.parametrize("code", [errno.EPERM, errno.EOPNOTSUPP])
 def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
     def refuse(*_):

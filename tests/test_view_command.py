@@ -1,7 +1,6 @@
 """`lite6jax view` as it is typed, its page over HTTP, its scene over the wire, and what its controls do."""
 
 import contextlib
-import re
 import socket
 import struct
 import sys
@@ -110,16 +109,6 @@ def test_the_row_moves_the_arm(shown, scene):
     shown.playing.value = False
     shown.play(1.0)
     assert shown.row.value == (45 + 198) % scene.samples + 1
-
-
-def test_it_says_where_it_is_shown_and_ends(made, capsys):
-    pytest.importorskip("viser", reason="viser (extra view) is not installed")
-    document, path, _ = made
-    code, out, err = run(capsys, "view", document, "--port", "0", "--duration", "0.1", width=60)
-    assert (code, err) == (0, "")
-    assert f"lite6, 200 rows of {path}" in flat(out)
-    assert "Joint 2 gives way to gravity" in flat(out)
-    assert re.search(r"^Open http://127\.0\.0\.1:\d+ in a browser\. Stop with Ctrl-C\.$", out, re.MULTILINE)
 
 
 def test_torques_are_shown_too(capsys, tmp_path, made):

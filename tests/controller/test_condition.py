@@ -49,11 +49,6 @@ def test_a_base_offset_makes_the_frame_unknown(tmp_path):
     assert settings(tmp_path).tool == "none"
 
 
-def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
-    station = Station(ARM, str(tmp_path / "arms" / "mine.yaml"), None, parse_condition(report(), "here"), ())
-    assert station.sidecar_settings(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
-
-
 def test_what_is_not_to_be_relied_on_is_refused():
     short = np.zeros((), protocol.report_layout(protocol.RICH, 133)).tobytes()
     with pytest.raises(InputError, match=r"here: reports of .* end before the tool offset; update the firmware"):

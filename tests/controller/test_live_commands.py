@@ -84,14 +84,6 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
     assert names == {f"{stem}_{kind}.{suffix}" for kind in kinds for suffix in ("png", "svg")}
 
 
-def test_fit_without_the_sdk_asks_for_the_calibration_only(capsys):
-    with emulated() as (controller, address):
-        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk")
-        assert controller.snapshot().requests == {8: 1}
-    assert code == 0
-    assert "Passed" not in said
-
-
 def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
     with emulated(faults=Faults(nominal_kinematics=True)) as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)

@@ -98,20 +98,6 @@ def test_a_full_disk_costs_the_rows_that_do_not_fit_and_no_others(tmp_path, suff
         np.testing.assert_array_equal(found[name], sent[: len(sent) - table.waiting])
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_after_the_disk_has_room_again_it_goes_on(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    table = TableWriter(path, False, {})
-    table.append(rows(250, 0))
-    with room_for(50_000):
-        table.append(rows(2500, 1))
-        assert (table.waiting, "large" in table.refusal) == (2500, True)
-    assert table.flush()
-    assert (table.waiting, table.refusal) == (0, "")
-    table.close()
-    np.testing.assert_array_equal(read(path)["c3"], np.concatenate([rows(250, 0)["c3"], rows(2500, 1)["c3"]]))
-
-
 def test_it_replaces_nothing_unasked(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("mine")

@@ -11,7 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm, hayati_fk
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.determination import observability
-from lite6jax.design.identify import determine, identify
+from lite6jax.design.identify import determine
 from lite6jax.design.information import experiment, plan_experiment
 from lite6jax.design.sensor import SENSORS, Sensor
 from tests.oracles.arms import perturbed, random_kinematics, random_positions
@@ -164,18 +164,6 @@ def test_what_is_said_of_parameters_is_what_readings_show(setup):
         assert singular[0] / singular[-1] == pytest.approx(np.linalg.cond(rows * setup.unit), rel=1e-9)
 
 
-def test_nothing_depends_on_the_units():
-    """Scaling a parameter's unit (mm for m) scales its deviation and leaves rank, words and free set as they were."""
-    setup = plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
-    want, factor = determine(setup, joints(60)), np.random.default_rng(0).uniform(0.5, 2, setup.size)
-    factor *= np.where(np.array(setup.units) == "m", 1e3, 57.3)
-    got = determine(replace(setup, scale=setup.scale * factor), joints(60))
-    assert got.rank == want.rank
-    np.testing.assert_array_equal(got.free, want.free)
-    np.testing.assert_allclose(got.standard_deviation, want.standard_deviation, rtol=1e-6)
-    assert [d.statement for d in got.dependencies] == [d.statement for d in want.dependencies]
-
-
 def test_what_is_known_beforehand_decides_what_readings_cannot():
     form = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).form
     model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
@@ -188,19 +176,6 @@ def test_what_is_known_beforehand_decides_what_readings_cannot():
     rows = setup.rows(joints(60)).reshape(-1, 36) / setup.unit
     want = np.linalg.inv(rows.T @ rows + np.diag(1 / sigma**2))
     np.testing.assert_allclose(found.covariance, want, rtol=0, atol=1e-6 * np.abs(want).max())
-
-
-def test_no_accuracy_is_promised_where_something_stays_open():
-    """One pose tells 3 numbers; a dial gauge never tells x; a tracker tells all that positions depend on."""
-
-    def studied(sensor, poses):
-        return identify(plan_experiment("lite6", sensor, tool_at=(0.06, 0.0, 0.04)), joints(poses))
-
-    nothing = {"position_rms_m": None, "orientation_rms_rad": None}
-    assert studied("tracker", 1).to_dict()["predicted_accuracy"] == nothing
-    determined = {"dial_gauge": (False, False), "tracker": (True, False), "tracker_6d": (True, True)}
-    for sensor, expected in determined.items():
-        assert studied(sensor, 60).accuracy[2:] == expected
 
 
 # ------------------------------------------------------------------ observability indices

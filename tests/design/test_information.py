@@ -173,14 +173,3 @@ def test_what_is_refused(make, says):
     with pytest.raises(InputError) as error:
         make()
     assert says in str(error.value)
-
-
-def test_a_recording_that_leaves_nothing_unknown(tmp_path):
-    from lite6jax.arms.factory import write_factory
-
-    write_factory(LITE6.kinematics, tmp_path / "arm.yaml")
-    known = recording(pose_frame="base", tool="none", factory_calibration=str(tmp_path / "arm.yaml"))
-    with pytest.raises(
-        InputError, match=r"run.csv: its sidecar declares geometry, .* nothing is left to identify; use --geo"
-    ):
-        recording_experiment(known)

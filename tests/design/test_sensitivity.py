@@ -1,7 +1,6 @@
 """Sensitivities are finite differences of the plain chain."""
 
 import numpy as np
-import pytest
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.information import plan_experiment
@@ -35,25 +34,3 @@ def test_the_expected_error_is_what_drawn_arms_show():
     moved = np.stack([six_parameter_poses(k, Q[:3])[:, :3, 3] for k in arms]) - found.flange_position[:3]
     shown = np.sqrt(np.mean(np.sum(moved**2, -1), 0))
     np.testing.assert_allclose(found.expected_error[:3], shown, rtol=0.05)
-
-
-def test_maps_hold_every_sample():
-    found = sensitivity("lite6", samples=500)
-    middles, means = found.by_joint(bins=7)
-    assert middles.shape == (6, 7)
-    assert means.shape == (6, 7, 36)
-    assert np.isfinite(means).all()
-    assert (np.diff(middles, axis=1) > 0).all()
-    # a mean over bins, weighed by their samples, is the mean over all
-    q = found.joint_position[:, 2]
-    edges = np.linspace(q.min(), q.max(), 8)
-    count = np.histogram(q, edges)[0]
-    np.testing.assert_allclose(count @ means[2] ** 2 / 500, np.mean(found.position**2, 0), rtol=1e-12)
-    across, up, expected = found.over_workspace(cell=0.1)
-    assert expected.shape == (len(across) - 1, len(up) - 1)
-    radius, height = np.hypot(*found.flange_position[:, :2].T), found.flange_position[:, 2]
-    count = np.histogram2d(radius, height, (across, up))[0]
-    assert count.sum() == 500
-    np.testing.assert_array_equal(np.isnan(expected), count == 0)
-    total = np.nansum(np.where(count > 0, count * expected**2, 0))
-    assert total == pytest.approx(np.sum(found.expected_error**2))

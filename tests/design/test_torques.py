@@ -110,16 +110,6 @@ def test_a_joint_that_does_not_move():
     assert np.isinf(found.standard_deviation[~found.determined]).all()
 
 
-def test_known_links_leave_friction():
-    found = identify_torques(torque_model(Arm("an arm", chain(3)), inertial=False), random_states(3))
-    assert [item.name for item in found.model.base][:4] == [
-        *(f"joint1 {kind}" for kind in ("viscous", "Coulomb", "offset", "rotor inertia"))
-    ]
-    assert found.determined.all()
-    document = found.to_dict()
-    assert document["rank"] == document["rank_possible"] == 12
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -109,20 +109,6 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
     assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
 
 
-def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
-    path = write_document(with_statements(found.to_dict()), tmp_path / "d.json")
-    document = json.loads(path.read_text())
-    assert document["before"]["heldout_position_rms_m"] > document["after"]["heldout_position_rms_m"]
-    assert document["torques"]["domain"] == "torque"
-    poses, torques = read_model(path), read_torque_model(path)
-    assert [e.label for e in poses.physics.effects] == [f.effect.label for f in found.poses.findings]
-    assert [e.label for e in torques.terms.terms] == [f.effect.label for f in found.torques.findings]
-    del document["torques"]["model"]["links"]
-    write_document(document, path, overwrite=True)
-    with pytest.raises(InputError, match="links"):
-        read_torque_model(path)
-
-
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"

@@ -40,20 +40,6 @@ def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed(
     assert {stage.parts for stage in stages} == {6}
 
 
-def test_an_error_ends_the_work_on_folds_that_have_not_begun():
-    begun = []
-
-    def work(fold):
-        begun.append(fold)
-        if fold == 0:
-            raise ValueError("no such fold")
-        threading.Event().wait(0.05)
-
-    with pytest.raises(ValueError, match="no such fold"):
-        work_on_folds(work, (), range(1000))
-    assert len(begun) < 100
-
-
 @pytest.mark.parametrize(
     ("samples", "needed", "count"),
     [

@@ -42,15 +42,6 @@ def test_it_says_where_it_listens_and_what_is_hidden(capsys):
     assert "Stop with Ctrl-C." in said
 
 
-def test_several_arms_each_with_its_file(capsys, tmp_path):
-    arm = load_bundled("lite6")
-    files = [write_factory(arm.kinematics + 1e-4 * k, tmp_path / f"arm{k}.yaml") for k in range(2)]
-    code, out, _ = emulate(capsys, "--factory", *files, "--tool-offset", "0", "0", "50", "0", "0", "0")
-    assert code == 0
-    assert out.count("An emulated lite6 at") == 2
-    assert "arm1.yaml" in out
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.emulator import Body, Controller
-from lite6jax.simulation import draw_calibration
 from tests.oracles.chains import six_parameter_poses
 
 
@@ -60,29 +59,6 @@ def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller):
     np.testing.assert_array_equal(rows[:6], controller.body.kinematics.astype(np.float32))
     assert not rows[6].any()
     assert arm.connected
-
-
-@pytest.mark.parametrize(("name", "dof", "kind"), [("xarm5", 5, 5), ("xarm6", 6, 6), ("xarm7", 7, 7), ("uf850", 6, 12)])
-def test_other_arms(name, dof, kind, connect):
-    nominal = load_bundled(name)
-    body = Body(nominal, draw_calibration(nominal, seed=2))
-    with Controller(body, address=new_host(), control_port=CONTROL_PORT) as controller:
-        arm = connect(controller)
-        assert (arm.axis, arm.device_type) == (dof, kind)
-        q = np.random.default_rng(0).uniform(*np.clip(nominal.joint_limits.T, -3, 3))
-        code, pose = arm.get_forward_kinematics([float(value) for value in q])
-        T = six_parameter_poses(body.kinematics, q[None])[0] @ nominal.T_joint_flange
-        assert code == 0
-        distance, turn = pose_difference(pose, T)
-        assert distance < 2e-4
-        assert turn < 2e-6
-        with Line(controller) as line:
-            message = line.ask(8)
-        assert message[8:11] == bytes([1, dof, kind])
-        rows = np.frombuffer(message[11:], "<f4").reshape(7, 6)
-        np.testing.assert_allclose(rows[:dof], body.kinematics, atol=1e-6)
-        until(lambda: arm.arm._first_report_over)
-        assert (arm.axis, arm.device_type) == (dof, kind)
 
 
 def test_the_dh_table_of_an_xarm6_is_the_one_the_vendor_prints(connect):
@@ -140,26 +116,6 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, controller):
         np.testing.assert_allclose(1e3 * there, pose[:3], atol=2e-3)
 
 
-def test_torques_hold_the_arm_up(ready, controller):
-    """Against the gradient of the potential energy by finite differences."""
-    body = controller.body
-    assert ready.set_servo_angle(angle=[0.3, 0.4, 1.0, 0.2, -0.5, 0.1], speed=3, wait=True) == 0
-    code, torque = ready.get_joints_torque()
-    assert code == 0
-
-    def energy(q):
-        T, total = np.eye(4), 0.0
-        for row, angle, mass, centre in zip(body.kinematics, q, body.arm.mass, body.arm.center_of_mass, strict=True):
-            T = T @ six_parameter_poses(row[None], np.array([[angle]]))[0]
-            total += mass * 9.81 * (T[:3, :3] @ centre + T[:3, 3])[2]
-        return total
-
-    q, h = np.array([0.3, 0.4, 1.0, 0.2, -0.5, 0.1]), 1e-5
-    gradient = [(energy(q + h * e) - energy(q - h * e)) / (2 * h) for e in np.eye(6)]
-    np.testing.assert_allclose(torque[:6], gradient, atol=2e-5)
-    assert torque[6] == 0
-
-
 def test_tool_offset_and_payload(ready, controller):
     before = ready.get_forward_kinematics([0.1, 0.2, 0.9, 0, 0.3, 0])[1]
     holds = ready.get_joints_torque()[1]
@@ -181,24 +137,6 @@ def test_tool_offset_and_payload(ready, controller):
 # ------------------------------------------------------------------------------------------ states and moves
 
 
-def test_a_controller_that_was_just_switched_on(lite6, connect):
-    with Controller(lite6, address=new_host(), control_port=CONTROL_PORT) as controller:
-        arm = connect(controller)
-        assert arm.get_state() == (0, 4)
-        assert arm.get_err_warn_code() == (0, [0, 0])
-        assert arm.get_cmdnum() == (0, 0)
-        assert arm.get_position()[0] == 0
-        # reads work, and nothing moves
-        assert arm.set_servo_angle(angle=[0.5, 0, 1, 0, 0, 0]) == -2  # the SDK: not ready
-        assert arm.get_servo_angle() == (0, [0] * 7)
-        assert arm.motion_enable(True) == 0
-        assert arm.set_state(0) == 0
-        assert arm.get_state() == (0, 2)
-        assert arm.motion_enable(False, servo_id=3) == 0
-        assert arm.set_state(0) == 0
-        assert arm.get_state() == (0, 4)
-
-
 def test_a_move_takes_the_time_of_its_limits(ready, controller):
     """A trapezoid: way over speed plus speed over acceleration; the emulated clock says how long it took."""
     assert ready.set_servo_angle(angle=[0] * 6, speed=3, wait=True) == 0
@@ -212,29 +150,6 @@ def test_a_move_takes_the_time_of_its_limits(ready, controller):
     there = [1.0, 0, 0.5, 0, 0, 0, 0]
     np.testing.assert_allclose(ready.get_servo_angle()[1], there, atol=1e-6)
     until(lambda: np.allclose(ready.get_servo_angle(is_real=True)[1], there, rtol=0, atol=1e-6))  # servos follow
-
-
-def test_pause_goes_on_and_stop_does_not(ready):
-    goal = [1.5, 0, 1.0, 0, 0, 0]
-    assert ready.set_servo_angle(angle=goal, speed=0.2) == 0  # 7.5 s, 1.5 s of ours
-    until(lambda: ready.get_servo_angle()[1][0] > 0.1)
-    assert ready.set_state(3) == 0
-    assert ready.get_state() == (0, 3)
-    until(lambda: np.ptp([ready.get_servo_angle(is_real=True)[1][0] for _ in range(3)]) == 0)
-    halfway = ready.get_servo_angle()[1][0]
-    assert 0 < halfway < 1.5
-    assert ready.set_state(0) == 0
-    assert ready.get_state() == (0, 1)
-    until(lambda: ready.get_state() == (0, 2))
-    np.testing.assert_allclose(ready.get_servo_angle()[1][:6], goal, atol=1e-6)
-    assert ready.set_servo_angle(angle=[0] * 6, speed=0.2) == 0
-    assert ready.set_servo_angle(angle=goal, speed=0.2) == 0
-    until(lambda: ready.get_servo_angle()[1][0] < 1.4)
-    assert ready.set_state(4) == 0
-    assert ready.get_cmdnum() == (0, 0)
-    assert ready.get_state() == (0, 4)
-    until(lambda: np.ptp([ready.get_servo_angle(is_real=True)[1][0] for _ in range(3)]) == 0)
-    assert 0 < ready.get_servo_angle()[1][0] < 1.5
 
 
 def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller):

@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Calibration, Frame, Identity, MalformedError, Register, Status
+from lite6jax.controller.protocol import Calibration, Frame, MalformedError, Register, Status
 
 
 def bytes_of(text):
@@ -24,10 +24,6 @@ MOVE = bytes_of(
     "C2 B8 B2 3E 58 A0 0B 41 00 00 00 00"
 )
 POSE = bytes_of("00 01 00 02 00 1A 29 10 43 00 4F 43 B4 CE 18 3A 3A 00 E0 42 DB 0F 49 40 FD AD 80 B6 7C D9 20 37")
-VERSION = bytes_of(
-    "00 01 00 02 00 2A 01 00 36 2C 36 2C 58 49 31 32 30 32 2C 41 43 31 33 30 32 2C 76 31 2E 31 32 2E 31 30"
-    "00 00 00 00 00 00 00 00 00 00 00 00 00 00"
-)
 
 
 def only(received):
@@ -80,14 +76,6 @@ def test_frames_survive_any_fragmentation(messages, data):
     assert not buffer
 
 
-def test_the_version_is_forty_bytes_of_text():
-    lite6 = Identity(6, 9, "LI1006", "DL1000", (2, 7, 1))
-    assert lite6.encode() == b"6,9,LI1006,DL1000,v2.7.1".ljust(40, b"\0")
-    assert Frame(1, b"\0" + Identity(6, 6, "XI1202", "AC1302", (1, 12, 10)).encode()).encode() == VERSION
-    with pytest.raises(ValueError, match="not shorter than 40"):
-        Identity(6, 9, "L" * 20, "D" * 20, (2, 7, 1)).encode()
-
-
 def test_the_calibration_reply_is_179_bytes():
     rows = np.arange(36.0).reshape(6, 6) / 64  # exact in fp32
     message = protocol.Frame(Register.CALIBRATION).reply(Calibration(1, 6, 9, rows).encode()).encode()
@@ -99,14 +87,6 @@ def test_the_calibration_reply_is_179_bytes():
     np.testing.assert_array_equal(read.rows, [*rows, np.zeros(6)])
     with pytest.raises(MalformedError, match="170 bytes"):
         Calibration.decode(bytes(170))
-
-
-def test_what_floats_are_refused():
-    with pytest.raises(MalformedError, match="must be 8"):
-        protocol.read_floats(bytes(7), 2)
-    with pytest.raises(MalformedError, match="must be 24"):
-        protocol.read_floats(bytes(28), 6)
-    assert protocol.read_floats(bytes(8), 2).tolist() == [0, 0]
 
 
 def test_poses_are_millimetres_and_fixed_angles():

@@ -127,15 +127,3 @@ def test_what_shows_no_board_ends_in_one_line(cv2, tmp_path, capsys):
         assert said in error
         assert error.count("\n") == 1
     assert not (tmp_path / "joints_corners.csv").exists()
-
-
-def test_without_opencv_one_line_says_what_to_install(tmp_path, capsys, monkeypatch):
-    def missing(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(boards, "import_module", missing)
-    (tmp_path / "a.png").write_bytes(b"")
-    write_joints(tmp_path / "joints.csv", rows=1)
-    command = ["detect", str(tmp_path / "a.png"), "--joints", str(tmp_path / "joints.csv")]
-    assert main([*command, "--board", "charuco:7x5,20mm"]) == 2
-    assert "pip install 'lite6jax[camera]'" in capsys.readouterr().err

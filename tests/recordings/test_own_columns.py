@@ -133,23 +133,6 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("sidecar", "message"),
-    [
-        ("columns: {J1: q1}", "column 'J1 (q1)': the unit is missing; write q1_rad or q1_deg"),
-        ("columns: {J1: theta}", "column 'J1': the sidecar names it 'theta', which means nothing here; write q1_rad"),
-        ("columns: {J2: q1_rad}", "column 'J2' of the sidecar is not in the table; it has 'J1', 'J3'"),
-        ("columns: {J1: q1_rad, J3: q1_deg}", "columns J1 and J3 give the same quantity; keep one"),
-        ("columns: [J1]", "columns: ['J1'] is not a mapping; write `name in the table: q1_rad` lines below it"),
-        ("columns: {J1: 3}", "columns.J1: 3 is no name of a column; write one such as q1_rad, or ignore"),
-        ("columns: {J1: q1_rad}\nrecord: {}", "record: unknown key; did you mean recording?"),
-    ],
-)
-def test_a_sidecar_that_names_columns_wrongly(tmp_path, sidecar, message):
-    path = written(tmp_path, {"J1": Q[:, 0], "J3": Q[:, 1]}, sidecar)
-    assert message in refusal(path)
-
-
 # ------------------------------------------------------------------ frames that are not pandas'
 
 

@@ -21,12 +21,6 @@ def uneven_times(count, step, seed=0):
     return np.arange(count) * step + np.random.default_rng(seed).uniform(-0.3, 0.3, count) * step
 
 
-def test_static_direction_is_the_sign_of_the_step_and_starts_from_zero_in_every_run():
-    q = [[0.5, -0.5], [0.7, -0.9], [0.7, 0.1], [-1.0, 2.0], [-2.0, 3.0]]
-    recording = Recording.from_arrays(q, run=[4, 4, 4, 1, 1], settings=STATIC)
-    assert recording.direction_of_motion.tolist() == [[1, -1], [1, -1], [0, 1], [-1, 1], [-1, 1]]
-
-
 def test_trajectory_without_times_takes_the_direction_from_the_row_order_and_says_so():
     recording = Recording.from_arrays([[0.0], [1.0], [3.0], [1.0], [0.0]], settings=TRAJECTORY)
     assert recording.direction_of_motion.ravel().tolist() == [1, 1, 0, -1, -1]

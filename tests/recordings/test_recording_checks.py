@@ -114,15 +114,6 @@ def test_repeated_rows_are_found_with_their_first(plausible):
     assert len(repeated_rows(again).rows) == 200
 
 
-def test_joints_outside_their_limits_are_listed(plausible):
-    q = plausible.joint_position.copy()
-    q[[3, 9], 1] = [3.0, -2.7]
-    q[5, 2] = LITE6[2, 1] + 0.001  # within the margin
-    (found,) = outside_limits(with_joints(plausible, q), LITE6)
-    assert (found.joint, found.rows.tolist()) == (2, [4, 10])
-    assert found.largest_excess_rad == pytest.approx(3.0 - LITE6[1, 1])
-
-
 def swinging(torque_factor=1.0, velocity_factor=1.0, time_factor=1.0, **declared):
     """Two joints that swing, with currents of 2 A and torques of up to 6 N m; one row in nine is an outlier."""
     time = np.arange(0.0, 8.0, 0.01)

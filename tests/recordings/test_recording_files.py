@@ -236,17 +236,6 @@ def test_rows_with_anything_missing_are_dropped_and_counted(tmp_path, blank, col
     assert recording.notes == ("dropped 2 rows with NaN, infinite or empty fields, the first is row 3",)
 
 
-def test_over_half_missing_is_an_error_that_names_the_column(tmp_path):
-    rows = [f"0.1,{k}," if k % 3 else f"0.1,{k},250" for k in range(9)]
-    path = file(tmp_path, "\n".join(["q1_rad,temp1_degC,x_mm", *rows]).replace("x_mm", "time_ms") + "\n")
-    assert refusal(path) == (
-        "6 of 9 rows have NaN, infinite or empty fields, the first is row 2, most of them in column time_ms (6); "
-        "fill or remove that column, or record again"
-    )
-    half = file(tmp_path, "q1_rad,time_s\n0,\n0,1\n")
-    assert read_recording(half).samples == 1
-
-
 def test_a_recording_without_a_sidecar_says_what_it_assumes(tmp_path):
     recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,0\n1,0.1\n2,0.2\n", sidecar=None))
     assert recording.settings == RecordingSettings()
@@ -413,14 +402,6 @@ def test_torques_are_those_recorded_or_currents_times_constants(tmp_path):
     assert str(caught.value) == (
         f"{path}: has no joint torques; add tau1_Nm ..., or current1_A ... and torque_constant_Nm_per_A in the sidecar"
     )
-
-
-def test_a_sidecar_that_moves_still_names_its_files(tmp_path):
-    (tmp_path / "out").mkdir()
-    path = file(tmp_path, FINE, sidecar="recording: {arm: arm.urdf, factory_calibration: own.yaml, motion: static}")
-    moved = read_recording(write_recording(read_recording(path), tmp_path / "out/run8.parquet"))
-    assert moved.settings.arm == "../arm.urdf"
-    assert moved.settings.factory_path(tmp_path / "out").resolve() == tmp_path / "own.yaml"
 
 
 def test_no_flipped_bit_of_a_parquet_file_changes_numbers_in_silence(tmp_path):

@@ -45,12 +45,3 @@ def test_a_torque_that_is_constant_at_rest_is_computed():
 )
 def test_a_measured_torque_and_one_of_which_nothing_can_be_told_are_not(changed):
     assert not estimated_torque(pendulum(**changed))
-
-
-def test_a_joint_that_carries_nothing_does_not_count():
-    recording = pendulum()
-    torque = recording.joint_torque * [1.0, 0.0]
-    q, time = recording.joint_position, recording.time
-    assert estimated_torque(Recording.from_arrays(q, time=time, joint_torque=torque, motion="trajectory"))
-    assert not estimated_torque(Recording.from_arrays(q, time=time, joint_torque=0 * torque, motion="trajectory"))
-    assert not estimated_torque(Recording.from_arrays(q, time=time, motion="trajectory"))

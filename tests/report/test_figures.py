@@ -49,19 +49,6 @@ def test_a_panel_for_each_joint(solution):
         assert y[7] == pytest.approx(np.median(dots.get_ydata()[near]))
 
 
-def test_the_differences_of_arms(comparison):
-    figure = figures.parameter_differences(comparison)
-    lengths, angles = figure.axes
-    assert (lengths.get_ylabel(), angles.get_ylabel()) == ("difference (mm)", "difference (deg)")
-    names = [tick.get_text() for tick in (*lengths.get_xticklabels(), *angles.get_xticklabels())]
-    assert sorted(names) == sorted(LITE6.form.names)
-    assert legend(figure) == ["1 arm0", "2 arm1", "3 arm2"]
-    d1 = [tick.get_text() for tick in lengths.get_xticklabels()].index("d1")
-    at = LITE6.form.names.index("d1")
-    shown = [line.get_ydata()[d1] for line in lengths.lines[:3]]
-    np.testing.assert_allclose(shown, 1e3 * comparison.difference[:, at])
-
-
 def test_the_distances_between_arms(comparison):
     panel, bar = figures.distance_between(comparison).axes
     assert bar.get_ylabel() == "largest distance of the flanges (mm)"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from diagnosed import LITE6, documented
 
-from lite6jax.diagnosis.document import model_from_document, torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document
 from lite6jax.domains.pose.predict import predict
-from lite6jax.report.viewer import MEDIAN_ARROW, WITH, WITHOUT, pose_scene, torque_scene
+from lite6jax.report.viewer import MEDIAN_ARROW, WITH, WITHOUT, pose_scene
 from tests.oracles.chains import joint_frames, six_parameter_poses
 
 
@@ -50,21 +50,3 @@ def test_arrows_lead_from_predicted_to_measured_points(scene, poses):
         usual = np.linalg.norm(np.diff(errors.arrows(errors.scale), axis=1)[:, 0], axis=1)
         assert np.median(usual) == pytest.approx(MEDIAN_ARROW, rel=0.06)  # a scale of two digits
     assert found.median < 0.5 * rigid.median
-
-
-def test_joints_are_coloured_by_the_errors_of_their_torques(motors):
-    document, recording = documented(motors), motors.problem.data.recording
-    shown = torque_scene(document, torque_model_from_document(document), recording)
-    found, rigid = shown.torques
-    assert (found.caption, rigid.caption) == (WITH, WITHOUT)
-    assert found.over_noise.shape == (recording.samples, 6)
-    middle = slice(100, -100)
-    assert np.median(found.over_noise[middle]) == pytest.approx(1.0, abs=0.25)  # noise alone is left
-    assert np.median(rigid.over_noise[middle, 1]) > 10
-    np.testing.assert_allclose(rigid.over_noise[middle, [0]], found.over_noise[middle, [0]])
-    sample = 100 + int(rigid.over_noise[middle, 1].argmax())
-    colours = rigid.colours(sample, rigid.limit).astype(int)
-    assert colours[1].sum() > colours[[0, 2, 3, 4, 5]].sum(1).max()  # brighter, as eyes without colours see it
-    assert shown.marked() == {"joint2": [1, 2]}
-    assert shown.moving
-    assert shown.step == pytest.approx(0.01)

@@ -23,7 +23,6 @@ from lite6jax.report import diagnosis_figures, ranking, remedies, statements, wo
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
-from lite6jax.report.words import quantity
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -170,25 +169,6 @@ def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, t
     entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
     assert remedies.effect_title(entry) == f"unnamed effect at {title}"
     assert remedies.shape(where) == shape
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "std", "text"),
-    [
-        ("compliance_rad_per_Nm", 9.012e-5, 3.5e-7, "compliance 90.12 ± 0.35 µrad/Nm (stiffness 11096 ± 43 Nm/rad)"),
-        ("compliance_x_rad_per_Nm", 9e-5, 3e-6, "compliance x 90.0 ± 3.0 µrad/Nm (stiffness 11111 ± 370 Nm/rad)"),
-        ("phase_rad", 0.5, 0.02, "phase 28.6 ± 1.1 deg"),
-        ("amplitude_rad", 4e-4, 1e-5, "amplitude 0.400 ± 0.010 mrad"),
-        ("vx_m_per_s", 1e-6, 1e-7, "vx 1.00 ± 0.10 µm/s (86.4 ± 8.6 mm a day)"),
-        ("expansion_per_K", 2.3e-5, 1e-6, "expansion 23.0 ± 1.0 ppm/K"),
-        ("offset_s", 0.02, 1e-4, "offset 20.00 ± 0.10 ms"),
-        ("scale", 1.6e-4, 2e-6, "scale 160.0 ± 2.0 ppm"),
-        ("mass_kg", 0.4, 0.02, "mass 0.400 ± 0.020 kg"),
-        ("order", 2.0, 0.0, "order 2"),
-    ],
-)
-def test_numbers_are_read_in_the_units_of_the_screen(name, value, std, text):
-    assert str(quantity(name, {"value": value, "std": std})) == text
 
 
 # ------------------------------------------------------------------ the reference

@@ -50,13 +50,6 @@ def test_settings_of_readings_read_back(tmp_path):
     assert again.settings == recording.settings
 
 
-def test_a_sidecar_of_poses_says_nothing_of_readings(tmp_path):
-    recording = simulate("lite6", samples=3)
-    write_recording(recording, tmp_path / "run.csv")
-    text = (tmp_path / "run.yaml").read_text()
-    assert not any(key in text for key in ("contact", "anchor", "axis", "camera", "board"))
-
-
 @pytest.mark.parametrize(
     ("name", "columns", "rows", "settings", "said"),
     [
