@@ -38,7 +38,7 @@ FOUND = [
     (fault("swapped_joints", joints=[2, 3], **COLUMNS), "Joints 2 and 3 are swapped."),
     (fault("mirrored_joint", joint=4, **COLUMNS), "Joint 4 has its sign reversed."),
     (fault("joint_unit", joint=3, unit="deg", **COLUMNS), "Joint 3 is in degrees."),
-    
+
     (
         fault("joint_turns", joint=2, added_rad=-1.5707963, **COLUMNS),
         "The column of joint 2 has its zero off by +90 deg.",
@@ -52,7 +52,7 @@ FOUND = [
         "These corrections fit about as well: the column of joint 2 has its zero off by half a turn.",
     ),
     (fault("frame_jump", 62, 63, **JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
-    
+
     (
         fault("unsettled_readouts", shape="move", joints=[3], all_joints=False, **REST),
         "a share of each move remained (joint 3; 0.0001 ± 2e-06 of the move",
@@ -62,7 +62,7 @@ FOUND = [
               rival_terms=["unnamed:joint2"], **REST),
         "Without a correction, the best explanation (unnamed:joint2) is less likely by 55 of log-likelihood.",
     ),
-    
+
     (
         fault("nominal_table", declared="lite6", table="lite6_ros", decided=False, share=0.9, share_std=0.3,
               used="instead_of_file", log_likelihood_gap=40.0, rival_terms=["joint_offset:joint3"],
