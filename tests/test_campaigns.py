@@ -15,7 +15,7 @@ from concealed_work import dying, refusing
 from torque_answers import the_oracle, the_prediction
 
 from benchmarks import __main__ as harness
-from benchmarks.campaigns.campaign import given_in, opened, sealed_in
+from benchmarks.campaigns.campaign import opened, sealed_in
 from benchmarks.campaigns.command import differences
 from benchmarks.campaigns.report import markdown, sections, story, tables
 from benchmarks.concealed import plans
@@ -116,15 +116,17 @@ def test_results_keep_their_types_and_are_read_again(campaign, rows, tmp_path):
 @DOMAINS
 def test_the_diagnosis_is_given_no_truth_and_a_touched_one_is_not_opened(campaign, tmp_path):
     index = campaign.indices(4, 1, "single")[0]
-    digest = campaign.seal(4, index, tmp_path)
-    assert opened(tmp_path, index, digest)["index"] == index
-    given = {path.name for path in given_in(tmp_path, index).iterdir()}
+    given = set()
+    looking = replace(campaign, answer=lambda folder: given.update(path.name for path in folder.iterdir()))
+    (row,) = quietly(looking, 4, [index], tmp_path / "a.parquet")
     assert given - {"arm.yaml", "factory.yaml"} == {"recording.csv", "recording.yaml", "unseen.csv"}
-    sealed = sealed_in(tmp_path, index)
+    folder, digest = tmp_path / "a.trials", row["sha256"]
+    assert opened(folder, index, digest)["index"] == index
+    sealed = sealed_in(folder, index)
     assert hashlib.sha256(sealed.read_bytes()).hexdigest() == digest
     sealed.write_text(sealed.read_text().replace("4", "5", 1))
     with pytest.raises(ValueError, match="is not what was sealed"):
-        opened(tmp_path, index, digest)
+        opened(folder, index, digest)
 
 
 def test_a_worker_that_dies_costs_its_trial_only(tmp_path):
