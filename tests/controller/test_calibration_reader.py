@@ -132,9 +132,6 @@ def test_what_is_no_address(text):
         parse_address(text)
 
 
-# ------------------------------------------------------------------ from an emulated controller
-
-
 # ------------------------------------------------------------------ fuzz
 
 HEADS = st.builds(struct.Struct(">HHH").pack, *[st.integers(0, 3) | st.integers(0, 65535)] * 3)

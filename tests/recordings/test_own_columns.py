@@ -133,19 +133,6 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
     )
 
 
-# ------------------------------------------------------------------ frames that are not pandas'
-
-
-class Capsule:
-    """A table that only hands out Arrow's stream."""
-
-    def __init__(self, table):
-        self._table = table
-
-    def __arrow_c_stream__(self, requested_schema=None):
-        return self._table.__arrow_c_stream__(requested_schema)
-
-
 # ------------------------------------------------------------------ names
 
 
