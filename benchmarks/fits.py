@@ -1,6 +1,7 @@
 """One arm and fleets of them, fitted to noisy measured poses: the library against the rivals."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -24,6 +25,8 @@ from lite6jax.model import ModelForm, arm_model
 OURS = "lite6jax"
 TOLERANCE = 1e-12
 """Of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place."""
+STEPS = 1000
+"""Most evaluations a fit may take."""
 
 
 class Rival(NamedTuple):
@@ -47,32 +50,59 @@ def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return seed_way.fit(joint_position, pose, SCALE, TOLERANCE)
 
 
-FORM = ModelForm(HayatiForm(6, (1,)))
-
-
-@jax.jit
-def _residuals(parameters: Array, observed: Observations) -> Array:
-    return residuals(FORM, arm_model(parameters), observed).reshape(-1)
-
-
-_jacobian = jax.jit(jax.jacfwd(_residuals))
-
-
 def jax_jacobian(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """MINPACK's Levenberg–Marquardt, SciPy's fastest method here, with the forward-mode Jacobian of the residual."""
-    weight = jnp.ones(len(pose))
-    blocks = observe(FORM, jnp.asarray(joint_position), jnp.asarray(pose), weight, jnp.array(SCALE), len(pose))
-    observed = jax.tree.map(lambda leaf: leaf[0], blocks)
-    return least_squares(
-        lambda x: np.asarray(_residuals(x, observed)),
-        NOMINAL,
-        jac=lambda x: np.asarray(_jacobian(x, observed)),  # pyright: ignore[reportArgumentType]
+    """SciPy's fastest method here, with the forward-mode Jacobian of the residual."""
+    form, free = ModelForm(HayatiForm(6, (1,))), np.arange(len(NOMINAL))
+    return by_minpack(form, NOMINAL, free, joint_position, pose, SCALE, TOLERANCE)[0]
+
+
+def by_minpack(
+    form: ModelForm,
+    start: np.ndarray,
+    free: np.ndarray,
+    joint_position: np.ndarray,
+    pose: np.ndarray,
+    scale: tuple[float, float],
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters by MINPACK's Levenberg–Marquardt, with the exact Jacobian of those that are free, and that."""
+    observed = _observed(form, joint_position, pose, jnp.array(scale))
+
+    def whole(moved: np.ndarray) -> np.ndarray:
+        parameters = start.copy()
+        parameters[free] = moved
+        return parameters
+
+    solved = least_squares(
+        lambda moved: np.asarray(_residuals(form, whole(moved), observed)),
+        start[free],
+        # its stub knows only the names of finite differences
+        lambda moved: np.asarray(_jacobian(form, whole(moved), observed))[free].T,  # pyright: ignore[reportArgumentType]
         method="lm",
         x_scale="jac",
-        xtol=TOLERANCE,
-        ftol=TOLERANCE,
-        gtol=TOLERANCE,
-    ).x
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=tolerance,
+        max_nfev=STEPS,
+    )
+    return whole(solved.x), solved.jac
+
+
+@partial(jax.jit, static_argnums=0)
+def _observed(form: ModelForm, joint_position: Array, pose: Array, scale: Array) -> Observations:
+    blocks = observe(form, joint_position, pose, jnp.ones(len(pose)), scale, len(pose))
+    return jax.tree.map(lambda leaf: leaf[0], blocks)
+
+
+@partial(jax.jit, static_argnums=0)
+def _residuals(form: ModelForm, parameters: Array, observed: Observations) -> Array:
+    return residuals(form, arm_model(parameters), observed).reshape(-1)
+
+
+@partial(jax.jit, static_argnums=0)
+def _jacobian(form: ModelForm, parameters: Array, observed: Observations) -> Array:
+    """`(parameter, residual)`."""
+    return jax.jacfwd(_residuals, 1)(form, parameters, observed).T
 
 
 SEED = Rival("seed's way", python_loop, 1)

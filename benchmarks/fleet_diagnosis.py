@@ -32,16 +32,7 @@ _WIDTH = 0.4
 def fleet_diagnosis(
     fleets: int = 6, clean: int = 20, arms: int = 30, fewer: int = 12, rows: int = 200, seed: int = 11
 ) -> Iterator[Record]:
-    """Shares of fleets, with 95 % intervals.
-
-    Args:
-        fleets: of each kind with something hidden.
-        clean: fleets with nothing hidden.
-        arms: that have an effect at half the threshold.
-        fewer: arms of the other fleets.
-        rows: of each recording.
-        seed: of all draws.
-    """
+    """Shares of so many fleets of each kind and of clean ones, with 95 % intervals; `fewer` arms are in some."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for kind, count in (("half", arms), ("outside", arms), ("odd", fewer)):

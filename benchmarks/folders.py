@@ -16,12 +16,7 @@ from lite6jax.arms.factory import write_factory
 
 
 def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
-    """Least wall seconds of the command, whose tables are to have the same bytes.
-
-    Args:
-        files: in the folder.
-        repeats: of each measurement, after one that compiles.
-    """
+    """Least wall seconds of the command after one that compiles, whose tables are to have the same bytes."""
     work = f"{files} factory files"
     with tempfile.TemporaryDirectory() as name:
         arms = Path(name, "arms")

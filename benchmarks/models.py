@@ -6,15 +6,11 @@ and 3 are parallel. The library's own solver is to find as good a fit wherever i
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from scipy.optimize import least_squares
 
+from benchmarks.fits import by_minpack
 from benchmarks.measure import AGREES, Record, disagreement
 from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
@@ -22,13 +18,10 @@ from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.gauss_newton import MAX_STEPS, Solved, fit_chunks
 from lite6jax.calibration.quality import CONVERGED
-from lite6jax.calibration.residual import Observations, observe, residuals
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 
-STEPS = 1000
-"""Most evaluations a fit may take."""
 TOLERANCE = 1e-15
 EXACT = 1e-13
 """m: the 1e-10 mm to which the whole model reproduces a calibration."""
@@ -94,50 +87,12 @@ def _spread(subject: str, error: np.ndarray, wrong: str) -> Iterator[Record]:
         yield Record("models", subject, f"position error, {name}", float(1e3 * value), "mm", "lower", wrong)
 
 
-@partial(jax.jit, static_argnums=0)
-def _residuals(form: ModelForm, parameters: Array, observed: Observations) -> Array:
-    return residuals(form, arm_model(parameters), observed).reshape(-1)
-
-
-@partial(jax.jit, static_argnums=0)
-def _jacobian(form: ModelForm, parameters: Array, observed: Observations) -> Array:
-    """`(parameter, residual)`."""
-    return jax.jacfwd(_residuals, 1)(form, parameters, observed).T
-
-
 def _fit(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarray, pose: np.ndarray) -> Fits:
-    form, samples = ModelForm(chain), len(q)
-    whitener = jnp.array([1.0, LEVER])
-    prepare = jax.jit(partial(observe, form, block=samples))
     rows = []
     for target in pose:
-        blocks = prepare(jnp.asarray(q), jnp.asarray(target), jnp.ones(samples), whitener)
-        observed = jax.tree.map(lambda leaf: leaf[0], blocks)
-
-        def whole(moved: np.ndarray) -> np.ndarray:
-            parameters = start.copy()
-            parameters[free] = moved
-            return parameters
-
-        def function(moved: np.ndarray, observed: Observations = observed) -> np.ndarray:
-            return np.asarray(_residuals(form, whole(moved), observed))
-
-        def jacobian(moved: np.ndarray, observed: Observations = observed) -> np.ndarray:
-            return np.asarray(_jacobian(form, whole(moved), observed))[free].T
-
-        solved = least_squares(
-            function,
-            start[free],
-            jacobian,  # pyright: ignore[reportArgumentType]  # its stub knows only the names of finite differences
-            method="lm",
-            x_scale="jac",
-            xtol=TOLERANCE,
-            ftol=TOLERANCE,
-            gtol=TOLERANCE,
-            max_nfev=STEPS,
-        )
-        values = np.linalg.svd(solved.jac / np.linalg.norm(solved.jac, axis=0), compute_uv=False)
-        rows.append((whole(solved.x), values[0] / values[-1]))
+        parameters, J = by_minpack(ModelForm(chain), start, free, q, target, (1.0, LEVER), TOLERANCE)
+        values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
+        rows.append((parameters, values[0] / values[-1]))
     return Fits(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

@@ -163,10 +163,7 @@ class Geometry:
             center = np.array(recording.settings.payload_com_m)
             moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
         told = recording.settings
-        noise = (
-            told.position_noise_m or UNDECLARED_NOISE[0],
-            told.orientation_noise_rad or UNDECLARED_NOISE[1],
-        )
+        noise = (told.position_noise_m or UNDECLARED_NOISE[0], told.orientation_noise_rad or UNDECLARED_NOISE[1])
         return View(recording, (R, o), (Rt, p), missed, turned, moment, base, noise)
 
 
@@ -190,59 +187,51 @@ def features(view: View, angles: bool) -> Array:
     return np.hstack(columns)
 
 
-class _Scaled(NamedTuple):
-    """Columns that vary, to mean zero and deviation one."""
+def _learnt(
+    seen: View, angles: bool, fitted: Callable[[Array, Array], Any]
+) -> tuple[Any, Callable[[View], Correction]]:
+    """A black box fitted to inputs that vary, of mean zero and deviation one, and outputs over theirs; what it says."""
+    from sklearn.exceptions import ConvergenceWarning
 
-    kept: NDArray[np.bool_]
-    mean: Array
-    size: Array
-
-    def __call__(self, X: Array) -> Array:
-        return (X[:, self.kept] - self.mean) / self.size
-
-
-def _scaled(X: Array) -> _Scaled:
+    assert seen.missed is not None
+    X, size = features(seen, angles), max(float(np.std(seen.missed)), 1e-12)
     kept = X.std(0) > 1e-9
-    return _Scaled(kept, X[:, kept].mean(0), X[:, kept].std(0))
+    mean, spread = X[:, kept].mean(0), X[:, kept].std(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        box = fitted((X[:, kept] - mean) / spread, seen.missed / size)
+
+    def correct(view: View) -> Correction:
+        shift = size * np.asarray(box.predict((features(view, angles)[:, kept] - mean) / spread))
+        return Correction(shift, np.zeros_like(shift))
+
+    return box, correct
 
 
 def gaussian_process(seen: View) -> Fitted:
     """The residual's three components over joints, payload, direction and temperature: one length a feature, noise."""
-    from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    assert seen.missed is not None
-    X, y = features(seen, angles=False), seen.missed
-    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
-    X, y = inputs(X), y / size
-    rng = np.random.default_rng(0)
-    lengths: Any = np.ones(X.shape[1])  # one a feature
-    kernel = ConstantKernel() * RBF(lengths, (0.05, 1e3)) + WhiteKernel(0.1, (1e-6, 10.0))
-    chosen = rng.permutation(len(X))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    def fitted(X: Array, y: Array) -> Any:
+        lengths: Any = np.ones(X.shape[1])  # one a feature
+        kernel = ConstantKernel() * RBF(lengths, (0.05, 1e3)) + WhiteKernel(0.1, (1e-6, 10.0))
+        chosen: Any = np.random.default_rng(0).permutation(len(X))
         tuned = GaussianProcessRegressor(kernel, normalize_y=True, random_state=0)
         tuned.fit(X[chosen[:_GP_TUNED]], y[chosen[:_GP_TUNED]])
-        kept: Any = chosen[:_GP_ROWS]
         as_it_is: Any = None
-        process = GaussianProcessRegressor(tuned.kernel_, optimizer=as_it_is, normalize_y=True).fit(X[kept], y[kept])
+        kept = chosen[:_GP_ROWS]
+        return GaussianProcessRegressor(tuned.kernel_, optimizer=as_it_is, normalize_y=True).fit(X[kept], y[kept])
 
-    def correct(view: View) -> Correction:
-        shift = size * np.asarray(process.predict(inputs(features(view, angles=False))))
-        return Correction(shift, np.zeros_like(shift))
-
-    return Fitted(correct, 3 * len(kept) + 2 + X.shape[1])
+    process, correct = _learnt(seen, False, fitted)
+    rows, inputs = process.X_train_.shape
+    return Fitted(correct, 3 * rows + 2 + inputs)
 
 
 def neural_network(seen: View) -> Fitted:
     """Two layers of 64 over joints, their sines and cosines, payload, direction and temperature; stopped early."""
-    from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPRegressor
 
-    assert seen.missed is not None
-    X, y = features(seen, angles=True), seen.missed
-    inputs, size = _scaled(X), max(float(np.std(y)), 1e-12)
     net = MLPRegressor(
         hidden_layer_sizes=(64, 64),
         activation="tanh",
@@ -252,14 +241,7 @@ def neural_network(seen: View) -> Fitted:
         max_iter=600,
         random_state=0,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        net.fit(inputs(X), y / size)
-
-    def correct(view: View) -> Correction:
-        shift = size * np.asarray(net.predict(inputs(features(view, angles=True))))
-        return Correction(shift, np.zeros_like(shift))
-
+    _, correct = _learnt(seen, True, net.fit)
     return Fitted(correct, sum(part.size for part in (*net.coefs_, *net.intercepts_)))
 
 
@@ -301,18 +283,11 @@ def _time(view: View) -> Array:
     return np.zeros(view.recording.samples) if view.recording.time is None else view.recording.time
 
 
-def _wave(joint: int, order: int, wave: Callable[[Array], Array], view: View) -> Array:
-    return wave(order * view.recording.joint_position[:, joint])
-
-
 def _moment(joint: int, axis: int, view: View) -> Array:
+    """Of a joint or, beyond the last, of the base."""
     assert view.moment is not None
-    return view.moment[:, joint, axis]
-
-
-def _base_moment(axis: int, view: View) -> Array:
     assert view.base_moment is not None
-    return view.base_moment[:, axis]
+    return (view.base_moment if joint == view.moment.shape[1] else view.moment[:, joint])[:, axis]
 
 
 def waves(view: View, orders: Sequence[int]) -> list[Group]:
@@ -320,7 +295,10 @@ def waves(view: View, orders: Sequence[int]) -> list[Group]:
     return [
         Group(
             f"joint_harmonic:joint{i + 1}",
-            tuple(Column(i + 1, 5, partial(_wave, i, n, wave)) for wave in (np.sin, np.cos)),
+            tuple(
+                Column(i + 1, 5, lambda v, i=i, n=n, wave=wave: wave(n * v.recording.joint_position[:, i]))
+                for wave in (np.sin, np.cos)
+            ),
         )
         for i in range(view.recording.dof)
         for n in orders
@@ -337,7 +315,7 @@ def gravity(view: View) -> list[Group]:
         Group(f"link_compliance:link{i + 1}", tuple(Column(i + 1, 3 + k, partial(_moment, i, k)) for k in (0, 1)))
         for i in range(dof)
     ]
-    base = Group("base_compliance:base", tuple(Column(0, 3 + k, partial(_base_moment, k)) for k in (0, 1)))
+    base = Group("base_compliance:base", tuple(Column(0, 3 + k, partial(_moment, dof, k)) for k in (0, 1)))
     return [*joints, *links, base]
 
 
@@ -345,30 +323,20 @@ def other_physics(view: View) -> list[Group]:
     """The rest of the catalogue that is linear in the joints' angles, as far as the rows have what it depends on."""
     r, dof = view.recording, view.recording.dof
 
-    def column(i: int, driver: Callable[[View], Array]) -> Column:
-        return Column(i + 1, 5, driver)
+    def of_joint(name: str, i: int, driver: Callable[[View], Array]) -> Group:
+        return Group(f"{name}:joint{i + 1}", (Column(i + 1, 5, driver),))
 
-    found = [
-        Group(f"joint_backlash:joint{i + 1}", (column(i, lambda v, i=i: v.recording.direction_of_motion[:, i]),))
-        for i in range(dof)
-    ]
-    found += [
-        Group(f"joint_scale:joint{i + 1}", (column(i, lambda v, i=i: v.recording.joint_position[:, i]),))
-        for i in range(dof)
-    ]
-    found += [
-        Group(f"joint_coupling:joint{i + 1}", (column(i, lambda v, j=j: v.recording.joint_position[:, j]),))
-        for i, j in product(range(dof), range(dof))
-        if i != j
-    ]
-    if r.motion == "trajectory" and r.joint_velocity is not None:
-        found += [
-            Group(f"joint_lag:joint{i + 1}", (column(i, lambda v, i=i: v.recording.velocities()[:, i]),))
-            for i in range(dof)
-        ]
+    found: list[Group] = []
+    for i in range(dof):
+        found.append(of_joint("joint_backlash", i, lambda v, i=i: v.recording.direction_of_motion[:, i]))
+        found.append(of_joint("joint_scale", i, lambda v, i=i: v.recording.joint_position[:, i]))
+        for j in range(dof):
+            if j != i:
+                found.append(of_joint("joint_coupling", i, lambda v, j=j: v.recording.joint_position[:, j]))
+        if r.motion == "trajectory" and r.joint_velocity is not None:
+            found.append(of_joint("joint_lag", i, lambda v, i=i: v.recording.velocities()[:, i]))
     if r.time is not None:
-        drift = tuple(Column(0, k, _time) for k in range(3))
-        found.append(Group("base_drift:base", drift))
+        found.append(Group("base_drift:base", tuple(Column(0, k, _time) for k in range(3))))
     return found
 
 

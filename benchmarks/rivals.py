@@ -172,13 +172,7 @@ class Outcome:
 
 
 def compare(recording: Recording, folds: int = FOLDS, progress: Callable[[str], object] = str) -> Iterator[Outcome]:
-    """All rivals on one recording, by contiguous folds, and on all of it for their names.
-
-    Args:
-        recording: with poses.
-        folds: how many.
-        progress: is told who is at work.
-    """
+    """All rivals on one recording, by contiguous folds, and on all of it for their names."""
     held = recording.contiguous_folds(folds)
     geometries = [timed(partial(Geometry.of, recording.select(~fold))) for fold in held]
     whole = timed(partial(Geometry.of, recording))

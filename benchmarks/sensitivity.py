@@ -105,9 +105,8 @@ def variations() -> Iterator[tuple[str, float, float]]:
                 continue
             for changed in (value / FACTOR, value * FACTOR):
                 if isinstance(value, int):
-                    changed = (
-                        max(round(changed), 1) if round(changed) != value else value + (1 if changed > value else -1)
-                    )
+                    step = 1 if changed > value else -1
+                    changed = max(round(changed), 1) if round(changed) != value else value + step
                 if changed != value and changed > 0:
                     yield f"{group}.{field.name}", value, changed
 
@@ -155,19 +154,13 @@ def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Ou
 
 
 def _compared(option: str, value: float, changed: float, before: Sequence[Outcome], after: Sequence[Outcome]) -> Change:
-    shifts = [0.0]
-    for old, new in zip(before, after, strict=True):
+    pairs, shifts = list(zip(before, after, strict=True)), [0.0]
+    for old, new in pairs:
         for key in old.findings.keys() & new.findings.keys():
             (a, std), (b, _) = old.findings[key], new.findings[key]
             if len(a) == len(b):
                 shifts += [abs(y - x) / s for x, y, s in zip(a, b, std, strict=True) if s > 0]
-    pairs = list(zip(before, after, strict=True))
-    return Change(
-        option=option,
-        value=value,
-        changed=changed,
-        findings=sum(old.findings.keys() != new.findings.keys() for old, new in pairs),
-        faults=sum(old.faults != new.faults for old, new in pairs),
-        shift=max(shifts),
-        failed=sum(bool(new.error) and not old.error for old, new in pairs),
-    )
+    findings = sum(old.findings.keys() != new.findings.keys() for old, new in pairs)
+    faults = sum(old.faults != new.faults for old, new in pairs)
+    failed = sum(bool(new.error) and not old.error for old, new in pairs)
+    return Change(option, value, changed, findings, faults, max(shifts), failed)

@@ -25,11 +25,7 @@ SPEED = 200.0
 
 
 def soak(seconds: float = 600.0) -> Iterator[Record]:
-    """An emulated arm in a process of its own, recorded here; every row is looked at afterwards.
-
-    Args:
-        seconds: of each recording.
-    """
+    """An emulated arm in a process of its own, recorded here; every row is looked at afterwards."""
     for kind, serve in (("real time", _in_real_time), ("compressed in time", _compressed)):
         with tempfile.TemporaryDirectory() as folder, serve() as address:
             out = Path(folder, "run.parquet")

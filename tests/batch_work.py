@@ -122,20 +122,12 @@ def document_of(verdict):
     }
 
 
-def work_here():
-    time.sleep(0.05)
-
-
 def folded(fold, what, mother):
-    """A fold `(1,)` and the process that worked on it. In all processes but `mother`, `die` ends it, `fail` raises, and
-    `slow` takes a minute.
-    """
+    """A fold and the process that worked on it. In all processes but `mother`, `die` ends it, and `fail` raises."""
     if os.getpid() == mother:
-        work_here()
+        time.sleep(0.05)
     elif what == "die":
         os.kill(os.getpid(), signal.SIGKILL)
     elif what == "fail":
         raise KeyError(what)
-    elif what == "slow":
-        time.sleep(60)
     return int(fold[0]), os.getpid()

@@ -6,6 +6,11 @@ def refusing(given):
     raise OSError("no diagnosis here")
 
 
+def listing(given):
+    """No diagnosis, and the files that it is given."""
+    raise OSError(" ".join(sorted(path.name for path in given.iterdir())))
+
+
 def dying(given):
     """The end of the process."""
     import os

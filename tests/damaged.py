@@ -15,13 +15,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.recordings import (
-    Recording,
-    read_recording,
-    read_targets,
-    sidecar_path,
-    write_recording,
-)
+from lite6jax.recordings import Recording, read_recording, read_targets, sidecar_path, write_recording
 from lite6jax.recordings.files import open_table
 from lite6jax.recordings.ros import ArmJoints
 
@@ -58,10 +52,33 @@ HOSTILE = (
 _NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
+_KINDS = (*("bit",) * 3, "byte", "cut", "drop", "repeat", "zero", "insert", *("number",) * 3)
+"""Faults of transmission, storage and editing; of text, a number is a frequent place."""
+
+
 def damage(content: bytes, rng: Random) -> bytes:
-    """Content with one to three faults of transmission, storage or editing; of text, a number is a frequent place."""
+    """Content with one to three faults."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        content = rng.choice(_DAMAGES)(content, rng)
+        start = rng.randrange(len(content) + 1)
+        end, put = min(start + rng.choice((1, 2, 8, 64, 512)), len(content)), b""
+        kind = rng.choice(_KINDS)
+        numbers = list(_NUMBER.finditer(content)) if kind == "number" else []
+        if kind == "bit":
+            content = flip_bit(content, rng)
+            continue
+        if numbers:
+            (start, end), put = rng.choice(numbers).span(), rng.choice(HOSTILE)
+        elif kind in ("insert", "number"):
+            end, put = start, rng.choice(HOSTILE)
+        elif kind == "byte":
+            end, put = start + 1, bytes([rng.randrange(256)])
+        elif kind == "cut":
+            end = len(content)
+        elif kind == "repeat":
+            put = content[start:end] * rng.choice((2, 3, 21))
+        elif kind == "zero":
+            put = bytes(end - start)
+        content = content[:start] + put + content[end:]
     return content
 
 
@@ -71,51 +88,6 @@ def flip_bit(content: bytes, rng: Random) -> bytes:
         return content
     place, bit = rng.randrange(len(content)), rng.randrange(8)
     return content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
-
-
-def _set_byte(content: bytes, rng: Random) -> bytes:
-    place = rng.randrange(len(content) + 1)
-    return content[:place] + bytes([rng.randrange(256)]) + content[place + 1 :]
-
-
-def _cut_off(content: bytes, rng: Random) -> bytes:
-    return content[: rng.randrange(len(content) + 1)]
-
-
-def _slice(content: bytes, rng: Random) -> tuple[int, int]:
-    start = rng.randrange(len(content) + 1)
-    return start, min(start + rng.choice((1, 2, 8, 64, 512)), len(content))
-
-
-def _drop(content: bytes, rng: Random) -> bytes:
-    start, end = _slice(content, rng)
-    return content[:start] + content[end:]
-
-
-def _repeat(content: bytes, rng: Random) -> bytes:
-    start, end = _slice(content, rng)
-    return content[:end] + content[start:end] * rng.choice((1, 2, 20)) + content[end:]
-
-
-def _zero(content: bytes, rng: Random) -> bytes:
-    start, end = _slice(content, rng)
-    return content[:start] + bytes(end - start) + content[end:]
-
-
-def _insert(content: bytes, rng: Random) -> bytes:
-    place = rng.randrange(len(content) + 1)
-    return content[:place] + rng.choice(HOSTILE) + content[place:]
-
-
-def _replace_number(content: bytes, rng: Random) -> bytes:
-    numbers = list(_NUMBER.finditer(content))
-    if not numbers:
-        return _insert(content, rng)
-    start, end = rng.choice(numbers).span()
-    return content[:start] + rng.choice(HOSTILE) + content[end:]
-
-
-_DAMAGES = (flip_bit, flip_bit, flip_bit, _set_byte, _cut_off, _drop, _repeat, _zero, _insert, *(_replace_number,) * 3)
 
 
 # ------------------------------------------------------------------ files and readers
@@ -174,27 +146,6 @@ def _exported(folder: Path) -> Path:
     return path
 
 
-def _listed(folder: Path) -> Path:
-    """Lists in cells, as numpy writes them."""
-    read = recording()
-    assert read.position is not None
-    rows = [
-        f'{k},"{q}",{p.tolist()}\n' for k, (q, p) in enumerate(zip(read.joint_position, read.position, strict=True))
-    ]
-    path = folder / "run7.txt"
-    path.write_text("t,q,position\n" + "".join(rows))
-    return path
-
-
-def _aligned(folder: Path) -> Path:
-    """Columns of a fixed width below comments."""
-    path = folder / "run7.dat"
-    np.savetxt(
-        path, recording().joint_position, "%12.6f", header="run 7\n" + " ".join(map("q{}_rad".format, range(1, 7)))
-    )
-    return path
-
-
 def _read_table(path: Path) -> list[Any]:
     _, table = open_table(path, (), ArmJoints(), [])
     return list(table.numbers())
@@ -224,23 +175,15 @@ CSV = Reader("csv", _written(".csv"), _read_recording)
 PARQUET = Reader("parquet", _written(".parquet"), _read_recording)
 SIDECAR = Reader("sidecar", _written(".csv"), _read_recording, sidecar_path)
 EXPORTED = Reader("table of a spreadsheet", _exported, _read_table)
-LISTED = Reader("table of lists", _listed, _read_table)
-ALIGNED = Reader("aligned text", _aligned, _read_table)
 TARGETS = Reader("targets", _targets, lambda path: read_targets(path, LITE6.dof, LITE6.joint_limits, LITE6.reach))
-DESCRIPTION = Reader(
-    "description",
-    lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True),
-    read_arm,
-)
+DESCRIPTION = Reader("description", lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True), read_arm)
 FACTORY = Reader("factory file", _factory, read_factory)
 TABLE = Reader(
-    "table",
-    lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True),
-    read_factory,
+    "table", lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True), read_factory
 )
 URDF = Reader("urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), read_arm)
 MCAP = Reader("mcap", _mcap, lambda path: read_recording(f"{path}#/joint_states", dof=LITE6.dof))
-READERS = (*(CSV, PARQUET, SIDECAR, TARGETS, DESCRIPTION, FACTORY, TABLE, URDF, MCAP, EXPORTED, LISTED, ALIGNED),)
+READERS = (*(CSV, PARQUET, SIDECAR, TARGETS, DESCRIPTION, FACTORY, TABLE, URDF, MCAP, EXPORTED),)
 
 
 class Trial:

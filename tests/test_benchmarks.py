@@ -2,47 +2,23 @@
 
 import importlib
 import json
-import subprocess
-import sys
 from functools import partial
 
 import jax
 import numpy as np
 import pytest
-from domains.torque.moved import hidden, recorded
 
 from benchmarks import __main__ as harness
-from benchmarks import (
-    ceres,
-    command,
-    devices,
-    diagnose,
-    fits,
-    folders,
-    measure,
-    models,
-    problem,
-    regressor,
-    seed_way,
-)
-from benchmarks.ladder import STEPS, LowPass, climbed, half_of, main, rms
+from benchmarks import ceres, fits, measure, problem, seed_way
+from benchmarks.ladder import main
 from benchmarks.measure import Record
-from lite6jax.arms import dynamics
-from lite6jax.effects.serialization import parse_effect
 from tests.oracles.chains import seed_poses, six_parameter_poses
 
-KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
 RNG_SEED = 11
 
 
 def some_parameters(rng):
     return seed_way.NOMINAL + 2e-3 * rng.standard_normal(28)
-
-
-def test_a_record_is_six_keys_and_one_more_only_where_it_failed():
-    record = Record("one", "lite6jax", "fit", 1.5, "ms", "lower")
-    assert record.as_json().keys() == KEYS
-    assert Record("one", "x", "fit", None, "ms", "lower", "off").as_json().keys() == KEYS | {"failed"}
 
 
 def test_the_rivals_chains_are_those_of_the_oracle():
@@ -69,28 +45,6 @@ def test_the_simulated_sensor_has_the_noise_it_says():
     assert np.abs(read.joint_position[0] - read.joint_position[1]).max() > 1
 
 
-def test_the_seeds_way_finds_the_parameters_and_writes_the_seeds_table(tmp_path):
-    rng = np.random.default_rng(RNG_SEED)
-    parameters, q = some_parameters(rng), seed_way.sample_joints(12, rng)
-    found = seed_way.fit(q, seed_poses(parameters, q))
-    np.testing.assert_allclose(found, parameters, atol=1e-11)
-    table = seed_way.as_table(found)
-    assert table.keys() == {"units", "base", "dh", "beta_joint2"}
-    assert table["dh"][1]["d"] == 0
-    assert table["beta_joint2"] == pytest.approx(np.rad2deg(parameters[27]))
-
-
-def test_a_table_is_wrong_unless_it_is_the_calibrations_chain(tmp_path):
-    truth = problem.measured(1, 1, RNG_SEED)
-    table = seed_way.as_table(fits.convert(truth)[0])
-    path = tmp_path / "model.json"
-    path.write_text(json.dumps(table))
-    assert command.wrong_table(path, truth.kinematics[0]) == ""
-    table["beta_joint2"] *= -1
-    path.write_text(json.dumps(table))
-    assert command.wrong_table(path, truth.kinematics[0]).startswith("flange poses off by ")
-
-
 def test_an_answer_is_likely_or_not():
     rng = np.random.default_rng(RNG_SEED)
     root = rng.standard_normal((28, 28))
@@ -107,12 +61,6 @@ def test_an_answer_is_likely_or_not():
         assert wrong.startswith("misses the truth")
 
 
-def test_not_a_number_disagrees():
-    assert measure.disagreement(np.array([0.0, np.nan]), np.zeros(2), 1.0, "numbers") != ""
-    assert measure.disagreement(np.array([0.5]), np.zeros(1), 0.5, "numbers") == ""
-    assert measure.disagreement(np.array([2.0]), np.zeros(1), 1.0, "numbers (m)") == "numbers (m) off by 2, more than 1"
-
-
 @pytest.mark.parametrize(("run", "subject"), [(fits.one, "one"), (partial(fits.fleet, sizes=(2,)), "fleet of 2")])
 def test_a_rival_that_finds_something_else_is_marked(run, subject):
     honest = fits.JACOBIAN
@@ -122,42 +70,6 @@ def test_a_rival_that_finds_something_else_is_marked(run, subject):
     assert {r.metric for r in records if r.failed and r.subject == "lite6jax"} == {"faster than liar"}
     assert all(record.value is not None and record.value > 0 for record in records)
     assert {record.workload for record in records} == {subject}
-
-
-@pytest.mark.long
-def test_a_folder_is_fitted_alike_by_one_process_and_two():
-    records = list(folders.folders(files=40, repeats=1))
-    assert [record.failed for record in records] == [""] * len(records)
-    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2"}
-
-
-@pytest.mark.long
-def test_the_models_of_a_chain_are_as_good_as_they_are_said_to_be():
-    found = {(one.subject, one.metric): one for one in models.models(arms=2, samples=60, fresh=50)}
-    assert [record.failed for record in found.values()] == [""] * len(found)
-    assert found["base, Hayati", "condition, median"].value < 10 < found["base, plain DH", "condition, median"].value
-
-
-def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):
-    right = list(regressor.regressor(samples=30, repeats=1))
-    assert [record.failed for record in right] == [""] * 4
-    assert right[-1].value == pytest.approx(right[1].value / right[2].value)
-    correct = dynamics.regressor
-    monkeypatch.setattr(dynamics, "regressor", lambda *motion: correct(*motion) + 1e-9)
-    wrong = list(regressor.regressor(samples=30, repeats=1))
-    assert [record.subject for record in wrong if "the regressor off by 1e-09" in record.failed] == ["lite6jax"] * 3
-
-
-def test_peak_memory_is_what_the_process_held_itself():
-    ballast = np.ones(25_000_000)  # 200 MB that a child inherits in its parent's books, and must not count
-    program = (
-        "import numpy as np; from benchmarks.samples import peak_memory; before = peak_memory();"
-        "held = np.ones(12_500_000); print(before, peak_memory())"
-    )
-    run = subprocess.run([sys.executable, "-c", program], cwd=measure.ROOT, capture_output=True, text=True, check=True)
-    before, after = map(int, run.stdout.split())
-    assert before < ballast.nbytes
-    assert 95e6 < after - before < 110e6
 
 
 def wrong_workload(failed):
@@ -179,56 +91,11 @@ def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
     assert capsys.readouterr().err.startswith("benchmarks: ")
 
 
-def test_a_finding_is_right_only_where_it_is_what_was_hidden():
-    effect, _ = parse_effect(diagnose.TRUE)
-    other, _ = parse_effect("joint_harmonic:joint=2,order=2", neutral=True)
-    assert diagnose.wrong_findings((effect,)) == ""
-    assert diagnose.wrong_findings(()) == "found nothing, not joint_compliance:joint2"
-    assert "joint_harmonic:joint2" in diagnose.wrong_findings((effect, other))
-
-
 def test_every_workload_and_command_is_there():
     for module, name in harness.WORKLOADS.items():
         assert callable(getattr(importlib.import_module(f"benchmarks.{name}"), module))
     for module, _ in harness.COMMANDS.values():
         assert callable(importlib.import_module(f"benchmarks.{module}").main)
-
-
-def test_what_the_timed_recordings_hide_is_known_or_unknown_as_said(tmp_path):
-    for known in (True, False):
-        settings = diagnose.hidden(tmp_path, known, 20).settings
-        assert (settings.factory_calibration is not None) is known
-        assert (settings.pose_frame, settings.tool) == ("unknown",) * 2
-
-
-SMALL = {"arms": (4,), "samples": (300,), "poses": 500, "order": 64, "repeats": 1}
-
-
-def has(device):
-    try:
-        return bool(jax.devices(device))
-    except RuntimeError:
-        return False
-
-
-def figures(device):
-    found = list(devices.devices(device, **SMALL))
-    assert [record.failed for record in found] == [""] * len(found)
-    assert all(record.value > 0 for record in found)
-    return {subject: [r.metric for r in found if r.subject == subject] for subject in {r.subject for r in found}}
-
-
-@pytest.mark.long
-def test_the_processor_alone_has_one_column():
-    assert figures("cpu").keys() == {"cpu"}
-    assert jax.config.jax_default_device is None
-
-
-@pytest.mark.skipif(not has("gpu"), reason="JAX sees no GPU here: what runs on one is not tested")
-def test_a_gpu_has_a_column_beside_the_processors_with_right_answers():
-    found = figures("gpu")
-    assert found.keys() == {"cpu", "gpu"}
-    assert found["cpu"] == found["gpu"]
 
 
 def test_a_device_that_is_not_there_is_refused_in_one_line(capsys, monkeypatch):
@@ -274,27 +141,6 @@ def test_ceres_and_the_library_agree():
     found = list(ceres.ceres(arms=2, samples=40, repeats=1))
     assert [record.failed for record in found] == [""] * len(found)
     assert all(record.value > 0 for record in found)
-
-
-def halves(recording, low):
-    early = np.arange(recording.samples) < recording.samples // 2
-    return [half_of(recording.select(rows), low.rate, low) for rows in (early, ~early)]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("effect", "joint", "step"),
-    [
-        (hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=2.0), 2, 1),
-        (hidden("joint_spring", "joint3", stiffness_Nm_per_rad=3.0, rest_rad=0.2), 3, 2),
-    ],
-)
-def test_each_step_explains_what_it_is_made_for(effect, joint, step):
-    (recording, arm), low = recorded([effect]), LowPass(50.0, 10.0)
-    train, test = halves(recording, low)
-    gravity = recording.settings.gravity_m_per_s2
-    errors = {name: rms(off, test)[joint - 1] for name, off in climbed(arm, train, test, gravity, low)}
-    assert errors[STEPS[step - 1]] > 10 * errors[STEPS[step]]
 
 
 @pytest.mark.parametrize(

@@ -1,35 +1,25 @@
 """The concealed trials: a generator apart from the library, a threshold that holds, sealed truths, honest scores."""
 
-import csv
-import io
-from functools import partial
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from benchmarks.campaigns import threshold
-from benchmarks.campaigns.campaign import sealed_text, write_files
-from benchmarks.concealed import chain, information, oracle, plans, recorded, rivals, trials
+from benchmarks.campaigns.campaign import write_files
+from benchmarks.concealed import information, plans, recorded, rivals, trials
 from benchmarks.concealed import view as views
-from benchmarks.concealed.chain import MADE, lite6, lite6_ros, rotation_from_rpy, seven
+from benchmarks.concealed.chain import MADE, lite6, seven
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import (
     COORDINATES,
-    HARDENING,
     OUTSIDE,
-    YIELD,
     Hidden,
     Setup,
-    hardening,
     moments,
     poses,
-    yielding,
 )
 from benchmarks.concealed.view import Open, View
-from lite6jax.arms.arm import Arm as LibraryArm
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.description import load_bundled, read_description
 from lite6jax.domains.pose.fit import fit
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import motion_of
@@ -38,7 +28,6 @@ from lite6jax.effects.statics import inertia_of
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import read_recording
 
-LONG = partial(pytest.param, marks=pytest.mark.long)
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 
 
@@ -54,42 +43,6 @@ def a_motion(rng, setup, moving=False, rows=60, load=True):
 
 def rms(points):
     return float(np.sqrt(np.mean(np.sum(np.square(points), 1))))
-
-
-@pytest.mark.parametrize(("ours", "theirs"), [(lite6, "lite6"), (lite6_ros, "lite6_ros")], ids=["published", "ros"])
-def test_both_lite6_are_the_bundled_ones(ours, theirs):
-    bundled = load_bundled(theirs)
-    np.testing.assert_allclose(ours().rows, bundled.kinematics, atol=1e-12)
-    np.testing.assert_allclose(ours().mass, bundled.mass)
-    np.testing.assert_allclose(ours().center, bundled.center_of_mass, atol=1e-12)
-
-
-@pytest.mark.parametrize("arm", [seven(), chain.drawn_six(np.random.default_rng(1))], ids=["seven", "six"])
-def test_arms_of_its_own_are_described_as_they_are(arm, tmp_path):
-    path = tmp_path / "arm.yaml"
-    path.write_text(chain.description_text(arm))
-    read = read_description(path)
-    assert isinstance(read, LibraryArm)
-    np.testing.assert_allclose(read.kinematics, arm.rows, atol=1e-15)
-    np.testing.assert_allclose(read.center_of_mass, arm.center, atol=1e-15)
-    np.testing.assert_allclose(read.joint_limits, arm.limits, atol=1e-15)
-
-
-def test_an_arm_of_a_dh_table_is_where_the_table_says():
-    rng = np.random.default_rng(3)
-    theta, d, a, alpha, q = rng.uniform(-1, 1, (5, 4))
-    T = np.eye(4)
-    for i in range(4):
-        turn, step = np.eye(4), np.eye(4)
-        turn[:3, :3], turn[2, 3] = rotation_from_rpy(0, 0, theta[i] + q[i]), d[i]
-        step[:3, :3], step[0, 3] = rotation_from_rpy(alpha[i], 0, 0), a[i]
-        T = T @ turn @ step
-    rows = chain.rows_from_dh(theta, d, a, alpha)
-    arm = chain.Chain("x", rows, np.zeros((4, 2)), np.ones(4), np.zeros((4, 3)))
-    R, p = arm.frames(q[None])
-    last = R[0, -1] @ rotation_from_rpy(0, 0, theta[3])
-    np.testing.assert_allclose(last @ rotation_from_rpy(alpha[3], 0, 0), T[:3, :3], atol=1e-14)
-    np.testing.assert_allclose(p[0, -1] + last @ [a[3], 0, d[3]], T[:3, 3], atol=1e-14)
 
 
 SITES = {
@@ -179,28 +132,6 @@ def test_gravity_does_the_work_that_its_torques_say():
     np.testing.assert_allclose(moments(arm, q, load, PAYLOAD_CENTER)[0][..., 2].T, slopes, atol=1e-8)
 
 
-def test_springs_outside_the_catalogue_do_what_they_say():
-    load = np.linspace(-3, 3, 50)
-    x = hardening(load)
-    np.testing.assert_allclose(x + HARDENING * x**3, load, atol=1e-12)
-    there_and_back = np.concatenate([np.linspace(0, 1, 40), np.linspace(1, -1, 80), np.linspace(-1, 1, 80)])
-    x = yielding(there_and_back)
-    assert x[40:120] == pytest.approx(-x[120:], abs=1e-12)  # a loop that closes on itself
-    middle = np.argmin(abs(there_and_back[40:120])), np.argmin(abs(there_and_back[120:]))
-    assert x[40 + middle[0]] > 0.1 > -0.1 > x[120 + middle[1]]  # the same load, other ways there
-    small = yielding(0.5 * np.sin(np.linspace(0, 20, 200)))
-    np.testing.assert_allclose(small, 0.2 * np.sin(np.linspace(0, 20, 200)), atol=1e-12)  # elastic until it yields
-
-
-def test_a_spring_that_yields_is_a_spring_and_wind_up_of_the_catalogue():
-    load = np.random.default_rng(4).normal(size=400).cumsum() / 4
-    held, windup = 0.0, np.empty(400)
-    for k, now in enumerate(load):
-        held = windup[k] = np.clip(held, now - 2.5 * YIELD, now + 2.5 * YIELD)  # the play operator
-    assert np.ptp(load) > 4 * YIELD
-    np.testing.assert_allclose(yielding(load), 0.4 * load + 1.6 * windup, atol=1e-12)
-
-
 AT_REST = [
     ((), 1e-9),
     ((Hidden("joint_compliance", "joint2", (3e-5,)),), 1e-3),
@@ -239,21 +170,6 @@ def test_mujoco_s_clearance_follows_the_direction(moving):
     assert np.median(np.linalg.norm(off, axis=1)) < 0.05 * rms(found.position[after] - moved)
 
 
-def test_mujoco_s_late_clock_shows_the_arm_later():
-    rng = np.random.default_rng(17)
-    setup = a_setup(rng)
-    motion = a_motion(rng, setup, moving=True, rows=40)
-    hidden = (Hidden("time_offset", "clock", (0.0123,)),)
-    found = Arm(setup, hidden, float(motion.payload[0])).moving(motion)
-    np.testing.assert_allclose(found.position, poses(setup, hidden, found.motion)[1], atol=1e-9)
-    assert 1e-6 < abs(found.motion.q - motion.q).max() < 0.3  # servos err, encoders do not
-
-
-def test_mujoco_refuses_what_it_cannot_build():
-    with pytest.raises(ValueError, match="joint_bump"):
-        Arm(a_setup(np.random.default_rng(0)), (Hidden("joint_bump", "joint1", (1.0,)),), 0.0)
-
-
 def a_view(rng, **left_open):
     setup = a_setup(rng)
     said = {"frame": True, "tool": 3, "geometry": False} | left_open
@@ -278,30 +194,6 @@ def test_a_test_that_is_told_where_to_look_finds_the_threshold_half_the_time(nam
     assert np.mean(explained > limit) == pytest.approx(0.5, abs=0.03)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("prior", [None, (5e-5, 5e-5)], ids=["geometry known", "geometry uncertain"])
-def test_the_oracle_is_as_good_as_the_bound(prior):
-    rng = np.random.default_rng(23)
-    view = a_view(rng, geometry=prior is not None, prior=prior)
-    hidden = (
-        Hidden("joint_compliance", "joint2", (5e-5,)),
-        Hidden("joint_harmonic", "joint3", (1e-4, 1e-4), {"order": 5.0}),
-        Hidden("base_drift", "base", (1e-7, -1e-7, 0.0)),
-        Hidden("joint_backlash", "joint4", (1e-4,)),
-    )
-    bounds = [value for effect in information.bounds(view, hidden) for value in effect.values()]
-    truth = [views.reported(effect)[name] for effect in hidden for name in information.bounds(view, (effect,))[0]]
-    seen, off = poses(view.setup, hidden, view.motion), []
-    for _ in range(8):
-        chain_said = view.setup.chain if prior is None else view.setup.chain.moved(rng, *prior)
-        believed = Setup(chain_said, view.setup.sensor, view.setup.tool, PAYLOAD_CENTER)
-        measured = seen[0], seen[1] + rng.normal(0, 2e-5, seen[1].shape)
-        fitted = oracle.oracle(view, believed, hidden, measured, np.ones(len(seen[1]), bool))
-        said = [views.reported(effect)[name] for effect in fitted.hidden for name in views.reported_slopes(effect)[0]]
-        off.append((np.array(said) - truth) / bounds)
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1, abs=0.25)  # of 56 numbers, three standard deviations
-
-
 def test_what_frames_can_do_as_well_is_not_seen():
     view = a_view(np.random.default_rng(29))
     seen = information.threshold(view, (Hidden("joint_offset", "joint1", (1.0,)),), 0, view.nuisance())
@@ -309,20 +201,6 @@ def test_what_frames_can_do_as_well_is_not_seen():
     rival = rivals.nearest_rival(view, (Hidden("tool_offset", "tool", (1e-3, 0.0, 0.0)),), 0, np.zeros((180, 0)))
     assert (rival.name, rival.site) == ("frame_offset", "link6")
     assert rival.apart < 1e-3
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("index", [5, 8, 11])
-def test_a_seed_gives_the_same_trial_and_the_library_reads_it(index, tmp_path):
-    first, second = trials.draw(0, index), trials.draw(0, index)
-    assert sealed_text(first.truth) == sealed_text(second.truth)
-    assert first.files == second.files
-    write_files(first.files, tmp_path)
-    recording = read_recording(tmp_path / "recording.csv")
-    assert recording.joint_position.shape[0] == first.plan.rows
-    assert not recording.notes
-    given = " ".join(first.files.values())
-    assert not any(effect["effect"] in given for effect in first.truth["hidden"])  # nothing tells
 
 
 @pytest.mark.parametrize("sensor", plans.READERS)
@@ -336,37 +214,6 @@ def test_the_library_fits_what_the_generator_reads_to_its_noise(sensor, tmp_path
     assert recording.samples == plans.READERS[sensor]
     assert not recording.notes
     assert fit(recording).noise.over_declared == pytest.approx(1.0, abs=0.25)
-
-
-def test_a_place_that_is_touched_is_none_of_what_an_effect_shows():
-    trial = trials.draw_reading("contact", 0, 1)
-    (effect,) = trial.truth["hidden"]
-    assert effect["size"] == pytest.approx(trial.truth["sizes"][0], rel=1e-2)
-    assert 0.01 < effect["seen"] < 0.5  # most of what it does, points, tool and chain can do as well
-
-
-def test_sizes_are_those_that_were_planned():
-    trial = trials.draw(0, 0)
-    assert [h["size"] for h in trial.truth["hidden"]] == pytest.approx(trial.truth["sizes"], rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("seed", "index"), [(2240, 13), LONG(2240, 49), LONG(2240, 297), (2241, 140), (2241, 380)], ids=str
-)
-def test_nothing_is_hidden_that_no_arm_can_have(seed, index):
-    """These would draw payloads of less than nothing, links that grow more than plastics do or bend by a seventh of a
-    degree under 1 Nm, and a spring as soft at an upright axis.
-    """
-    trial = trials.draw(seed, index)
-    header, *rows = csv.reader(io.StringIO(trial.files["recording.csv"]))
-    payload = [float(row[header.index("payload_kg")]) for row in rows]
-    sizes = {effect["effect"]: effect["parameters"] for effect in trial.truth["hidden"]}
-    assert min(payload) + sizes.get("payload_error", {"mass_kg": 0.0})["mass_kg"] >= 0
-    assert sizes.get("link_thermal_expansion", {"expansion_per_K": 0.0})["expansion_per_K"] <= 1e-4
-    assert max(map(abs, sizes.get("link_compliance", {"none": 0.0}).values())) <= 1e-3
-    for effect in trial.truth["hidden"]:
-        if effect["effect"] == "hardening_spring":
-            assert effect["parameters"]["turn_rad"] <= 1e-3 * effect["fixed"]["torque_Nm"]
 
 
 def test_every_round_has_every_kind_in_its_share():

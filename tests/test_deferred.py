@@ -50,36 +50,6 @@ print(code, "jax" in sys.modules, len(out.getvalue()) > 10)
     assert in_a_new_process(code, str(tmp_path), *command) == [f"{wrong} False True"]
 
 
-def test_what_was_imported_before_jax_computes_as_what_was_imported_after_it():
-    code = """
-import sys
-if sys.argv[1] == "after":
-    import jax
-from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.chains import fk
-from lite6jax.deferred import Array, jnp
-from lite6jax.effects.motion import motion_of, shifted
-from lite6jax.effects.motion import Sliding
-import numpy as np
-assert ("jax" in sys.modules) == (sys.argv[1] == "after")
-assert not isinstance(np.zeros(2), Array)
-q = np.linspace(0, 1, 12).reshape(6, 2) ** 2
-motion = motion_of(q, joint_velocity=q, time=np.arange(6.0), sliding=(1,))
-assert isinstance(motion.joint_position, Array) and isinstance(jnp.zeros(2), Array)
-import jax
-leaves, structure = jax.tree.flatten(motion)
-assert all(isinstance(leaf, jax.Array) for leaf in leaves) and Sliding((1,)) == motion.sliding
-moved = shifted(motion, 0.25)
-assert moved.sliding == Sliding((1,))
-print(shifted.__name__, np.asarray(moved.joint_position).tobytes().hex())
-pose = jax.vmap(lambda p: fk(SixParameterForm(2), p, q))(np.full((1, 12), 0.3))
-print(fk.lower(SixParameterForm(2), np.full(12, 0.3), q).as_text()[:6], np.asarray(pose).tobytes().hex())
-"""
-    before, after = (in_a_new_process(code, when) for when in ("before", "after"))
-    assert before == after
-    assert before[0].startswith("shifted ")
-
-
 def test_what_is_imported_lazily_is_executed_when_a_name_of_it_is_used():
     code = """
 import sys

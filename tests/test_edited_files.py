@@ -10,9 +10,7 @@ from domains.pose.documents import document, refused
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, write_table
-from lite6jax.arms.files import read_arm, write_arm
 from lite6jax.diagnosis.document import SCHEMA, read_model, write_document
-from lite6jax.errors import InputWarning
 
 EFFECTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_offset:joint=3,offset_rad=2e-4")
 LITE6 = load_bundled("lite6")
@@ -60,40 +58,22 @@ DAMAGE = {
         changed("model", "T_flange_tool", lambda T: [[-x for x in T[0]], *T[1:]]),
         "T_flange_tool is no rigid transform",
     ),
-    "a last row": (changed("model", "T_sensor_base", 3, 0, 0.5), "T_sensor_base is no rigid transform"),
     "a negative mass": (changed("model", "inertia", "mass", 2, -1.0), "inertia.mass[2] is -1, which is negative"),
-    "a negative last mass": (
-        changed("model", "inertia", "mass", 5, -0.1),
-        "inertia.mass[5] is -0.1, which is negative",
-    ),
-    "an angle of 1e6": (
-        changed("model", "kinematics", 1, 4, 1e6),
-        "Expected `float` <= 6.28318",
-    ),
+    "an angle of 1e6": (changed("model", "kinematics", 1, 4, 1e6), "Expected `float` <= 6.28318"),
     "a length in millimetres": (
         changed("model", "kinematics", 0, 2, 243.3),
         "Expected `float` <= 10.0 - at `$.model.kinematics[0][2]`",
     ),
-    "true for a number": (changed("model", "kinematics", 0, 2, True), "got `bool` - at `$.model.kin"),
     "a text for a number": (
         changed("model", "kinematics", 0, 2, "0.2"),
         "Expected `float`, got `str` - at `$.model.kinematics[0][2]`",
     ),
-    "a text for a flag": (
-        changed("model", "orientation", "false"),
-        "Expected `bool`, got `str` - at `$.model.orientation`",
-    ),
     "a number for a flag": (changed("model", "orientation", 1), "Expected `bool`, got `int`"),
     "NaN": (changed("model", "inertia", "gravity", 2, float("nan")), "is no JSON (JSON is malformed"),
-    "an infinite number": (changed("model", "T_flange_tool", 0, 3, float("inf")), "is no JSON (JSON is malformed"),
     "an unknown key": (changed("model", "tool", None), "unknown field `tool` - at `$.model`"),
     "an absurd effect": (
         changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", 1e6),
         "joint_compliance:joint2: compliance_rad_per_Nm is 1e+06, which is not between",
-    ),
-    "true for an effect's number": (
-        changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", True),
-        "joint_compliance:joint2: compliance_rad_per_Nm: Expected `float`, got `bool` - at `$.value`",
     ),
     "an effect of another arm": (
         changed(
@@ -101,11 +81,8 @@ DAMAGE = {
         ),
         "joint_offset:joint9: is of an arm of 9 joints or more, and this one has 6",
     ),
-    "a motion of no kind": (changed("model", "motion", "fast"), "Invalid enum value 'fast' - at `$.model.motion`"),
-    "a temperature in the sun": (changed("model", "reference_temperature_degC", 6e3), "at `$.model.reference_temp"),
     "a negative variance": (changed("model", "uncertainty", "covariance", 5, -1.0), "a variance of its uncertainty is"),
     "a negative deviation": (changed("model", "uncertainty", "left", "position_m", -1.0), "Expected `float` >= 0.0"),
-    "a place that is none": (changed("model", "uncertainty", "sites", 0, 2, True), "got `bool` - at `$.model.un"),
     "a mass too few": (changed("model", "inertia", "mass", lambda m: m[1:]), "center_of_mass has the shape"),
     "a negative error": (changed("after", "heldout_position_rms_m", -1.0), "`float` >= 0.0 - at `$.after"),
 }
@@ -131,13 +108,6 @@ def test_the_undamaged_diagnosis_is_read_without_a_word(diagnosis, tmp_path):
     np.testing.assert_array_equal(read_model(tmp_path / "d.json").values, model.values)
 
 
-def test_a_payload_lighter_than_declared_may_make_the_last_link_lighter_than_nothing(diagnosis, tmp_path):
-    content = copy.deepcopy(diagnosis)
-    content["model"]["inertia"]["mass"][5] = -0.1
-    content["model"]["uncertainty"]["sites"] = [["payload", 0, 0]]
-    assert read_model(write_document(content, tmp_path / "d.json")).inertia.mass[5] == -0.1
-
-
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
@@ -150,13 +120,6 @@ def test_what_a_table_says_of_its_fit_is_checked(tmp_path, key, value, says):
     fit = {"result": "converged", "quality": "good", "checked_position_rms_m": 1e-9} | {key: value}
     path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
     assert f"{path}: {says}" in refused(read_table, path)
-
-
-def test_a_table_of_a_bad_fit_says_so(tmp_path):
-    fit = {"result": "converged", "quality": "bad", "checked_position_rms_m": None}
-    path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
-    with pytest.warns(InputWarning, match="fit: the fit that this table is from does not describe its data"):
-        read_table(path)
 
 
 @pytest.mark.parametrize(
@@ -172,16 +135,3 @@ def test_absurd_numbers_of_a_table_are_refused(tmp_path, edit, says):
     edit(content["dh"][2])
     path.write_text(json.dumps(content))
     assert refused(read_table, path) == f"{path}: {says}"
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("mass_kg: ", "mass_kg: 1000", "so it seems to be in grams"),
-        ("0.179", "17.9", "so it seems to be in millimetres"),
-    ],
-)
-def test_absurd_numbers_of_a_description_are_refused(tmp_path, old, new, says):
-    path = write_arm(LITE6, tmp_path / "a.yaml")
-    path.write_text("\n".join(path.read_text().replace(old, new).splitlines()))
-    assert says in refused(read_arm, path)

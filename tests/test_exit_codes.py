@@ -4,9 +4,6 @@ import ast
 import re
 from pathlib import Path
 
-from typed import flat, run
-
-from lite6jax import interruption
 from lite6jax.cli import command
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,19 +15,6 @@ def test_the_documented_table_is_that_of_the_code():
     assert {int(code): meaning for code, meaning in rows} == dict(command.MEANINGS)
     assert len(rows) == len(NAMED)
     assert sorted(NAMED.values()) == sorted(command.MEANINGS)
-
-
-def test_help_has_the_table(capsys):
-    said = flat(run(capsys, "--help", width=200)[1])
-    for code, meaning in command.MEANINGS.items():
-        assert f"{code} {meaning}"[:60] in said
-
-
-def test_signals_end_with_codes_of_the_table():
-    import signal
-
-    signals = {128 + getattr(signal, name) for name in interruption.SIGNALS if hasattr(signal, name)}
-    assert signals <= set(command.MEANINGS)
 
 
 def test_commands_return_named_codes_only():

@@ -4,19 +4,11 @@ import os
 import shutil
 import signal
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from typed import flat, refused, run
+from typed import refused
 
 from lite6jax.arms.files import write_arm, write_table
-from lite6jax.cli.command import check_outputs
-from lite6jax.errors import InputError
-from lite6jax.fleet.folder import fit_folder, tabulate_rows
-from lite6jax.fleet.place import Place, list_fleet
-from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
-from lite6jax.workers import write_tables
+from lite6jax.recordings import Recording, write_recording
 from tests.damaged import CSV, FACTORY, LITE6, recording
 
 
@@ -74,28 +66,6 @@ def test_names_that_are_not_utf8_or_too_long(capsys, recorded, tmp_path):
     assert "File name too long" in refused(capsys, "simulate", "lite6", "--out", tmp_path / ("s" * 251 + ".csv"))
 
 
-def test_a_fleet_survives_a_name_that_is_not_utf8(tmp_path):
-    folder = tmp_path / "fleet"
-    folder.mkdir()
-    shutil.copy(FACTORY.write(tmp_path), folder / os.fsdecode(b"\xff.yaml"))
-    os.mkfifo(folder / "pipe.csv")
-    path = fit_folder(folder, tmp_path / "fleet.parquet", processes=0)
-    (row,) = pq.read_table(path).to_pylist()
-    assert row["file"] == "\\udcff.yaml"
-    assert row["message"].endswith("its name is not UTF-8; rename the file or its folder")
-
-
-def test_text_that_is_not_utf8(capsys, recorded, tmp_path):
-    table = tmp_path / "names.parquet"
-    pq.write_table(pa.table({"q1_rad": [1.0], "zz": [2.0]}), table)
-    table.write_bytes(table.read_bytes().replace(b"zz", b"\xff\xfe"))
-    assert refused(capsys, "fit", table).endswith("a column name is not UTF-8; write the file again with other names")
-    ragged = tmp_path / "ragged.csv"
-    ragged.write_bytes(b"q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n1,2,3,4,5,6\n1,\xff2\n1,2,3,4,5,6\n")
-    message = "row 2 has 2 of 6 columns, q3_rad is the first without a value: the row is cut short; complete the row or"
-    assert message in refused(capsys, "fit", ragged, "--arm", "lite6")
-
-
 # ------------------------------------------------------------------ what would be lost
 
 
@@ -138,64 +108,4 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
     assert refused(capsys, "diagnose", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
 
 
-def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp_path):
-    sidecar = tmp_path / "run7.yaml"
-    write_settings(RecordingSettings(arm="mine.urdf"), sidecar)
-    arm = tmp_path / "mine.urdf"
-    arm.write_text("<robot/>")
-    for source in ("run7.arrows", "run7.ARROWS", "run7.mcap#/joint_states"):
-        for output in (sidecar, arm):
-            with pytest.raises(InputError, match="is read by this command and would be replaced"):
-                check_outputs([output], [str(tmp_path / source)], True)
-    check_outputs([sidecar, arm], [tmp_path / "run7.doc"], True)
-
-
-def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):
-    FACTORY.write(tmp_path)
-    out = write_tables([tabulate_rows([])], tmp_path / "fleet.parquet")
-    assert list_fleet(Place.of(tmp_path), out) == ["arm.yaml"]
-
-
 # ------------------------------------------------------------------ what crashed on numbers
-
-
-def test_a_joint_far_outside_is_dropped_and_no_angle_is_infinite(capsys, recorded):
-    lines = [line.split(",") for line in recorded.read_text().splitlines()]
-    lines[7][lines[0].index("q2_rad")] = "1e308"
-    recorded.write_text("".join(",".join(line) + "\n" for line in lines))
-    recorded.with_suffix(".yaml").write_text("recording: {pose_frame: base, tool: none, motion: static}\n")
-    code, said, _ = run(capsys, "check", recorded, width=300)
-    assert code == 0
-    assert "numbers beyond any arm or sensor count as missing: 1e+308 in column q2_rad, row 7" in flat(said)
-    assert "inf°" not in said
-
-
-def test_a_recording_without_missing_numbers_is_required():
-    from lite6jax import InputError, fit, identify, identify_recording, plan_experiment
-
-    whole = recording()
-
-    def with_joints(joint_position):
-        from dataclasses import replace
-
-        return replace(whole, joint_position=joint_position)
-
-    gap = whole.joint_position.copy()
-    gap[3, 1] = np.nan
-    for call in (fit, identify_recording):
-        with pytest.raises(InputError, match="row 4 has nan in column q2_rad; leave such rows out with drop_missing"):
-            call(with_joints(gap))
-        with pytest.raises(InputError, match="column q1_rad holds complex numbers; give real ones"):
-            call(with_joints(whole.joint_position + 1j))
-        with pytest.raises(InputError, match="are these degrees"):
-            call(with_joints(np.rad2deg(whole.joint_position)))
-    with pytest.raises(InputError, match="joint_position: holds complex numbers; give real ones"):
-        Recording.assembled(whole.joint_position + 1j)
-    experiment = plan_experiment("lite6")
-    for wrong, message in (
-        (np.rad2deg(whole.joint_position), r"are these degrees\? give radians: np\.deg2rad\(joint_position\)"),
-        (whole.joint_position + 1j, "joint_position: holds complex numbers; give real ones"),
-        (gap, "joint_position: row 4 is not finite; leave it out"),
-    ):
-        with pytest.raises(InputError, match=message):
-            identify(experiment, wrong)

@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.transforms import perturb_poses
 
-ROOT = Path(__file__).resolve().parents[1]
 LITE6 = load_bundled("lite6").kinematics
 
 
@@ -93,18 +91,6 @@ def test_the_sidecar_explains_every_key(recorded, capsys):
         RecordingSettings(**{key: yaml.safe_load(example)}, **paired)
 
 
-def test_touches_and_corners_are_recognised(tmp_path, capsys):
-    joints = ",".join(f"q{k}_rad" for k in range(1, 7))
-    for columns, row, key in (("contact", "left", "contact_noise_m"), ("image,corner,u_px,v_px", "0,1,2,3", "camera")):
-        table = tmp_path / f"{key}.csv"
-        table.write_text(f"{joints},{columns}\n" + f"0.1,0.2,0.3,0.4,0.5,0.6,{row}\n")
-        code, out, _ = run(capsys, "init", table, "--arm", "lite6")
-        assert code == 0
-        assert "lite6jax diagnose" in out
-        assert f"  # {key}: " in table.with_suffix(".yaml").read_text()
-        assert "ignore" not in table.with_suffix(".yaml").read_text()
-
-
 def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
     sidecar = recorded.with_suffix(".yaml")
     for arguments, message in (
@@ -138,25 +124,6 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
     assert run(capsys, "init", recorded, "--force")[0] == 0
 
 
-def test_an_arm_in_a_file_is_named_relative_to_the_sidecar(recorded, capsys, tmp_path):
-    (tmp_path / "arms").mkdir()
-    arm = tmp_path / "arms" / "mine.urdf"
-    assert run(capsys, "convert", "lite6", arm)[0] == 0
-    assert run(capsys, "init", recorded, "--arm", arm)[0] == 0
-    assert read_settings(recorded.with_suffix(".yaml")).arm == "arms/mine.urdf"
-
-
-def test_json_holds_what_was_recognised(recorded, capsys):
-    code, out, _ = run(capsys, "init", recorded, "--json")
-    found = json.loads(out)
-    assert code == 0
-    assert (found["arm"], found["samples"], found["motion"]) == ("lite6", 80, "static")
-    assert found["columns"]["Joint 2"] == "q2_deg"
-    kinds = {block["kind"]: block for block in found["blocks"]}
-    assert kinds["rotation"]["form"]["choice"] == "rx"
-    assert kinds["q"]["unit"]["sure"] == "certain"
-
-
 def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypatch):
     asked = []
     answers = iter(["measured", "tracker", "laser_tracker", "", "none"])
@@ -177,20 +144,6 @@ def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypa
     monkeypatch.setattr("builtins.input", lambda question: pytest.fail(question))
     assert run(capsys, "init", recorded, "--force", "--yes")[0] == 0
     assert run(capsys, "init", recorded, "--force", "--json")[0] == 0
-
-
-def test_on_a_terminal_it_asks_for_what_it_assumes(tmp_path, capsys, monkeypatch):
-    path = tmp_path / "run7.csv"
-    path.write_text("q0,q1,current_0,current_1\n" + "".join(f"{k / 99},{k / 70},{k},1\n" for k in range(30)))
-    answers = iter(["", "deg", "mA", "", ""])
-    monkeypatch.setattr("builtins.input", lambda _: next(answers))
-    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
-    code, out, _ = run(capsys, "init", path)
-    assert code == 0
-    assert "Joint positions: q0, q1, in radians (assumed: none is beyond 0.413)." in flat(out)
-    assert "Joint positions: q0, q1, in degrees (certain: by name)." in flat(out)
-    columns = yaml.safe_load(path.with_suffix(".yaml").read_text())["columns"]
-    assert columns == {"q0": "q1_deg", "q1": "q2_deg", "current_0": "current1_mA", "current_1": "current2_mA"}
 
 
 @pytest.fixture
@@ -228,29 +181,6 @@ def test_the_pose_of_the_source_that_is_declared_is_taken(two_poses, capsys):
         assert sorted(columns.values()).count("ignore") == 3
     code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--json", "--force", "--set", "pose_source=camera")
     assert [(pose["computed"], pose["taken"]) for pose in json.loads(out)["poses"]] == [(True, False), (False, True)]
-
-
-def test_on_a_terminal_it_asks_which_pose_is_meant(two_poses, capsys, monkeypatch):
-    answers = iter(["tracker_x", "measured", "laser_tracker", "", ""])
-    monkeypatch.setattr("builtins.input", lambda _: next(answers))
-    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
-    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6")
-    assert code == 0
-    assert "Tool position: tracker_x, tracker_y, tracker_z, in millimetres (certain" in flat(out)
-    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "laser_tracker"
-
-
-def test_a_pose_that_the_controller_computed_is_said_to_be(two_poses, capsys):
-    ignored = [f"--column=tracker_{axis}=ignore" for axis in "xyz"]
-    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, width=200)
-    assert code == 0
-    assert "The poses are the controller's own computation from the joints: no sensor is that exact." in out
-    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "controller_fk"
-    declared = ["--set", "pose_source=camera", "--force"]
-    code, out, _ = run(capsys, "init", two_poses, "--arm", "lite6", "--yes", *ignored, *declared, width=200)
-    assert code == 0
-    assert "The poses were computed, not measured by a camera: errors of the arm do not show in them." in out
-    assert read_settings(two_poses.with_suffix(".yaml")).pose_source == "camera"  # said, and not corrected
 
 
 def test_normalised_joints_are_not_taken_for_degrees(tmp_path, capsys, monkeypatch):
@@ -314,17 +244,6 @@ def test_the_folder_that_one_is_in_is_no_recording(capsys, tmp_path, monkeypatch
         assert "is a folder; name a file in it, such as run7.csv, or fit all" in refused(capsys, command, folder)
 
 
-def test_files_that_are_taken_for_another(capsys, tmp_path):
-    (tmp_path / "run7.csv").write_text("q1_rad,x_mm\n0,0\n")
-    (tmp_path / "d.json").write_text('{"schema": "lite6jax/diagnosis/2", "model": {}}')
-    no_arm = "run7.csv: holds measurements and describes no arm; name a description, URDF, MJCF or table, or what"
-    assert no_arm in refused(capsys, "convert", tmp_path / "run7.csv", tmp_path / "arm.xml")
-    assert no_arm in refused(capsys, "simulate", tmp_path / "run7.csv", "--out", tmp_path / "s.csv")
-    for command in ("diagnose", "fit"):
-        said = refused(capsys, command, tmp_path / "d.json")
-        assert said.endswith(f"holds results (lite6jax/diagnosis/2); `lite6jax report {tmp_path}/d.json` shows them")
-
-
 @pytest.mark.parametrize(
     ("command", "name", "message"),
     [
@@ -334,11 +253,7 @@ def test_files_that_are_taken_for_another(capsys, tmp_path):
         ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
         ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
-        (
-            "diagnose",
-            "tables",
-            "is a folder; name a file in it, or a folder with --out for the documents of all",
-        ),
+        ("diagnose", "tables", "is a folder; name a file in it, or a folder with --out for the documents of all"),
         ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
     ],
 )

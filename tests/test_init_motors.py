@@ -13,7 +13,6 @@ from lite6jax.cli import init
 from lite6jax.recordings import read_recording, write_recording
 
 T = 0.02 * np.arange(200)
-RNG = np.random.default_rng(2)
 
 
 def moved(joints, late=0.0):
@@ -79,28 +78,6 @@ def test_what_is_measured_comes_before_what_is_commanded(tmp_path, capsys, measu
     np.testing.assert_array_equal(again.commanded_position, recording.commanded_position)
 
 
-def test_what_is_commanded_alone_is_assumed(tmp_path, capsys):
-    q, dq = moved(6)
-    path = table(tmp_path / "log.csv", blocks(target_q=q, target_moment=9 * dq))
-    code, out, _ = run(capsys, "init", path, "--arm", "ur5e", "--yes", width=200)
-    assert code == 0
-    assert out.count("By name they were commanded or computed; that they were measured is assumed.") == 2
-    assert "Check in the sidecar what was assumed: joint positions, joint torques." in out
-    assert "write joint_source: commanded." in out
-    assert "write torque_source: estimated." in out
-    found = json.loads(run(capsys, "init", path, "--arm", "ur5e", "--json", "--force")[1])
-    assert [block["kind"] for block in found["blocks"] if block.get("commanded")] == ["q", "tau"]
-
-
-def test_commands_that_the_joints_do_not_follow_are_none(tmp_path, capsys):
-    q, _ = moved(6)
-    moves = RNG.normal(0, 0.01, q.shape)  # such as steps of the tool
-    path = table(tmp_path / "log.csv", blocks(q=np.rad2deg(q), action=moves, goal_q=q))
-    assert run(capsys, "init", path, "--yes")[0] == 0
-    found = columns_of(path)
-    assert (found["q_0"], found["goal_q_0"], found["action_0"]) == ("q1_deg", "cmd1_rad", "ignore")
-
-
 # ------------------------------------------------------------------ more motors than joints
 
 LEGS = [[f"{leg}_{part}" for part in ("hip", "thigh", "calf")] for leg in ("FL", "FR", "RL", "RR")]
@@ -152,18 +129,6 @@ def test_the_names_of_the_joints_say_which_motors_are_meant(tmp_path, capsys):
     assert recording.velocity_differentiated  # of the numbered velocities none is known to be of this leg
 
 
-def test_of_two_arms_it_asks_which(tmp_path, capsys):
-    (q, dq), (other, _) = moved(6), moved(6, late=2.0)
-    path = table(tmp_path / "log.csv", blocks(left_q=q, right_q=other, left_effort=dq, right_effort=-dq))
-    said = refused(capsys, "init", path, "--arm", "lite6", "--yes")
-    assert "it holds 12 joint positions (left_q_0 … left_q_5; right_q_0 … right_q_5), and lite6 has 6 joints" in said
-    right = [word.replace("left", "right") for word in said.partition("such as ")[2].split()]
-    assert run(capsys, "init", path, "--arm", "lite6", "--yes", *right)[0] == 0
-    np.testing.assert_allclose(read_recording(path).torques(), -dq, atol=1e-6)
-    same = table(tmp_path / "twice.csv", blocks(q=q, theta=q + 1e-3))  # before and after the gears
-    assert run(capsys, "init", same, "--arm", "lite6", "--yes")[0] == 0
-
-
 # ------------------------------------------------------------------ servos of a LeRobot data set
 
 SERVOS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -198,10 +163,3 @@ def test_servos_in_degrees_of_an_arm_whose_file_has_a_jaw(tmp_path, capsys, tick
     assert recording.settings.arm_reference(tmp_path) == tmp_path / "so101.urdf#wrist_roll_link"
     np.testing.assert_allclose(np.rad2deg(recording.joint_position), state[:, :5], atol=1e-4)
     np.testing.assert_allclose(recording.commanded_position, q[:, :5], atol=1e-6)
-
-
-def test_servos_in_percent_are_no_degrees(tmp_path, capsys):
-    folder, _, _ = picks(tmp_path / "picks", 200 / np.array([2500, 2200, 2300, 2400, 3900, 1500]))
-    arm = f"{urdf(tmp_path / 'so101.urdf', SERVOS)}#wrist_roll_link"
-    said = refused(capsys, "init", folder, "--arm", arm, "--yes")
-    assert "look like LeRobot's normalised values (-100 to 100 of each joint's calibrated range)" in said

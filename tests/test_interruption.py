@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -64,15 +63,6 @@ def test_a_signal_ends_what_catches_every_exception_and_cleans_up(tmp_path, numb
     assert list(tmp_path.iterdir()) == [tmp_path / "undone"]
 
 
-@POSIX
-def test_signals_that_are_ignored_stay_so():
-    program = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-    program += "from lite6jax import interruption; interruption.end_on_signals()\n"
-    program += "print(signal.getsignal(signal.SIGHUP) == signal.SIG_IGN, signal.getsignal(signal.SIGTERM))"
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("True <function _end")
-
-
 def test_the_program_has_its_signals_before_it_imports_what_takes_time():
     program = (
         "import sys; from lite6jax import interruption;"
@@ -81,24 +71,3 @@ def test_the_program_has_its_signals_before_it_imports_what_takes_time():
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("\nlite6jax ")
-
-
-@POSIX
-def test_the_signals_of_a_program_that_calls_main_are_its_own():
-    program = (
-        "import signal; from lite6jax.cli import main; main(['--version']); print(signal.getsignal(signal.SIGINT))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "default_int_handler" in done.stdout
-
-
-@POSIX
-def test_an_interrupt_while_a_command_imports_is_right(tmp_path):
-    command = [sys.executable, "-m", "lite6jax.cli", "design", "lite6", "--poses", "60", "--out", "poses.csv"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
-    started = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
-    time.sleep(0.6)
-    started.send_signal(signal.SIGINT)
-    _, err = started.communicate(timeout=30)
-    assert (started.returncode, err) == (130, "interrupted: nothing is left half-written\n")
-    assert not list(tmp_path.iterdir())

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import fields
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +10,7 @@ from typed import run
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli.program import COMMANDS
-from lite6jax.report import documents, screen
-from lite6jax.report.compensation import outside_warning
+from lite6jax.report import screen
 
 LITE6 = load_bundled("lite6")
 SILENT = {"simulate", "detect", "emulate", "record", "demo", "view"}
@@ -57,14 +55,6 @@ def test_fit_check_and_convert_print_documents(capsys, calibration, tmp_path):
     assert json.loads(said)["difference_m"] < 1e-9
 
 
-def test_a_number_that_is_not_finite_is_null():
-    assert json.loads(documents.text({"x": np.array([1.0, np.nan]), "n": np.float64(np.inf)})) == {
-        "x": [1.0, None],
-        "n": None,
-        "written": [],
-    }
-
-
 def test_progress_is_a_line_from_time_to_time_where_stderr_is_no_terminal(monkeypatch, capsys):
     import time
 
@@ -76,21 +66,6 @@ def test_progress_is_a_line_from_time_to_time_where_stderr_is_no_terminal(monkey
             time.sleep(0.01)
             heard += capsys.readouterr().err
     assert "drawing: 2 of 4, 0:00 so far, about 0:00 to go" in heard
-
-
-def test_targets_outside_the_recorded_range_are_named():
-    recorded = SimpleNamespace(joints=np.deg2rad([[-90.0, 90.0], [0.0, 45.0]]))
-    model = SimpleNamespace(uncertainty=SimpleNamespace(recorded=recorded), sliding=(), dof=2)
-    q = np.deg2rad([[0.0, 10.0], [100.0, 20.0], [-93.0, 20.0]])
-    found = SimpleNamespace(
-        outside=np.array([False, True, True]), joint_position=q, recording=SimpleNamespace(row=np.array([1, 2, 5]))
-    )
-    assert outside_warning(found, model) == (
-        "rows 2, 5 are outside what was recorded (joint 1 by up to 10 deg): there the compensation extrapolates; "
-        "record poses there, or keep targets inside"
-    )
-    inside = SimpleNamespace(outside=np.zeros(3, bool), joint_position=q, recording=found.recording)
-    assert outside_warning(inside, model) == ""
 
 
 @pytest.mark.parametrize("width", [40, 60, 200])

@@ -52,19 +52,3 @@ def test_imports_go_upwards_only(path):
 def test_diagnosis_never_imports_simulation():
     for path in (PACKAGE / "diagnosis").rglob("*.py"):
         assert "simulation" not in imported_parts(path.read_text(), path.relative_to(PACKAGE.parent).parts[:-1])
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("from lite6jax import cli", ["cli"]),
-        ("import lite6jax.calibration.residual as r", ["calibration"]),
-        ("def f():\n    from lite6jax.simulation import noise", ["simulation"]),
-        ("from lite6jax import fit", ["lite6jax"]),
-        ("import lite6jax", ["lite6jax"]),
-        ("from ..calibration import residual", ["calibration"]),
-        ("from ..errors import InputError\nfrom . import se3\nfrom lite6jax.arms.se3 import inverse\nimport numpy", []),
-    ],
-)
-def test_what_the_check_finds(source, found):
-    assert violations(source, "arms", ("lite6jax", "arms")) == found

@@ -7,9 +7,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 
-from docs.hooks.pictures import difference, in_few_colours, panels
+from docs.hooks.pictures import difference, in_few_colours
 
 FONTS = {
     "as stored": {"font.family": "DejaVu Sans", "font.size": 10},
@@ -49,14 +48,6 @@ def stored():
     return in_few_colours(drawn())
 
 
-def test_its_panels_are_found(stored):
-    picture = np.asarray(Image.open(io.BytesIO(stored)).convert("RGB"))
-    found = panels(picture)
-    assert len(found) == 3
-    assert [one.left for one in found] == sorted(one.left for one in found)
-    assert all(one.right - one.left > 0.2 * picture.shape[1] for one in found)
-
-
 @pytest.mark.parametrize("font", FONTS)
 def test_another_font_is_no_difference(stored, font):
     now = drawn(font)
@@ -79,16 +70,3 @@ CHANGES = {
 def test_other_data_are_a_difference(stored, change, font):
     draw, said = CHANGES[change]
     assert difference(stored, draw(font)).startswith(said)
-
-
-def test_a_picture_without_axes_is_one_panel():
-    def disc(radius, at=(80, 60)):
-        y, x = np.mgrid[:120, :200]
-        inside = (x - at[0]) ** 2 + (y - at[1]) ** 2 < radius**2
-        picture = np.where(inside[..., None], [200, 80, 0], [255, 255, 255]).astype(np.uint8)
-        buffer = io.BytesIO()
-        Image.fromarray(picture).save(buffer, "PNG")
-        return buffer.getvalue()
-
-    assert difference(disc(30), disc(30)) == ""
-    assert difference(disc(30), disc(30, (120, 60))).startswith("panel 1 of 1 differs in")

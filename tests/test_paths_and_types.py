@@ -1,7 +1,6 @@
 """Public functions take the path of a file where they take a recording, and refuse other types in one clear line."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -41,35 +40,6 @@ def test_a_list_of_files_is_fitted_one_by_one(folder):
     assert [fit.arm.name for fit in fits] == ["lite6"] * 3
     for file, fit in zip(files, fits, strict=True):
         np.testing.assert_array_equal(fit.parameters, lite6jax.fit(file).parameters)
-
-
-def test_a_fleet_is_fitted_from_the_files_of_its_calibrations(folder):
-    files = [folder / "arm0.yaml", folder / "arm1.yaml"]
-    kinematics = np.stack([lite6jax.read_factory(file).kinematics for file in files])
-    expected = lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6").parameters
-    np.testing.assert_array_equal(lite6jax.fit_fleet_calibrations(files, nominal="lite6").parameters, expected)
-
-
-def test_a_diagnosis_of_a_file_is_that_of_its_recording(folder, monkeypatch):
-    seen = []
-
-    def stop(recording, *_):
-        seen.append(recording)
-        raise InputError("seen")
-
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.screen_rows", stop)
-    for given in (folder / "run.csv", str(folder / "run.csv"), lite6jax.read_recording(folder / "run.csv")):
-        with pytest.raises(InputError, match=r"^seen$"):
-            lite6jax.diagnose(given, "lite6")
-    for recording in seen[1:]:
-        np.testing.assert_array_equal(recording.position, seen[0].position)
-        assert recording.settings == seen[0].settings
-
-
-def test_poses_of_a_file_are_identified(folder):
-    whole = lite6jax.identify_recording(lite6jax.read_recording(folder / "run.csv"), geometry="free")
-    found = lite6jax.identify_recording(str(folder / "run.csv"), geometry="free")
-    np.testing.assert_array_equal(found.determination.singular_values, whole.determination.singular_values)
 
 
 def test_motions_and_targets_are_read_from_files(folder, model):
@@ -122,12 +92,3 @@ def test_another_type_is_refused_in_one_line_that_says_what_is_accepted(model, c
         call(model)
     assert re.search(said, str(caught.value))
     assert "\n" not in str(caught.value)
-
-
-def test_a_model_prints_in_one_line(model):
-    assert repr(model) == "model of a lite6 with joint_compliance:joint2"
-
-
-def test_a_calibration_is_no_recording(folder):
-    with pytest.raises(InputError, match=r"arm0\.yaml: is a calibration; give a recording \(\.csv"):
-        lite6jax.diagnose(Path(folder / "arm0.yaml"))

@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import json
 import re
 from pathlib import Path
 
@@ -111,44 +110,6 @@ def test_reports_and_commands_use_no_private_name(path):
     assert list(private_uses(path.read_text())) == []
 
 
-def test_what_that_check_finds():
-    source = "from lite6jax.calibration import fit, _solve\nfrom numpy import _core\nfit._rounds\nfit.public\nself._own"
-    assert list(private_uses(source)) == ["_solve", "fit._rounds"]
-
-
-NOTEBOOKS = sorted((PACKAGE.parent / "notebooks").glob("*.ipynb"))
-FIGURE_STYLE = "lite6jax.report.canvas"
-"""Colours and fonts of the figures, which notebooks share with the reports; nothing is computed there."""
-
-
-def modules_imported(source):
-    """The modules of the package that a notebook's code imports."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield node.module
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_use_public_names_only(path):
-    cells = json.loads(path.read_text())["cells"]
-    source = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    ours = {module for module in modules_imported(source) if module.startswith("lite6jax")}
-    assert ours <= {"lite6jax", FIGURE_STYLE}
-    assert "lite6jax" in ours
-    used = {
-        node.attr
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "lite6jax"
-    }
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.module == "lite6jax":
-            used |= {alias.name for alias in node.names}
-    assert used
-    assert {name for name in used if not name.startswith("__")} <= set(lite6jax.__all__)
-
-
 # ------------------------------------------------------------------ degrees
 
 
@@ -236,9 +197,3 @@ def test_the_numbers_of_a_summary_are_those_of_plain_numpy(results):
     assert "60 samples of 6 joints in 1 run (static), with positions and orientations" in results["Recording"].summary()
     found = results["Identification"]
     assert f"These poses determine {found.determination.rank} of 28 unknown parameters." in found.summary()
-
-
-def test_text_of_files_is_escaped(recording):
-    noted = Recording.assembled([[0.0]], source="<b>run</b>", notes=("<script>1</script>",))
-    assert "<script>" not in noted._repr_html_()
-    assert "&lt;script&gt;" in noted._repr_html_()

@@ -1,21 +1,15 @@
 """The rivals' own honesty: their columns are what the physics does, and what is held out they have not seen."""
 
-import json
-
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, Made, static_motion, with_effects
-from threadpoolctl import threadpool_limits
-from typed import flat
 
 from benchmarks import __main__ as harness
-from benchmarks import residual, rivals
+from benchmarks import residual
 from benchmarks.concealed.chain import Chain
 from benchmarks.residual import Geometry
-from lite6jax.recordings import write_recording
 
 SAMPLES = 120
-COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 
 
 @pytest.fixture(scope="module")
@@ -26,11 +20,6 @@ def arm(tmp_path_factory):
 @pytest.fixture(scope="module")
 def motion():
     return static_motion(1, SAMPLES)
-
-
-@pytest.fixture(scope="module")
-def soft(arm, motion):
-    return with_effects(arm, COMPLIANCE).recording(motion)
 
 
 @pytest.fixture(scope="module")
@@ -85,79 +74,7 @@ def test_a_wave_is_a_joints_sine(motion, view):
     np.testing.assert_allclose(J[:, :, 1], lever * np.cos(angle)[:, None], atol=1e-9)
 
 
-@pytest.mark.long
-def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, monkeypatch):
-    seen = []
-
-    def spy(view):
-        seen.append(set(view.recording.row))
-        return residual.geometry_alone(view)
-
-    chosen = {"spy": spy, "stepwise": lambda view: residual.stepwise(False, view)}
-    monkeypatch.setattr(rivals, "rivals", lambda free: chosen)
-    monkeypatch.setattr(residual, "ORDERS", (1, 2, 3))
-    spied, stepwise = rivals.compare(soft, folds=2)
-    half = set(range(1, SAMPLES // 2 + 1))
-    assert seen[0].isdisjoint(half)
-    assert seen[1] <= half
-    assert len(seen[2]) > SAMPLES // 2 + 1
-    assert "joint_compliance:joint2" in stepwise.names
-    assert stepwise.parameters < 8
-    rms = [float(np.sqrt(np.mean(outcome.errors**2))) for outcome in (spied, stepwise)]
-    assert rms[1] < 0.3 * rms[0]
-    assert spied.parameters == 0
-    assert spied.errors.shape == (SAMPLES,)
-
-
-@pytest.mark.long
-def test_residual_and_a_ridge_learn_what_they_can(arm, monkeypatch):
-    monkeypatch.setattr(residual, "_GP_TUNED", 100)
-    many = with_effects(arm, COMPLIANCE).recording(static_motion(2, 300))
-    geometry = true_geometry(arm)
-    train, other = many.select(np.arange(250)), many.select(np.arange(250, 300))
-    view = geometry.view(train)
-    with threadpool_limits(1):
-        fitted = {name: rival(view) for name, rival in rivals.rivals(geometry.free).items() if "BIC" not in name}
-    there = geometry.view(other)
-    error = {name: rms_of(there, f.correct(there)) for name, f in fitted.items()}
-    assert error["geometry and Gaussian process"] < 0.9 * error["geometry alone"]
-    assert error["ridge, orders 1–60"] < 0.5 * error["geometry alone"]
-    assert np.isfinite(error["geometry and neural network"])
-    assert fitted["ridge, orders 1–60"].parameters == 6 * 60 * 2 + 6 + 12 + 2
-    # a network of two layers of 64 over six joints, their sines and cosines, payload, directions and temperatures
-    inputs = 18 + 1 + 6 + 6
-    assert fitted["geometry and neural network"].parameters == 64 * (inputs + 1) + 64 * 65 + 3 * 65
-
-
-def rms_of(view, correction):
-    return float(np.sqrt(np.mean(np.sum((view.missed - correction.shift) ** 2, 1))))
-
-
 # ------------------------------------------------------------------ as it is typed
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Two rivals, so that a command ends soon."""
-    chosen = {"geometry alone": residual.geometry_alone, "stepwise, BIC": lambda view: residual.stepwise(False, view)}
-    monkeypatch.setattr(rivals, "rivals", lambda free: chosen)
-    monkeypatch.setattr(residual, "ORDERS", (1, 2))
-    monkeypatch.setenv("COLUMNS", "140")
-
-
-@pytest.mark.long
-def test_real_series_are_compared_and_carried_over(few, capsys, soft, tmp_path):
-    for name in "ab":
-        write_recording(soft, tmp_path / f"series_{name}.csv")
-    out = tmp_path / "out.json"
-    code = harness.main(["rivals", "--real", str(tmp_path), "--every", "2", "--rivals-only", "--json", str(out)])
-    said = flat(capsys.readouterr().out)
-    assert code == 0
-    assert "series_a.csv, 60 rows, held-out fifths" in said
-    assert "from series_a.csv to series_b.csv, frame and tool registered anew" in said
-    records = json.loads(out.read_text())
-    assert {record["subject"] for record in records} == {"geometry alone", "stepwise, BIC"}
-    assert {"error, RMS", "error, p95", "error, largest", "numbers", "time"} <= {record["metric"] for record in records}
 
 
 @pytest.mark.parametrize(
@@ -172,9 +89,3 @@ def test_options_that_cannot_be(capsys, monkeypatch, options, says):
     with pytest.raises(SystemExit):
         harness.main(["rivals", *options])
     assert says in capsys.readouterr().err
-
-
-def test_a_folder_without_recordings(capsys, monkeypatch, tmp_path):
-    monkeypatch.setenv("LITE6JAX_REAL", str(tmp_path))
-    assert harness.main(["rivals"]) == 2
-    assert "holds no recording (.csv with .yaml beside it); put the real series there" in capsys.readouterr().err

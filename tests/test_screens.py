@@ -39,19 +39,6 @@ def test_the_reference_shows_output_of_every_command(monkeypatch):
         assert "For example:" in of_command[name] or "What it prints: [" in of_command[name], name
 
 
-def test_a_command_that_no_page_shows_ends_the_build(monkeypatch):
-    monkeypatch.setattr(made, "_screen", lambda *words: "")
-    monkeypatch.setattr(made, "_shown_in", lambda: {name: ["[page](page.md)"] for name in COMMANDS if name != "record"})
-    with pytest.raises(SystemExit, match=r"no page shows what these commands print: \['record'\]"):
-        made.command_help()
-
-
-def test_a_command_that_should_stay_and_ends_is_an_error(tmp_path):
-    page = "```console\n$ lite6jax emulate --arms 0\n```\n"
-    with pytest.raises(RuntimeError, match="ended: error: --arms 0"):
-        list(screens.run(page, tmp_path))
-
-
 def test_the_readme_shows_commands_of_the_pages():
     shown = {screen.words: screen.shown for page in screens.pages() for screen in screens.screens(page.read_text())}
     of_readme = screens.screens(screens.README.read_text())
@@ -100,16 +87,3 @@ def test_the_options_that_a_text_names_exist():
 )
 def test_what_the_comparison_finds(shown, printed, right):
     assert (screens.difference(shown, printed) == "") == right
-
-
-@pytest.mark.parametrize(
-    ("printed", "kept"),
-    [
-        ("d1 0.50\nd6 0.50\nend\n", "d6 0.50"),
-        ("d1 0.50\nd6 0.51\nend\n", "d6 0.51"),
-        ("a\nd6 0.90\nend\n", "d6 0.90"),
-    ],
-)
-def test_a_shortened_screen_keeps_the_line_whose_digits_are_the_same(printed, kept):
-    page = "```console\n$ lite6jax arms\n…\n{}\n…\n```\n"
-    assert screens.renewed(page.format("d6 0.50"), {("lite6jax", "arms"): printed}) == page.format(kept)

@@ -51,9 +51,3 @@ def test_parts_come_back_in_their_order_and_the_first_is_done_alone(monkeypatch,
     assert threads.by_parts(work, range(count)) == [part**2 for part in range(count)]
     assert sorted(done) == list(range(count))
     assert all(before > 0 for part, before in begun if part > 0), "a part began before the first was done"
-
-
-def test_an_error_in_a_part_is_raised(monkeypatch):
-    monkeypatch.setattr(threads, "available", lambda: 2)
-    with pytest.raises(ZeroDivisionError):
-        threads.by_parts(lambda part: 1 / (7 - part), range(20))

@@ -1,15 +1,10 @@
 """`lite6jax view` as it is typed, its page over HTTP, its scene over the wire, and what its controls do."""
 
 import contextlib
-import os
-import re
-import signal
 import socket
 import struct
-import subprocess
 import sys
 import urllib.request
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,14 +18,9 @@ from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
-from lite6jax.report import statements, viewer
+from lite6jax.report import statements
 from lite6jax.report.viewer import (
-    ARM,
     FOUND,
-    WITH,
-    WITHOUT,
-    _from_z,
-    _listening,
     _rgb,
     pose_scene,
     served,
@@ -121,41 +111,6 @@ def test_the_row_moves_the_arm(shown, scene):
     assert shown.row.value == (45 + 198) % scene.samples + 1
 
 
-def test_the_prediction_is_chosen_and_findings_are_marked(shown, scene):
-    handle = shown.server.scene.get_handle_by_name
-    found, rigid = scene.poses
-    for choice, errors in ((WITHOUT, rigid), (WITH, found)):
-        shown.prediction.value = choice
-        np.testing.assert_allclose(handle("/errors").points, errors.arrows(rigid.scale), atol=1e-6)
-    assert f"the median error of {1e3 * found.median:.4f} mm is" in shown._caption.content
-    assert tuple(handle("/arm/2/joint2").color) == tuple(handle("/arm/1/joint1").color) == _rgb(FOUND)
-    assert tuple(handle("/arm/3/joint3").color) == _rgb(ARM)
-
-
-def test_nothing_of_a_document_is_markup(scene):
-    place = scene.findings[0]._replace(title="<img src=x onerror=alert(1)>", statement="a < b & c")
-    shown = viewer._finding_list(replace(scene, findings=(place,)))
-    assert "&lt;img src=x onerror=alert(1)&gt;" in shown
-    assert "a &lt; b &amp; c" in shown
-    assert "<img" not in shown + viewer._paragraphs(["<img>"])
-
-
-@pytest.mark.parametrize("axis", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [0.3, -0.2, -0.9]])
-def test_a_cylinder_is_turned_from_z(axis):
-    R = Rotation.from_quat(_from_z(np.array(axis, float)), scalar_first=True).as_matrix()
-    np.testing.assert_allclose(R[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-12)
-
-
-def test_it_says_where_it_is_shown_and_ends(made, capsys):
-    pytest.importorskip("viser", reason="viser (extra view) is not installed")
-    document, path, _ = made
-    code, out, err = run(capsys, "view", document, "--port", "0", "--duration", "0.1", width=60)
-    assert (code, err) == (0, "")
-    assert f"lite6, 200 rows of {path}" in flat(out)
-    assert "Joint 2 gives way to gravity" in flat(out)
-    assert re.search(r"^Open http://127\.0\.0\.1:\d+ in a browser\. Stop with Ctrl-C\.$", out, re.MULTILINE)
-
-
 def test_torques_are_shown_too(capsys, tmp_path, made):
     pytest.importorskip("viser", reason="viser (extra view) is not installed")
     recording = torques_recorded()
@@ -220,29 +175,3 @@ def test_what_is_refused(made, capsys, monkeypatch):
     )
     monkeypatch.setitem(sys.modules, "viser", None)
     assert refused(capsys, "view", document) == "view takes the package viser; pip install 'lite6jax[view]'"
-
-
-def test_the_next_free_port_is_taken(monkeypatch):
-    with contextlib.closing(socket.create_server((HOST, 0))) as taken:
-        monkeypatch.setattr("lite6jax.report.viewer.PORT", taken.getsockname()[1])
-        assert _listening(HOST, None) > taken.getsockname()[1]
-
-
-def test_ctrl_c_ends_it(made):
-    """As a process of its own, whose page is fetched, with exit code 130."""
-    pytest.importorskip("viser", reason="viser (extra view) is not installed")
-    command = [sys.executable, "-m", "lite6jax.cli", "view", str(made[0]), "--port", "0"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
-    assert process.stdout is not None
-    said = ""
-    while "Stop with" not in said:
-        line = process.stdout.readline()
-        assert line, process.communicate()
-        said += line
-    url = re.search(r"http://[\d.]+:\d+", said)[0]
-    with urllib.request.urlopen(url, timeout=20) as page:
-        assert page.status == 200
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
-    assert (process.returncode, out, err) == (130, "", "interrupted: nothing is left half-written\n")

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -115,26 +116,6 @@ class Campaign:
     answer: Callable[[Path], None] = diagnose_and_predict
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
 
-    def seal(self, seed: int, index: int, folder: Path, sealed_families: bool = False) -> str:
-        """Draws a trial, writes what the diagnosis is given, puts the truth aside, and gives only its SHA-256."""
-        trial = self.draw(seed, index, sealed_families)
-        return self._put_aside(index, trial.files, sealed_text(trial.truth), folder)
-
-    def sealed_by_process(self, seed: int, index: int, folder: Path, sealed_families: bool) -> str:
-        """As `seal`, drawn by a process as the trials of a run are: the truth is then the same to the last bit."""
-        given = (self.draw, seed, sealed_families)
-        with Workers(processes=1) as workers:
-            ((_, table),) = workers.outcomes(drawn, [(0, [index])], given, died=_not_drawn)
-        (row,) = table.to_pylist()
-        return self._put_aside(index, dict(row["files"]), row["truth"], folder)
-
-    def _put_aside(self, index: int, files: dict[str, str], truth: str, folder: Path) -> str:
-        write_files(files, given_in(folder, index))
-        sealed = sealed_in(folder, index)
-        sealed.parent.mkdir(parents=True, exist_ok=True)
-        sealed.write_bytes(truth.encode())
-        return hashlib.sha256(truth.encode()).hexdigest()
-
     def export(self, seed: int, index: int, sealed_families: bool, folder: Path) -> Path:
         """Writes a trial with its open truth into a folder of its own, which it names: to look for what went wrong."""
         trial = self.draw(seed, index, sealed_families)
@@ -142,18 +123,6 @@ class Campaign:
         files, more = self.beside(case.name, trial.truth)
         write_files(trial.files | files | {"truth.json": sealed_text(trial.truth | more)}, case)
         return case
-
-    def judge(self, folder: Path, index: int, digest: str) -> Row:
-        """Diagnoses a trial, predicts the unseen motion, then opens the truth and scores."""
-        (said,) = answered([_Given(index, _read_files(given_in(folder, index)))], self.answer).to_pylist()
-        return self._scored(folder, digest, said)
-
-    def _scored(self, folder: Path, digest: str, said: Row) -> Row:
-        files = dict(said["files"])
-        diagnosis = json.loads(files["diagnosis.json"]) if "diagnosis.json" in files else None
-        predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
-        truth = opened(folder, said["index"], digest)
-        return self.score(truth, diagnosis, predicted, said["seconds"], said["error"]) | {"sha256": digest}
 
     def run(
         self,
@@ -196,17 +165,22 @@ class Campaign:
         left = [index for index in wanted if index not in rows]
         if not left:
             return [rows[index] for index in wanted]
-        digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
-        if len(left) < len(wanted):
-            advance("diagnosed", len(wanted) - len(left), len(wanted))
-        with Workers(scheduler, processes, len(left)) as workers:
-            work = workers.outcomes(
+        workers = partial(Workers, scheduler, processes)
+        digests = _sealed(left, (self.draw, seed, sealed_families), folder, out, workers, advance)
+        listed = out.with_suffix(".sha256")
+        whole = hashlib.sha256(listed.read_bytes()).hexdigest()
+        say(f"{len(digests)} truths sealed; their hashes are in {listed}, whose own SHA-256 is {whole}.")
+        done = len(wanted) - len(left)
+        if done:
+            advance("diagnosed", done, len(wanted))
+        with workers(len(left)) as at_work:
+            work = at_work.outcomes(
                 answered,
                 enumerate(_Trials(folder, left)),
                 (self.answer,),
                 died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
             )
-            for count, (number, answer) in enumerate(work, len(wanted) - len(left) + 1):
+            for count, (number, answer) in enumerate(work, done + 1):
                 (said,) = answer.to_pylist()
                 rows[left[number]] = self._scored(folder, digests[left[number]], said)
                 self.write_rows(list(rows.values()), out)  # a run that is ended has those that are done
@@ -215,52 +189,53 @@ class Campaign:
             shutil.rmtree(given_in(folder, index), ignore_errors=True)
         return [rows[index] for index in wanted]
 
-    def _sealed(
-        self,
-        seed: int,
-        left: Sequence[int],
-        folder: Path,
-        out: Path,
-        processes: int | None,
-        scheduler: str | None,
-        say: Callable[[str], object],
-        advance: Callable[[str, int, int], object],
-        sealed_families: bool,
-    ) -> dict[int, str]:
-        """The hashes of the truths, drawn where they are not yet."""
-        listed = out.with_suffix(".sha256")
-        digests = _listed(listed)
-        todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
-        given = (self.draw, seed, sealed_families)
-        with Workers(scheduler, processes, len(todo)) as workers:
-            work = workers.outcomes(drawn, enumerate([index] for index in todo), given, died=_not_drawn)
-            for done, (_, table) in enumerate(work, 1):
-                (row,) = table.to_pylist()
-                index = row["index"]
-                digest = self._put_aside(index, dict(row["files"]), row["truth"], folder)
-                if digests.get(index, digest) != digest:
-                    raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
-                digests[index] = digest
-                advance("sealed", done, len(todo))
-        lines = [f"{digests[i]}  {sealed_in(Path(folder.name), i).as_posix()}\n" for i in sorted(digests)]
-        out.parent.mkdir(parents=True, exist_ok=True)
-        listed.write_text("".join(lines))
-        whole = hashlib.sha256("".join(lines).encode()).hexdigest()
-        say(f"{len(digests)} truths sealed; their hashes are in {listed}, whose own SHA-256 is {whole}.")
-        return digests
+    def _scored(self, folder: Path, digest: str, said: Row) -> Row:
+        files = dict(said["files"])
+        diagnosis = json.loads(files["diagnosis.json"]) if "diagnosis.json" in files else None
+        predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
+        truth = opened(folder, said["index"], digest)
+        return self.score(truth, diagnosis, predicted, said["seconds"], said["error"]) | {"sha256": digest}
 
     def write_rows(self, rows: Sequence[Row], path: Path) -> None:
         """The rows by index, in one step: a reader never sees half a file."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        table = self._table(sorted(rows, key=lambda row: row["index"]))
+        table = pa.Table.from_pylist(sorted(rows, key=lambda row: row["index"]), self.schema)
         write_tables([table], path, overwrite=True)
-
-    def _table(self, rows: Sequence[Row]) -> pa.Table:
-        return pa.Table.from_pylist(list(rows), self.schema)
 
     def read_rows(self, path: Path) -> list[Row]:
         """The rows of a file of results."""
         return pq.read_table(path, schema=self.schema).to_pylist()
+
+
+def _sealed(
+    left: Sequence[int],
+    given: tuple[Any, ...],
+    folder: Path,
+    out: Path,
+    workers: Callable[[int], Workers],
+    advance: Callable[[str, int, int], object],
+) -> dict[int, str]:
+    """The hashes of the truths, drawn where they are not yet; what is `given` to each draw fixes them."""
+    listed = out.with_suffix(".sha256")
+    pairs = (line.split("  ") for line in (listed.read_text().splitlines() if listed.exists() else ()))
+    digests = {int(Path(name).stem): digest for digest, name in pairs}
+    todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
+    with workers(len(todo)) as at_work:
+        work = at_work.outcomes(drawn, enumerate([index] for index in todo), given, died=_not_drawn)
+        for done, (_, table) in enumerate(work, 1):
+            (row,) = table.to_pylist()
+            index, truth = row["index"], row["truth"].encode()
+            write_files(dict(row["files"]), given_in(folder, index))
+            write_files({sealed_in(folder, index).name: row["truth"]}, sealed_in(folder, index).parent)
+            digest = hashlib.sha256(truth).hexdigest()
+            if digests.get(index, digest) != digest:
+                raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
+            digests[index] = digest
+            advance("sealed", done, len(todo))
+    lines = [f"{digests[i]}  {sealed_in(Path(folder.name), i).as_posix()}\n" for i in sorted(digests)]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    listed.write_text("".join(lines))
+    return digests
 
 
 def given_in(folder: Path, index: int) -> Path:
@@ -385,10 +360,3 @@ def _limit(seconds: int) -> Iterator[None]:
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
-
-
-def _listed(path: Path) -> dict[int, str]:
-    if not path.exists():
-        return {}
-    pairs = (line.split("  ") for line in path.read_text().splitlines())
-    return {int(Path(name).stem): digest for digest, name in pairs}

@@ -2,7 +2,7 @@
 
 import argparse
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +25,10 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         "with the library, sealed before the diagnosis begins and opened after it; and what the diagnosis is worth.",
     )
     count = campaign.count
-    parser.add_argument("--trials", type=_count, default=count, metavar="N", help=f"how many, {count} if not given")
-    parser.add_argument("--seed", type=_whole, default=0, metavar="S", help="of the campaign; 0 if not given")
+    parser.add_argument(
+        "--trials", type=_at_least(1), default=count, metavar="N", help=f"how many, {count} if not given"
+    )
+    parser.add_argument("--seed", type=_at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
     parser.add_argument(
         "--kind", choices=campaign.kinds, action="append", help="only trials of this kind; give it again for one more"
     )
@@ -43,7 +45,7 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         "at once, when the development is over",
     )
     parser.add_argument(
-        "--trial", type=_whole, metavar="I", help="only trial I of the seed, and all that happened in it"
+        "--trial", type=_at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it"
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped"
@@ -54,7 +56,9 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         "--export", type=Path, metavar="DIR", help="diagnose nothing; write the files here, truth and all"
     )
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
-    parser.add_argument("--processes", type=_count, metavar="P", help="that work at a time; one a core if not given")
+    parser.add_argument(
+        "--processes", type=_at_least(1), metavar="P", help="that work at a time; one a core if not given"
+    )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
     )
@@ -106,12 +110,16 @@ def _many(campaign: Campaign, options: argparse.Namespace, console: Console) -> 
 def _one(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
     """Runs a trial and prints what was hidden and what was said."""
     seed, index = options.seed, options.trial
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        digest = campaign.sealed_by_process(seed, index, folder, options.sealed)
-        console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)
-        row = campaign.judge(folder, index, digest)
-        for line in story(campaign, opened(folder, index, digest), row):
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "trial.parquet")
+
+        def sealed(_: str) -> None:
+            digest = out.with_suffix(".sha256").read_text().split()[0]
+            console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)
+
+        # by a process, as the trials of a run are: the truth is then the same to the last bit
+        (row,) = campaign.run(seed, [index], out, 1, sealed, lambda *counts: None, options.sealed, options.scheduler)
+        for line in story(campaign, opened(out.with_suffix(".trials"), index, row["sha256"]), row):
             console.print(line, soft_wrap=True, markup=False)
     return DONE
 
@@ -125,12 +133,7 @@ def _exported(campaign: Campaign, options: argparse.Namespace, console: Console)
 
 
 def differences(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
-    """A line for each trial whose findings or data faults differ, and how many agree.
-
-    Args:
-        before: rows of an earlier result.
-        after: rows of this one; trials of another truth are left out.
-    """
+    """A line for each trial whose findings or data faults differ, and how many agree; of the same truths alone."""
     earlier = {(row["seed"], row["index"], row["sha256"]): row for row in before}
     pairs = [(earlier[key], row) for row in after if (key := (row["seed"], row["index"], row["sha256"])) in earlier]
     agreeing = 0
@@ -148,18 +151,12 @@ def _said(row: Row) -> tuple[list[str], list[str]]:
     return sorted(findings), sorted(set(row["faults"]))
 
 
-def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError
-    return value
+def _at_least(least: int) -> Callable[[str], int]:
+    def whole(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise ValueError
+        return value
 
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
-
-
-_whole.__name__, _count.__name__ = "whole number from 0", "whole number from 1"
+    whole.__name__ = f"whole number from {least}"
+    return whole

@@ -4,7 +4,7 @@ Of poses and of torques alike; shares no code with the library.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 from benchmarks.campaigns.shares import WITHIN, Share, share
@@ -119,25 +119,10 @@ def rivals_of(finding: Row) -> list[Row]:
     return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
 
 
-def matched(hidden: Sequence[Row], findings: Sequence[Row], test: Any) -> bool:
-    """Whether effects and findings pair off, one to one."""
-    if len(hidden) != len(findings):
-        return False
-    if not hidden:
-        return True
-    rest = hidden[1:]
-    return any(
-        test(hidden[0], finding) and matched(rest, [*findings[:k], *findings[k + 1 :]], test)
-        for k, finding in enumerate(findings)
-    )
-
-
-def all_found(hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
-    """Whether every hidden effect has a finding of its own that names effect and site, or lists them as equivalent."""
-    if not hidden:
-        return False
-    return any(
-        admits(hidden[0], finding) and (len(hidden) == 1 or all_found(hidden[1:], [*findings[:k], *findings[k + 1 :]]))
+def paired(hidden: Sequence[Row], findings: Sequence[Row], test: Callable[[Row, Row], bool]) -> bool:
+    """Whether every hidden effect has a finding of its own that passes a test."""
+    return not hidden or any(
+        test(hidden[0], finding) and paired(hidden[1:], [*findings[:k], *findings[k + 1 :]], test)
         for k, finding in enumerate(findings)
     )
 
@@ -148,14 +133,9 @@ def value_of(parameter: Any) -> float:
 
 
 def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
-    """The grade of what a diagnosis says.
+    """The grade of what a diagnosis of so many rows says.
 
     A trial without an answer is misleading: whoever waits for one is left with nothing.
-
-    Args:
-        truth: the sealed one.
-        diagnosis: what the library wrote; None where it wrote none.
-        rows: of the recording.
     """
     if diagnosis is None:
         return Statement("misleading", "no answer")
@@ -226,18 +206,11 @@ def _listed(effects: Sequence[Row]) -> str:
 
 
 def scored_by_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str, moved: str) -> Row:
-    """The columns of a trial's row that poses and torques share.
-
-    Args:
-        truth: the sealed one.
-        diagnosis: what the library wrote; None where it wrote none.
-        seconds: that diagnosis and prediction took.
-        error: why there is no diagnosis or prediction.
-        moved: the key of what a hidden effect moves.
-    """
+    """The columns of a trial's row that poses and torques share; `moved` is the key of what a hidden effect moves."""
     said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
     findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
     hidden = truth["hidden"]
+    alone = len(findings) == len(hidden)
     top, first = findings[0] if findings else None, hidden[0] if hidden else None
     keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")
     return {key: truth[key] for key in keys} | {
@@ -248,9 +221,9 @@ def scored_by_findings(truth: Row, diagnosis: Row | None, seconds: float, error:
         "faults": [fault["fault"] for fault in said["data_faults"]],
         "hidden": [_of_hidden(effect, findings) | {moved: effect[moved]} for effect in hidden],
         "detected": bool(findings),
-        "found": not error and all_found(hidden, findings),
-        "exact": not error and matched(hidden, findings, same),
-        "exact_in_set": not error and matched(hidden, findings, admits),
+        "found": not error and bool(hidden) and paired(hidden, findings, admits),
+        "exact": not error and alone and paired(hidden, findings, same),
+        "exact_in_set": not error and alone and paired(hidden, findings, admits),
         "top_site": bool(first and top and top["site"] == first["site"]),
         "top_named": bool(first and top and same(first, top)),
         "top_in_set": bool(first and top and admits(first, top)),

@@ -69,11 +69,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
                 *_split([row for row in several if not row["edge"]], lambda row: f"{len(row['hidden'])} effects"),
                 *_split([row for row in several if row["edge"]], "edge"),
             ],
-            {
-                "all found": "found",
-                "all and no more": "exact",
-                "in the set": "exact_in_set",
-            },
+            {"all found": "found", "all and no more": "exact", "in the set": "exact_in_set"},
         ),
         _shares(
             "What is said outside the catalogue and at its edge",

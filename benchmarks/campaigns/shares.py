@@ -1,9 +1,9 @@
 """Shares and ratios of trials with their 95 % intervals, and goals that are set on them."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import beta
@@ -91,17 +91,26 @@ class Goal:
     met: bool | None
 
 
-def at_least(found: Share, least: float) -> bool | None:
-    """Whether a share reaches a goal; None where there are no trials."""
-    return found.value >= least if found.of else None
+def goal(asked: str, found: Share | Ratio, enough: Callable[[Any], bool]) -> Goal:
+    """A goal on a share or a ratio of trials; where there are none it is neither met nor missed."""
+    return Goal(asked, str(found), enough(found) if found.of else None)
+
+
+def at_least(least: float) -> Callable[[Share], bool]:
+    """What asks for a share."""
+    return lambda found: found.value >= least
+
+
+def at_most(most: float, surely: bool = False) -> Callable[[Any], bool]:
+    """What asks for no more; `surely`, by the upper end of the interval."""
+    return lambda found: (found.high if surely else found.value) <= most
+
+
+def covers(found: Share) -> bool:
+    """Whether 95 % intervals hold about as often as that."""
+    return 0.93 <= found.value <= 0.97
 
 
 def short(found: Share) -> str:
     """A share whose count stands beside it."""
     return str(found).partition(" of ")[0]
-
-
-def met(goals: Sequence[Goal]) -> list[tuple[str, str, str]]:
-    """The goals as rows of a table: what was asked, what was reached, and whether that is enough."""
-    words = {True: "yes", False: "NO", None: "no trials"}
-    return [(goal.asked, goal.reached, words[goal.met]) for goal in goals]

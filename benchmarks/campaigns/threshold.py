@@ -6,6 +6,7 @@ Nothing that does not know where to look does better; at twice the threshold thi
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -20,6 +21,40 @@ SEARCHED = 100
 ALARM = 0.01
 LEAST_SEEN = 0.01
 """The share of what an effect does that the rest cannot do, below which it is out of sight."""
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """How large an effect must be.
+
+    Attributes:
+        size: by what its sizes must be multiplied to be at the threshold.
+        seen: the share of what it does that all the rest cannot do as well.
+        moved: m or Nm RMS, what it does at the threshold.
+    """
+
+    size: float
+    seen: float
+    moved: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The candidate that comes nearest to an effect.
+
+    Attributes:
+        name: of the effect.
+        site: of it.
+        apart: standard deviations by which the data tell them apart; below 4 no name is expected (`DISTINGUISHED`).
+    """
+
+    name: str
+    site: str
+    apart: float
+
+    def or_nearer(self, name: str, site: str, apart: float) -> "Rival":
+        """This one, or another if it is nearer."""
+        return Rival(name, site, apart) if apart < self.apart else self
 
 
 @lru_cache

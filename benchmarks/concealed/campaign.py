@@ -19,7 +19,18 @@ from benchmarks.campaigns.judgement import (
     singles,
 )
 from benchmarks.campaigns.rounds import Rounds, Trial
-from benchmarks.campaigns.shares import WITHIN, Goal, Ratio, Share, at_least, ratio, share
+from benchmarks.campaigns.shares import (
+    WITHIN,
+    Goal,
+    Ratio,
+    Share,
+    at_least,
+    at_most,
+    covers,
+    goal,
+    ratio,
+    share,
+)
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plans import KINDS, NAMES_AT_STAKE, NOISES, READ_KINDS, READ_ROUNDS, READERS, ROUNDS, ROWS
 from benchmarks.concealed.trials import draw, draw_reading
@@ -28,28 +39,23 @@ WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
 _ABSENT: Row = {"rows": ROWS, "edge": "", "masses_off": False, "sealed": False}
 """What an earlier version did not draw, and its truths do not say."""
+_UNSEEN = (
+    *("unseen_m", "unseen_rad", "unseen_missing"),
+    *("inside_components", "inside_covered", "outside_components", "outside_covered"),
+)
 SCHEMA = schema_of(
     "moved_m",
     {
         "sensor geometry statement why nearest_effect nearest_site": TEXT,
         "moving mounted masses_off": FLAG,
         "before_m after_m noise_m estimated_noise_m nearest_p moved_m": NUMBER,
-        "unseen_m unseen_rad unseen_missing oracle_m oracle_rad": NUMBER,
-        "inside_components inside_covered outside_components outside_covered": NUMBER,
+        " ".join((*_UNSEEN, "oracle_m oracle_rad")): NUMBER,
     },
 )
 
 
 def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
-    """The row of a trial.
-
-    Args:
-        truth: the sealed one.
-        diagnosis: what the library wrote; None where it wrote none.
-        predicted: columns `x_m` …, `qw` … of the unseen motion.
-        seconds: that diagnosis and prediction took.
-        error: why there is no diagnosis or prediction.
-    """
+    """The row of a trial; `predicted` has columns `x_m` …, `qw` … of the unseen motion."""
     truth = _ABSENT | truth
     statement = judged(truth, diagnosis, truth["rows"])
     row = scored_by_findings(truth, diagnosis, seconds, error, "moved_m")
@@ -77,14 +83,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
 
 def _unseen(truth: Row, predicted: Row | None) -> Row:
     oracle = truth.get("oracle") or dict.fromkeys(("unseen_position_rms_m", "unseen_rotation_rms_rad"))
-    row: Row = {
-        "unseen_m": None,
-        "unseen_rad": None,
-        "unseen_missing": None,
-        "inside_components": None,
-        "inside_covered": None,
-        "outside_components": None,
-        "outside_covered": None,
+    row: Row = dict.fromkeys(_UNSEEN) | {
         "oracle_m": oracle["unseen_position_rms_m"],
         "oracle_rad": oracle["unseen_rotation_rms_rad"],
     }
@@ -98,9 +97,8 @@ def _unseen(truth: Row, predicted: Row | None) -> Row:
         row["unseen_m"] = float(np.sqrt(np.mean(np.sum((said - actual)[there] ** 2, 1))))
         if truth["noise_rad"] and "qw" in predicted:
             q = np.column_stack([predicted[name] for name in ("qw", "qx", "qy", "qz")])[there]
-            row["unseen_rad"] = float(
-                np.sqrt(np.mean(turn_between(q, np.array(truth["unseen_quaternion"])[there]) ** 2))
-            )
+            turn = turn_between(q, np.array(truth["unseen_quaternion"])[there])
+            row["unseen_rad"] = float(np.sqrt(np.mean(turn**2)))
     return row | _covered(truth, predicted, said - actual, np.asarray(there))
 
 
@@ -149,87 +147,79 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
     outside = [row for row in rows if row["kind"] == "outside"]
     distinct = [row for row in twice if distinguishable(row)]
-    large = [row for row in rows if row["kind"] in ("single", "mixture")]
-    within = covered(rows, 3.0)
-    known = [row for row in large if all(effect["size"] >= 2 for effect in row["hidden"])]
-    declared = [row for row in clean if row["noise"] == "as declared"]
-    found, sited = share_found(twice), share(row["top_site"] for row in twice)
-    found_distinct, wrong = share_found(distinct), wrong_names(rows)
-    sited_distinct = share(row["top_site"] for row in distinct)
-    alarms, alarms_declared = share(row["detected"] for row in clean), share(row["detected"] for row in declared)
-    unseen = against_oracle(known)
-    unnamed = share(row["hidden"][0]["named"] for row in outside)
-    listed = share(row["hidden"][0]["in_set"] for row in outside)
-    unnamed_distinct = share(row["hidden"][0]["named"] for row in outside if distinguishable(row))
-    bars_inside, bars_outside = within_bars(rows, "inside"), within_bars(rows, "outside")
-    few_wrong = wrong.value <= WRONG_NAMES and wrong.high <= WRONG_NAMES_AT_MOST if wrong.of else None
+    known = [
+        row
+        for row in rows
+        if row["kind"] in ("single", "mixture") and all(effect["size"] >= 2 for effect in row["hidden"])
+    ]
+    others = "— where the data distinguish it from all other names"
+    inside, beyond = within_bars(rows, "inside"), within_bars(rows, "outside")
     return [
-        Goal("wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %", str(wrong), few_wrong),
-        Goal("found at twice the threshold, effect and site: 95 %", str(found), at_least(found, 0.95)),
-        Goal(
-            "— where the data distinguish it from all other names", str(found_distinct), at_least(found_distinct, 0.95)
+        goal(
+            "wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %",
+            wrong_names(rows),
+            lambda wrong: wrong.value <= WRONG_NAMES and wrong.high <= WRONG_NAMES_AT_MOST,
         ),
-        Goal("at the right site at twice the threshold: 90 %", str(sited), at_least(sited, 0.9)),
-        Goal(
-            "— where the data distinguish it from all other names", str(sited_distinct), at_least(sited_distinct, 0.9)
+        goal("found at twice the threshold, effect and site: 95 %", share_found(twice), at_least(0.95)),
+        goal(others, share_found(distinct), at_least(0.95)),
+        goal("at the right site at twice the threshold: 90 %", _sited(twice), at_least(0.9)),
+        goal(others, _sited(distinct), at_least(0.9)),
+        goal("false alarms, upper end of the interval: 1 %", _alarms(clean), at_most(0.01, surely=True)),
+        goal(
+            "— noise as declared",
+            _alarms(row for row in clean if row["noise"] == "as declared"),
+            at_most(0.01, surely=True),
         ),
-        Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
-        Goal("— noise as declared", str(alarms_declared), alarms_declared.high <= 0.01 if declared else None),
-        Goal("unseen error: 1.1 × the oracle's", str(unseen), unseen.value <= 1.1 if unseen.of else None),
-        Goal(
-            "95 % intervals cover, from three thresholds on: 93 to 97 %",
-            str(within),
-            0.93 <= within.value <= 0.97 if within.of else None,
+        goal("unseen error: 1.1 × the oracle's", against_oracle(known), at_most(1.1)),
+        goal("95 % intervals cover, from three thresholds on: 93 to 97 %", covered(rows, 3.0), covers),
+        goal(
+            "outside the catalogue: unnamed, at its site, by its driver: 90 %", _found(outside, "named"), at_least(0.9)
         ),
-        Goal("outside the catalogue: unnamed, at its site, by its driver: 90 %", str(unnamed), at_least(unnamed, 0.9)),
-        Goal("— or listed among the alternatives", str(listed), None),
-        Goal(
+        Goal("— or listed among the alternatives", str(_found(outside, "in_set")), None),
+        goal(
             "— where the data distinguish it from names, and from functions elsewhere or of others",
-            str(unnamed_distinct),
-            at_least(unnamed_distinct, 0.9),
+            _found(filter(distinguishable, outside), "named"),
+            at_least(0.9),
         ),
         Goal(
             "95 % bars of predictions hold unseen positions: 93 to 97 %",
-            _in_percent(bars_inside),
-            0.93 <= bars_inside <= 0.97 if np.isfinite(bars_inside) else None,
+            _in_percent(inside),
+            0.93 <= inside <= 0.97 if math.isfinite(inside) else None,
         ),
         Goal(
-            "— outside what was recorded: 90 %",
-            _in_percent(bars_outside),
-            bars_outside >= 0.9 if np.isfinite(bars_outside) else None,
+            "— outside what was recorded: 90 %", _in_percent(beyond), beyond >= 0.9 if math.isfinite(beyond) else None
         ),
     ]
 
 
 def reading_goals(rows: Sequence[Row]) -> list[Goal]:
     """Those of a sensor that measures no poses."""
-    clean = [row for row in rows if row["kind"] == "clean"]
-    twice, within = singles(rows, 2.0), covered(rows, 2.0)
-    alarms, found, sited = (
-        share(row["detected"] for row in clean),
-        share_found(twice),
-        share(r["top_site"] for r in twice),
-    )
+    twice = singles(rows, 2.0)
+    alarms = _alarms(row for row in rows if row["kind"] == "clean")
     return [
-        Goal("clean recordings with a finding, at most 1 %", str(alarms), alarms.value <= 0.01 if clean else None),
-        Goal("found from twice the threshold on: 95 %", str(found), at_least(found, 0.95)),
-        Goal("— at the right site: 85 %", str(sited), at_least(sited, 0.85)),
-        Goal(
-            "95 % intervals cover: 93 to 97 %",
-            str(within),
-            0.93 <= within.value <= 0.97 if within.of else None,
-        ),
+        goal("clean recordings with a finding, at most 1 %", alarms, at_most(0.01)),
+        goal("found from twice the threshold on: 95 %", share_found(twice), at_least(0.95)),
+        goal("— at the right site: 85 %", _sited(twice), at_least(0.85)),
+        goal("95 % intervals cover: 93 to 97 %", covered(rows, 2.0), covers),
     ]
 
 
+def _alarms(clean: Iterable[Row]) -> Share:
+    return share(row["detected"] for row in clean)
+
+
+def _sited(rows: Iterable[Row]) -> Share:
+    return share(row["top_site"] for row in rows)
+
+
+def _found(outside: Iterable[Row], how: str) -> Share:
+    return share(row["hidden"][0][how] for row in outside)
+
+
 def within_bars(rows: Iterable[Row], where: str) -> float:
-    """The share of unseen position components within the bars that hold 95 %; NaN where there are none.
+    """The share of unseen position components within the bars that hold 95 %, inside or outside of what was recorded.
 
-    Components of a trial depend on each other, so it has no interval of independent draws.
-
-    Args:
-        rows: of trials.
-        where: "inside" or "outside" of what was recorded.
+    NaN where there are none. Components of a trial depend on each other, so it has no interval of independent draws.
     """
     kept = [row for row in rows if row[f"{where}_components"]]
     count = sum(row[f"{where}_components"] for row in kept)

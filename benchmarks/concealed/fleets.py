@@ -43,15 +43,9 @@ class Shared:
 def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared]) -> None:
     """Writes the recordings of a fleet: `armNN.csv` with sidecar and factory calibration.
 
-    A threshold is that of the effect in the recording of the first arm, so that all arms share a physical size; of one
-    outside the catalogue, that of what the nearest named effect of its site leaves of it.
-
-    Args:
-        folder: is made.
-        seed: of all draws.
-        arms: how many.
-        rows: of each recording, at rest, by a laser tracker whose frame and target are unknown.
-        hidden: what the arms have.
+    The arms are at rest before a laser tracker whose frame and target are unknown. A threshold is that of the effect in
+    the recording of the first arm, so that all arms share a physical size; of one outside the catalogue, that of what
+    the nearest named effect of its site leaves of it.
     """
     folder.mkdir()
     sizes: list[float] = []

@@ -4,40 +4,16 @@ All from the generator's own derivatives (central differences of `plain_physics.
 noise, and seen only across what the recording leaves open: sensor frame, tool and geometry.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from benchmarks.campaigns.threshold import across, least_power
+from benchmarks.campaigns.threshold import Threshold, across, least_power
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, poses
 from benchmarks.concealed.view import View, reported_slopes
 
 
-@dataclass(frozen=True, eq=False)
-class Threshold:
-    """How large an effect must be.
-
-    Attributes:
-        size: by what its values must be multiplied to be at the threshold.
-        seen: the share of what it does that frames, tool and geometry cannot do as well.
-        moved: m RMS, how far it moves the measured point at the threshold.
-    """
-
-    size: float
-    seen: float
-    moved: float
-
-
 def threshold(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Threshold:
-    """Of one of the hidden effects, the direction of its values given.
-
-    Args:
-        view: of the recording.
-        hidden: all effects.
-        place: which of them.
-        span: the columns of all that may vary beside it.
-    """
+    """Of one of the hidden effects, the direction of its values given, across the columns of all that may vary."""
     effect = hidden[place]
     unit = 1e-3 * _typical(effect)
     scaled = effect.scaled(unit)

@@ -1,6 +1,6 @@
 """A least-squares fit that is told the form of the truth: what no search can beat but by luck."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,30 +14,13 @@ _ROUNDS = 3
 _HALVINGS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """The oracle's fit.
-
-    Attributes:
-        setup: the arm and the sensor as it has them.
-        hidden: the effects as it has them.
-    """
-
-    setup: Setup
-    hidden: tuple[Hidden, ...]
-
-
 def oracle(
     view: View, believed: Setup, hidden: tuple[Hidden, ...], measured: tuple[Array, Array], used: NDArray[np.bool_]
-) -> Fitted:
+) -> tuple[Setup, tuple[Hidden, ...]]:
     """A least-squares fit that is told which effects there are, and where, and starts at the truth.
 
-    Args:
-        view: of the recording; its noise is what the fit weighs by.
-        believed: the set-up that the sidecar declares, about which a prior is centred and what is closed is held.
-        hidden: the truth; the form is what is told, the numbers are where it starts.
-        measured: rotations and positions.
-        used: `(sample,)` bool, rows that are no faults.
+    Of the set-up that is `believed`, what is closed is held and a prior is centred there; rows that are `used` are no
+    faults.
     """
     size = view.open.size(believed.chain.dof)
     rows = np.repeat(used, 6 if view.noise[1] else 3)
@@ -64,7 +47,7 @@ def oracle(
                 (x, found), left = tried, beyond
                 break
             step = step / 2
-    return Fitted(view.open.moved(believed, x), found)
+    return view.open.moved(believed, x), found
 
 
 def _moved(hidden: tuple[Hidden, ...], step: Array) -> tuple[Hidden, ...]:

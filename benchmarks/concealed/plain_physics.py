@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
-from benchmarks.concealed.outside import FAMILIES, Signals, seen_shift
+from benchmarks.concealed.outside import FAMILIES, seen_shift
+from benchmarks.concealed.outside.family import Signals
 
 Curve = Callable[[Array], tuple[Array, Array]]
 

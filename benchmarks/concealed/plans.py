@@ -126,14 +126,7 @@ class Plan:
 
 
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
-    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
-
-    Args:
-        seed: of the campaign.
-        index: of the trial in it.
-        rng: draws what no goal is set on.
-        sealed: draws what is outside the catalogue from the sealed families, and from no other.
-    """
+    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest."""
     kind = ROUNDS.kind_of(seed, index)
     ordinal = ROUNDS.ordinal(seed, index, kind)
     noise = turn(seed, 2, ordinal, NOISES) if kind == "clean" else NOISES[0]
@@ -192,14 +185,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
 
 
 def draw_reading_plan(sensor: str, seed: int, index: int, rng: np.random.Generator) -> Plan:
-    """What a trial of a sensor that measures no poses is to be: nothing, or one effect of twice the threshold or more.
-
-    Args:
-        sensor: a key of `READERS`.
-        seed: of the campaign.
-        index: of the trial in it.
-        rng: draws what no goal is set on.
-    """
+    """What a trial of a sensor that measures no poses is to be: nothing, or one effect of twice the threshold on."""
     kind = READ_ROUNDS.kind_of(seed, index)
     ordinal = READ_ROUNDS.ordinal(seed, index, kind)
     single = kind == "single"

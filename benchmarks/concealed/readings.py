@@ -58,14 +58,7 @@ class Scene:
 
 
 def draw_scene(sensor: str, rng: np.random.Generator, chain: Chain, rows: int) -> Scene:
-    """Places within reach of an arm.
-
-    Args:
-        sensor: a key of `READERS`.
-        rng: draws them, and the noise.
-        chain: the arm as it is.
-        rows: of the recording.
-    """
+    """Places within reach of an arm for a sensor, a key of `READERS`, and its noise."""
     return READERS[sensor](rng, float(np.sum(np.linalg.norm(chain.rows[:, :3], axis=1))), _STARTS * rows)
 
 
@@ -119,34 +112,31 @@ def _plane(rng: np.random.Generator, size: float, starts: int) -> Scene:
 
 
 def _distance(rng: np.random.Generator, size: float, starts: int) -> Scene:
-    anchor, error = 1.6 * _place(rng, size, 2.5), rng.normal(0, DISTANCE_NOISE, starts)
-
-    def reading(group: NDArray[np.integer]) -> Reading:
-        read = lambda shown, x: np.linalg.norm(shown[1] - x, axis=1)[:, None] / DISTANCE_NOISE  # noqa: E731
-        return Reading(1, read, anchor, np.zeros((0, 3)))
-
-    def columns(shown: Poses, group: NDArray[np.integer]) -> Mapping[str, Any]:
-        return {"distance_m": np.linalg.norm(shown[1] - anchor, axis=1) + error[: len(group)]}
-
+    anchor = 1.6 * _place(rng, size, 2.5)
     said = {"pose_source": "draw_wire", "distance_noise_m": DISTANCE_NOISE, "anchor_m": "unknown"}
-    return Scene(None, False, np.zeros(starts, int), np.eye(4), reading, columns, said, DISTANCE_NOISE)
+    error = rng.normal(0, DISTANCE_NOISE, starts)
+    return _anywhere("distance_m", lambda p, x: np.linalg.norm(p - x, axis=1), anchor, DISTANCE_NOISE, error, said)
 
 
 def _axis(rng: np.random.Generator, size: float, starts: int) -> Scene:
     turn, error = rotation_from_vector(rng.normal(0, 0.02, 3)), rng.normal(0, AXIS_NOISE, starts)
-    axes, above = turn.T, rng.uniform(0.1, 0.5)
+    axes, own = turn.T, np.array([0.0, 0.0, rng.uniform(0.1, 0.5)])
+    said = {"pose_source": "height_gauge", "axis_noise_m": AXIS_NOISE, "axis": "unknown"}
+    return _anywhere("axis_m", lambda p, x: p @ (axes[2] + x[:2] @ axes[:2]) + x[2], own, AXIS_NOISE, error, said)
+
+
+def _anywhere(
+    column: str, read: Callable[[Array, Array], Array], own: Array, noise: float, error: Array, said: Mapping[str, Any]
+) -> Scene:
+    """Of a sensor that reads one number of a position, by three of its own, wherever the tool is."""
 
     def reading(group: NDArray[np.integer]) -> Reading:
-        def read(shown: Poses, x: Array) -> Array:
-            return (shown[1] @ (axes[2] + x[:2] @ axes[:2]) + x[2])[:, None] / AXIS_NOISE
-
-        return Reading(1, read, np.array([0.0, 0.0, above]), np.zeros((0, 3)))
+        return Reading(1, lambda shown, x: read(shown[1], x)[:, None] / noise, own, np.zeros((0, 3)))
 
     def columns(shown: Poses, group: NDArray[np.integer]) -> Mapping[str, Any]:
-        return {"axis_m": shown[1] @ axes[2] + above + error[: len(group)]}
+        return {column: read(shown[1], own) + error[: len(group)]}
 
-    said = {"pose_source": "height_gauge", "axis_noise_m": AXIS_NOISE, "axis": "unknown"}
-    return Scene(None, False, np.zeros(starts, int), np.eye(4), reading, columns, said, AXIS_NOISE)
+    return Scene(None, False, np.zeros(len(error), int), np.eye(4), reading, columns, said, noise)
 
 
 def _camera(rng: np.random.Generator, size: float, starts: int, fixed: bool) -> Scene:

@@ -4,15 +4,16 @@ All from the generator's own derivatives, whitened by the sensor's true noise, a
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
 
 from benchmarks.campaigns.judgement import is_driven
-from benchmarks.campaigns.threshold import across, apart, beyond
+from benchmarks.campaigns.threshold import Rival, across, apart, beyond
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside import FAMILIES, Drivers
+from benchmarks.concealed.outside import FAMILIES
+from benchmarks.concealed.outside.family import Drivers
 from benchmarks.concealed.plain_physics import Hidden, poses, signals_of
 from benchmarks.concealed.view import View, source
 
@@ -55,34 +56,11 @@ def candidates(dof: int, moving: bool, orientation: bool) -> Iterator[Hidden]:
         yield Hidden("time_offset", "clock", (0.0,))
 
 
-@dataclass(frozen=True)
-class Rival:
-    """The candidate that comes nearest to an effect.
-
-    Attributes:
-        name: of the effect.
-        site: of it.
-        apart: standard deviations by which the data tell them apart; below 4 no name is expected (`DISTINGUISHED`).
-    """
-
-    name: str
-    site: str
-    apart: float
-
-    def or_nearer(self, name: str, site: str, apart: float) -> "Rival":
-        """This one, or another if it is nearer."""
-        return Rival(name, site, apart) if apart < self.apart else self
-
-
 def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
-    """Which other candidate explains most of one of the hidden effects, beside all that may vary.
+    """Which other candidate explains most of one of the hidden effects, beside the columns of all that may vary.
 
-    Args:
-        view: of the recording.
-        hidden: all effects. Columns are taken where they are as they are: elsewhere, what cancels here would leave what
-            effects do to each other.
-        place: which of them.
-        span: the columns of all that may vary beside it.
+    Columns are taken where all effects are as they are: elsewhere, what cancels here would leave what effects do to
+    each other.
     """
     absent = (*hidden[:place], *hidden[place + 1 :])
     g = view.difference(poses(view.setup, absent, view.motion), poses(view.setup, hidden, view.motion))
@@ -109,13 +87,8 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
     That is a function elsewhere or of another driver. Orders of gears and wind-up are not among the names, so that the
     distance is an upper limit.
 
-    Functions are polynomials of degree `_POWERS` of any driver: of an angle, or of one component of a twist.
-
-    Args:
-        view: of the recording.
-        effect: outside the catalogue, as large as it is; nothing else is hidden.
-        sites: where the same function of the same driver is no other (`equal_sites`).
-        drivers: on what it depends; one of them is enough, at one of the sites, for a function to be the effect.
+    Functions are polynomials of degree `_POWERS` of any driver: of an angle, or of one component of a twist. One of the
+    effect's drivers is enough, at one of its `equal_sites`, for a function to be no other.
     """
     g = view.difference(poses(view.setup, (), view.motion), poses(view.setup, (effect,), view.motion))
     # linearised without the effect: beside a tool that turns, an offset of the tool would itself turn, and mimic it
@@ -229,10 +202,6 @@ def equal_sites(view: View, effect: Hidden) -> list[str]:
     """The sites where the same function of the same driver moves what is seen in the same way; the effect's own first.
 
     The base may move or the sensor, the tool or the link that carries it: no recording tells these apart.
-
-    Args:
-        view: of the recording.
-        effect: of a family outside the catalogue.
     """
     dof, own = view.setup.chain.dof, effect.site
     if FAMILIES[effect.name].place == "image":

@@ -1,6 +1,9 @@
 """One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,10 +47,7 @@ MASS_ERROR = 0.1
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
     """The trial of an index: what is hidden is drawn again until some sensor there could see it.
 
-    Args:
-        seed: of the campaign.
-        index: of the trial in it.
-        sealed: draws what is outside the catalogue from the sealed families, and from no other.
+    Where `sealed`, what is outside the catalogue is of the sealed families, and of no other.
     """
     return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 0, index)
 
@@ -99,18 +99,7 @@ def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
             return None
         view = replace(view, motion=motion)
     seen, unseen = poses(setup, hidden, motion), draw_motion(rng, actual, False, UNSEEN_ROWS, warming, loading)
-    rotation, position = poses(setup, hidden, unseen)
-    truth = {
-        "schema": "concealed/truth/1",
-        **plan.told(),
-        "hidden": described(view, hidden),
-        "fault_rows": [],
-        "moved_rms_m": float(np.sqrt(np.mean(np.sum((seen[1] - poses(setup, (), motion)[1]) ** 2, 1)))),
-        "noise_m": noise[0],
-        "noise_rad": noise[1],
-        "unseen_position_m": position.tolist(),
-        "unseen_quaternion": quaternion_from_rotation(rotation).tolist(),
-    }
+    truth = _truth(plan, view, hidden, seen, poses(setup, hidden, unseen))
     files = files_of_readings(plan, nominal, declared, motion, scene.columns(seen, group), scene.said, unseen)
     return Trial(plan, truth, files)
 
@@ -154,22 +143,37 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     # of faults the oracle is told, of a file that is another arm's too; of noise it is not
     read = replace(view, motion=replace(motion, q=recorded)) if plan.noise == "in the joints" else view
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
-    truth = {
-        "schema": "concealed/truth/1",
-        **plan.told(),
-        "hidden": described(view, hidden),
-        "fault_rows": faulty,
-        "moved_rms_m": float(np.sqrt(np.mean(np.sum((seen[1] - poses(setup, (), motion)[1]) ** 2, 1)))),
-        "noise_m": noise[0],
-        "noise_rad": noise[1],
-        "oracle": _oracle(read, believed, hidden, measured, used, unseen, unseen_truth),
-        "unseen_position_m": unseen_truth[1].tolist(),
-        "unseen_quaternion": quaternion_from_rotation(unseen_truth[0]).tolist(),
-    }
+    fitted = _oracle(read, believed, hidden, measured, used, unseen, unseen_truth)
+    truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, {"oracle": fitted})
     if plan.masses_off:
         truth["mass_errors"] = (actual.mass / nominal.mass - 1).tolist()
     files = files_of(plan, nominal, declared, motion, measured, recorded, noise, unseen)
     return Trial(plan, truth, files)
+
+
+def _truth(
+    plan: Plan,
+    view: View,
+    hidden: tuple[Hidden, ...],
+    seen: tuple[Array, Array],
+    unseen: tuple[Array, Array],
+    faulty: Sequence[int] = (),
+    more: Mapping[str, Any] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """What is sealed of rotations and positions that were seen, and of those of the unseen motion."""
+    moved = seen[1] - poses(view.setup, (), view.motion)[1]
+    return {
+        "schema": "concealed/truth/1",
+        **plan.told(),
+        "hidden": described(view, hidden),
+        "fault_rows": list(faulty),
+        "moved_rms_m": float(np.sqrt(np.mean(np.sum(moved**2, 1)))),
+        "noise_m": view.noise[0],
+        "noise_rad": view.noise[1],
+        **more,
+        "unseen_position_m": unseen[1].tolist(),
+        "unseen_quaternion": quaternion_from_rotation(unseen[0]).tolist(),
+    }
 
 
 def _arms(plan: Plan, rng: np.random.Generator) -> tuple[Chain, Chain, Chain]:
@@ -197,8 +201,7 @@ def _oracle(
     truth: tuple[Array, Array],
 ) -> dict[str, float]:
     """How well the fit that is told the form of the truth predicts the unseen motion."""
-    fitted = oracle(view, believed, hidden, measured, used)
-    rotation, position = poses(fitted.setup, fitted.hidden, unseen)
+    rotation, position = poses(*oracle(view, believed, hidden, measured, used), unseen)
     turn = vector_from_rotation(np.swapaxes(truth[0], 1, 2) @ rotation)
     return {
         "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - truth[1]) ** 2, 1)))),

@@ -11,7 +11,7 @@ from benchmarks.campaigns.campaign import FLAG, NUMBER, TEXT, Campaign, Section,
 from benchmarks.campaigns.columns import csv_text
 from benchmarks.campaigns.judgement import Row, covered, is_true, scored_by_findings, share_found, singles, value_of
 from benchmarks.campaigns.report import KNOWN
-from benchmarks.campaigns.shares import Goal, Share, at_least, share, short
+from benchmarks.campaigns.shares import Goal, Share, at_least, at_most, covers, goal, share, short
 from benchmarks.torque_trials.outside import FAMILIES
 from benchmarks.torque_trials.plans import DATA_FAULTS, KINDS, ROUNDS
 from benchmarks.torque_trials.trials import draw
@@ -59,15 +59,7 @@ SCHEMA = schema_of(
 
 
 def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
-    """The row of a trial.
-
-    Args:
-        truth: the sealed one.
-        diagnosis: what the library wrote; None where it wrote none.
-        predicted: columns `tau1_Nm` … of the unseen motion.
-        seconds: that diagnosis and prediction took.
-        error: why there is no diagnosis or prediction.
-    """
+    """The row of a trial; `predicted` has columns `tau1_Nm` … of the unseen motion."""
     hidden = truth["hidden"]
     said = diagnosis or {"findings": [], "data_faults": [], "before": {}, "after": {}}
     false = [f for f in said["findings"] if not is_true(f, hidden, said["findings"])]
@@ -129,13 +121,6 @@ def _is_absurd(finding: Row) -> bool:
     return any(value > most.get(finding["effect"], np.inf) for value in values)
 
 
-def _honest(before: float | None, after: float | None, changed: bool) -> bool | None:
-    """Whether held-out errors fall where something is hidden, and stay where nothing is."""
-    if before is None or after is None:
-        return None
-    return after < before if changed else abs(after - before) <= _UNTOUCHED * before
-
-
 def _unseen(truth: Row, predicted: Row | None) -> float | None:
     if predicted is None:
         return None
@@ -164,30 +149,43 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     """The goals of the project, honestly."""
     clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
     twice = singles(rows, 2.0, 2.0)
-    outside = [row for row in rows if row["kind"] == "outside"]
-    alarms, found = share(row["detected"] for row in clean), share_found(twice)
-    named, wrong = share(row["top_in_set"] for row in twice), share(row["wrong_name"] for row in outside)
-    told, right = covered(rows, KNOWN), share(row["hidden"][0]["named"] for row in expected(rows))
     known = [row for row in rows if row["kind"] in ("clean", "single", "mixture")]
-    unseen = within_bound(known)
-    touched = share(row["fault_found"] for row in rows if row["fault"] == "contact")
     spoilt = [row for row in rows if row["fault"] in DATA_FAULTS]
-    columns, absurd = share(row["fault_found"] for row in spoilt), share(row["absurd"] for row in spoilt)
     return [
-        Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
-        Goal("single effects at twice the threshold, found: 95 %", str(found), at_least(found, 0.95)),
-        Goal("— right site and name, or within the set said inseparable: 90 %", str(named), at_least(named, 0.9)),
-        Goal("wrong names outside the catalogue: 2 %", str(wrong), wrong.value <= 0.02 if wrong.of else None),
-        Goal(
-            "95 % intervals cover, from four thresholds on: 93 to 97 %",
-            str(told),
-            0.93 <= told.value <= 0.97 if told.of else None,
+        goal(
+            "false alarms, upper end of the interval: 1 %",
+            share(row["detected"] for row in clean),
+            at_most(0.01, surely=True),
         ),
-        Goal("outside the catalogue: unnamed, at its joint, by its driver: 90 %", str(right), at_least(right, 0.9)),
-        Goal("unseen torques within their bound: 95 %", str(unseen), at_least(unseen, 0.95)),
-        Goal("contacts found, with their rows: 95 %", str(touched), at_least(touched, 0.95)),
-        Goal("faults of the file said, with joints and sizes: 95 %", str(columns), at_least(columns, 0.95)),
-        Goal("— that became absurd inertias: none", str(absurd), absurd.value == 0 if absurd.of else None),
+        goal("single effects at twice the threshold, found: 95 %", share_found(twice), at_least(0.95)),
+        goal(
+            "— right site and name, or within the set said inseparable: 90 %",
+            share(row["top_in_set"] for row in twice),
+            at_least(0.9),
+        ),
+        goal(
+            "wrong names outside the catalogue: 2 %",
+            share(row["wrong_name"] for row in rows if row["kind"] == "outside"),
+            at_most(0.02),
+        ),
+        goal("95 % intervals cover, from four thresholds on: 93 to 97 %", covered(rows, KNOWN), covers),
+        goal(
+            "outside the catalogue: unnamed, at its joint, by its driver: 90 %",
+            share(row["hidden"][0]["named"] for row in expected(rows)),
+            at_least(0.9),
+        ),
+        goal("unseen torques within their bound: 95 %", within_bound(known), at_least(0.95)),
+        goal(
+            "contacts found, with their rows: 95 %",
+            share(row["fault_found"] for row in rows if row["fault"] == "contact"),
+            at_least(0.95),
+        ),
+        goal(
+            "faults of the file said, with joints and sizes: 95 %",
+            share(row["fault_found"] for row in spoilt),
+            at_least(0.95),
+        ),
+        goal("— that became absurd inertias: none", share(row["absurd"] for row in spoilt), at_most(0.0)),
     ]
 
 

@@ -78,15 +78,7 @@ def described_arm(rng: np.random.Generator, arm: Arm) -> Arm:
 def spoil(
     plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, read: tuple[Array, Array, Array]
 ) -> Spoiled | None:
-    """What is read where something is wrong; None where nobody could tell.
-
-    Args:
-        plan: with the fault; one without has none.
-        rng: draws where and how large it is.
-        setup: the arm as it is, where it stands.
-        motion: what it does.
-        read: joints, velocities and torques as they are read without the fault.
-    """
+    """What is read in place of joints, velocities and torques where something is wrong; None if nobody could tell."""
     q, dq, torque = read
     right = Spoiled(q, dq, torque, [], {}, [], setup.gravity)
     dof, noise, one = q.shape[1], setup.arm.noise, int(rng.integers(q.shape[1]))

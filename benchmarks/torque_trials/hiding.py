@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.concealed.chain import Array
 from benchmarks.torque_trials import information, outside
-from benchmarks.torque_trials.effects import Hidden
+from benchmarks.torque_trials.effects import NAMED, Hidden
 from benchmarks.torque_trials.information import View, sizes_of
 from benchmarks.torque_trials.outside import FAMILIES
 from benchmarks.torque_trials.physics import rigid
@@ -31,6 +31,9 @@ _LEAST_SEEN = 0.05
 """The share of what an effect does that the rest cannot do, below which a small error of the model would hide it."""
 _MOST_MOVED = 1.0
 """Of the RMS of the joint's torque or, where that is small, of 20 times its noise, that an effect may add."""
+
+
+_POSITIVE = ("viscous_friction", "coulomb_friction", "load_friction", "rotor_inertia")
 
 
 def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...] | None:
@@ -90,29 +93,13 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
     site, side = f"joint{joint}", float(rng.choice([-1.0, 1.0]))
     q = motion.q[:, joint - 1]
     match name:
-        case "viscous_friction":
-            return Hidden(name, site, {"viscous_Nm_s_per_rad": 1.0})
-        case "coulomb_friction":
-            return Hidden(name, site, {"coulomb_Nm": 1.0})
         case "stribeck_friction":
             return Hidden(name, site, {"stribeck_Nm": 1.0, "velocity_rad_per_s": float(rng.uniform(0.05, 0.3))})
-        case "load_friction":
-            return Hidden(name, site, {"coefficient": 1.0})
-        case "friction_temperature":
-            return Hidden(name, site, {"viscous_Nm_s_per_rad_K": side})
         case "coupled_friction":
             joint = int(rng.choice([dof, dof, max(2, joint)]))
             viscous, dry = rng.uniform(0.2, 1.0, 2)
             values = {"viscous_Nm_s_per_rad": float(viscous), "coulomb_Nm": float(dry)}
             return Hidden(name, f"joint{joint}", values | {"source_joint": joint - 1.0})
-        case "torque_offset":
-            return Hidden(name, site, {"offset_Nm": side})
-        case "torque_scale":
-            return Hidden(name, site, {"scale": side})
-        case "torque_lag":
-            return Hidden(name, site, {"lag_s": side})
-        case "rotor_inertia":
-            return Hidden(name, site, {"inertia_kg_m2": 1.0})
         case "joint_spring":
             rest = float(np.percentile(q, rng.uniform(20, 80)))
             return Hidden(name, site, {"stiffness_Nm_per_rad": 1.0, "rest_rad": rest})
@@ -122,15 +109,13 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
                 return None
             phase = float(rng.uniform(-np.pi, np.pi))
             return Hidden(name, site, {"amplitude_Nm": 1.0, "order": order, "phase_rad": phase})
-        case "link_mass":
-            return Hidden(name, f"link{joint}", {"mass_kg": side})
         case "link_com":
             return Hidden(name, f"link{joint}", dict(zip(("x_m", "y_m", "z_m"), 0.1 * rng.normal(size=3), strict=True)))
-        case "payload_error":
-            return Hidden(name, "payload", {"mass_kg": side})
         case "base_tilt":
             return Hidden(name, "base", dict(zip(("tilt_x_rad", "tilt_y_rad"), rng.normal(size=2), strict=True)))
-    return Hidden(name, "clock", {"offset_s": side})
+    (size,) = NAMED[name].sizes
+    site = {"link_mass": f"link{joint}", "payload_error": "payload", "time_offset": "clock"}.get(name, site)
+    return Hidden(name, site, {size: 1.0 if name in _POSITIVE else side})
 
 
 def usual(view: View, hidden: Sequence[Hidden]) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from benchmarks.campaigns.threshold import LEAST_SEEN, Array, across, apart, beyond, least_power
+from benchmarks.campaigns.threshold import LEAST_SEEN, Array, Rival, Threshold, across, apart, beyond, least_power
 from benchmarks.torque_trials.arms import Arm, held, link_pull, travelled
 from benchmarks.torque_trials.effects import NAMED, Hidden, Scene
 from benchmarks.torque_trials.motion import Motion
@@ -136,35 +136,13 @@ def _tensors() -> Iterator[Array]:
             yield tensor
 
 
-@dataclass(frozen=True)
-class Threshold:
-    """How large an effect must be.
-
-    Attributes:
-        size: by what its sizes must be multiplied to be at the threshold.
-        seen: the share of what it does that the rest cannot do as well.
-        moved: Nm RMS over all joints, what it adds at the threshold.
-    """
-
-    size: float
-    seen: float
-    moved: float
-
-
 def sizes_of(effect: Hidden) -> tuple[str, ...]:
     """The numbers that say how large an effect is."""
     return NAMED[effect.name].sizes if effect.name in NAMED else ("size",)
 
 
 def threshold(view: View, hidden: Sequence[Hidden], place: int, span: Array) -> Threshold:
-    """Of one of the hidden effects, its proportions given.
-
-    Args:
-        view: of the recording.
-        hidden: all effects.
-        place: which of them.
-        span: the columns of all that may vary beside it.
-    """
+    """Of one of the hidden effects, its proportions given, across the columns of all that may vary beside it."""
     effect = hidden[place]
     others = [*hidden[:place], *hidden[place + 1 :]]
     there = view.torques([*others, effect.scaled(_UNIT, sizes_of(effect))])
@@ -178,34 +156,14 @@ def threshold(view: View, hidden: Sequence[Hidden], place: int, span: Array) -> 
     return Threshold(size, left / whole, float(np.sqrt(np.mean(added**2))) * size)
 
 
-def ladder(view: View, joint: int, beside: Sequence[Hidden] = ()) -> Array:
+def ladder(view: View, joint: int) -> Array:
     """The columns of all that the catalogue may add to a joint without another joint's help."""
-    effects = [Hidden(name, f"joint{joint}", dict.fromkeys(_numbers(name), 0.0)) for name in LADDER]
-    blocks = [view.columns([*beside, each], len(beside), _linear(each)) for each in effects]
-    return np.concatenate(blocks, 1)
+    effects = [_blank(name, f"joint{joint}") for name in LADDER]
+    return np.concatenate([view.columns([each], 0, sizes_of(each)) for each in effects], 1)
 
 
 def _numbers(name: str) -> tuple[str, ...]:
     return (*NAMED[name].sizes, *NAMED[name].shapes)
-
-
-def _linear(effect: Hidden) -> tuple[str, ...]:
-    return NAMED[effect.name].sizes
-
-
-@dataclass(frozen=True)
-class Rival:
-    """The candidate that comes nearest to an effect.
-
-    Attributes:
-        name: of the effect.
-        site: of it.
-        apart: standard deviations by which the data tell them apart; what is below 3 no method can name for sure.
-    """
-
-    name: str
-    site: str
-    apart: float
 
 
 def candidates(setup: Setup, motion: Motion, declared: bool) -> Iterator[list[Hidden]]:
@@ -213,29 +171,28 @@ def candidates(setup: Setup, motion: Motion, declared: bool) -> Iterator[list[Hi
 
     Ripples are left out, whose orders are without number: what is no ripple is no ripple's rival.
     """
-    dof = setup.arm.chain.dof
-    for joint in range(1, dof + 1):
+    for joint in range(1, setup.arm.chain.dof + 1):
         site = f"joint{joint}"
-        for name in ("viscous_friction", "coulomb_friction", "load_friction", "torque_offset", "rotor_inertia"):
-            yield [Hidden(name, site, dict.fromkeys(_numbers(name), 0.0))]
+        yield from ([_blank(name, site)] for name in (*LADDER[:4], "rotor_inertia"))
         if np.ptp(motion.temperature) > 2:
-            yield [Hidden("friction_temperature", site, {"viscous_Nm_s_per_rad_K": 0.0})]
-        yield [Hidden("torque_scale", site, {"scale": 0.0})]
-        yield [Hidden("torque_lag", site, {"lag_s": 0.0})]
-        spring = Hidden("joint_spring", site, {"stiffness_Nm_per_rad": 0.0, "rest_rad": 0.0})
-        yield [spring, Hidden("torque_offset", site, {"offset_Nm": 0.0})]
-        for velocity in (0.05, 0.2):
-            yield [Hidden("stribeck_friction", site, {"stribeck_Nm": 0.0, "velocity_rad_per_s": velocity})]
+            yield [_blank("friction_temperature", site)]
+        yield [_blank("torque_scale", site)]
+        yield [_blank("torque_lag", site)]
+        yield [_blank("joint_spring", site), _blank("torque_offset", site)]
+        yield from ([_blank("stribeck_friction", site, velocity_rad_per_s=v)] for v in (0.05, 0.2))
         if joint > 1:
-            pair = {"viscous_Nm_s_per_rad": 0.0, "coulomb_Nm": 0.0, "source_joint": joint - 1.0}
-            yield [Hidden("coupled_friction", site, pair)]
+            yield [_blank("coupled_friction", site, source_joint=joint - 1.0)]
         if declared:
-            yield [Hidden("link_mass", f"link{joint}", {"mass_kg": 0.0})]
-            yield [Hidden("link_com", f"link{joint}", {"x_m": 0.0, "y_m": 0.0, "z_m": 0.0})]
+            yield from ([_blank(name, f"link{joint}")] for name in ("link_mass", "link_com"))
     if declared:
-        yield [Hidden("payload_error", "payload", {"mass_kg": 0.0})]
-    yield [Hidden("base_tilt", "base", {"tilt_x_rad": 0.0, "tilt_y_rad": 0.0})]
-    yield [Hidden("time_offset", "clock", {"offset_s": 0.0})]
+        yield [_blank("payload_error", "payload")]
+    yield [_blank("base_tilt", "base")]
+    yield [_blank("time_offset", "clock")]
+
+
+def _blank(name: str, site: str, **shapes: float) -> Hidden:
+    """An effect of no size."""
+    return Hidden(name, site, dict.fromkeys(_numbers(name), 0.0) | shapes)
 
 
 def nearest_rival(view: View, hidden: Sequence[Hidden], place: int, span: Array) -> Rival:
@@ -249,10 +206,8 @@ def nearest_rival(view: View, hidden: Sequence[Hidden], place: int, span: Array)
         first = rival[0]
         if (first.name, first.site) == (effect.name, effect.site):
             continue
-        columns = np.concatenate([view.columns([*absent, each], len(absent), _linear(each)) for each in rival], 1)
-        distance = apart(rest, columns, left(columns))
-        if distance < best.apart:
-            best = Rival(first.name, first.site, distance)
+        columns = np.concatenate([view.columns([*absent, each], len(absent), sizes_of(each)) for each in rival], 1)
+        best = best.or_nearer(first.name, first.site, apart(rest, columns, left(columns)))
     return best
 
 

@@ -69,15 +69,8 @@ def draw_motion(
 ) -> Motion:
     """A motion of five sines a joint within the limits of position, velocity and acceleration.
 
-    Args:
-        rng: draws it.
-        arm: whose limits hold.
-        rate: Hz.
-        seconds: how long it lasts.
-        speed: a factor of its frequencies.
-        warming: whether joints grow warmer, each in its own way, and cooler again.
-        payload: kg, as declared.
-        resting: how many of the first joints stand still.
+    Frequencies are `speed` times the usual ones; where it is `warming`, each joint grows warmer in its own way, and
+    cooler again; so many of the first joints are `resting`.
     """
     time = np.arange(round(rate * seconds)) / rate
     dof = arm.chain.dof

@@ -12,10 +12,10 @@ import mujoco as _mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from benchmarks.concealed.chain import Array, quaternion_from_rotation, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed.chain import Array, quaternion_from_rotation, rotation_from_rpy
 from benchmarks.torque_trials.effects import Hidden
 from benchmarks.torque_trials.motion import Motion
-from benchmarks.torque_trials.physics import Setup
+from benchmarks.torque_trials.physics import BODIES, Setup, changed_bodies
 
 mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
 
@@ -25,6 +25,13 @@ _BEFORE = 0.5
 """s that the arm is driven before it is recorded."""
 _BANDWIDTH = 150.0
 """rad/s, of the controller's errors."""
+_ATTRIBUTES = {
+    "viscous_friction": {"damping": "viscous_Nm_s_per_rad"},
+    "coulomb_friction": {"frictionloss": "coulomb_Nm"},
+    "rotor_inertia": {"armature": "inertia_kg_m2"},
+    "joint_spring": {"stiffness": "stiffness_Nm_per_rad", "springref": "rest_rad"},
+}
+"""Words of a joint, each with the number that it takes."""
 
 
 class SimulatedArm:
@@ -84,22 +91,15 @@ class SimulatedArm:
 
 
 def _model(setup: Setup, hidden: Sequence[Hidden], payload: float) -> str:
-    arm, gravity = setup.arm, setup.gravity
+    changed, added = changed_bodies(setup, hidden)
+    arm, gravity = changed.arm, changed.gravity
     said: dict[int, dict[str, str]] = {}
     for effect in hidden:
-        values = effect.values
-        match effect.name:
-            case "link_mass":
-                arm = arm.with_link(effect.number, mass=values["mass_kg"])
-            case "link_com":
-                arm = arm.with_link(effect.number, center=np.array([values[f"{axis}_m"] for axis in "xyz"]))
-            case "payload_error":
-                payload += values["mass_kg"]
-            case "base_tilt":
-                tilt = rotation_from_vector(np.array([values["tilt_x_rad"], values["tilt_y_rad"], 0.0]))
-                gravity = tilt.T @ gravity
-            case _:
-                said.setdefault(effect.number, {}).update(_joint_attributes(effect))
+        if effect.name not in BODIES:
+            if effect.name not in _ATTRIBUTES:
+                raise ValueError(f"MuJoCo cannot be given {effect.name}")
+            own = {word: repr(float(effect.values[name])) for word, name in _ATTRIBUTES[effect.name].items()}
+            said.setdefault(effect.number, {}).update(own)
     root = Element("mujoco")
     SubElement(root, "compiler", angle="radian", autolimits="false")
     # positions and velocities of Euler's steps are half a step apart
@@ -112,24 +112,10 @@ def _model(setup: Setup, hidden: Sequence[Hidden], payload: float) -> str:
         SubElement(body, "joint", {"name": f"joint{i + 1}", "type": "hinge", "axis": "0 0 1", **said.get(i + 1, {})})
         mass, center, tensor = arm.chain.mass[i], arm.chain.center[i], arm.inertia[i]
         if i == arm.chain.dof - 1:
-            mass, center, tensor = _lumped(mass, center, tensor, payload, setup.payload_center)
+            mass, center, tensor = _lumped(mass, center, tensor, payload + added, setup.payload_center)
         entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2]]
         SubElement(body, "inertial", pos=_text(center), mass=repr(float(mass)), fullinertia=_text(entries))
     return tostring(root, encoding="unicode")
-
-
-def _joint_attributes(effect: Hidden) -> dict[str, str]:
-    values = {name: repr(float(value)) for name, value in effect.values.items()}
-    match effect.name:
-        case "viscous_friction":
-            return {"damping": values["viscous_Nm_s_per_rad"]}
-        case "coulomb_friction":
-            return {"frictionloss": values["coulomb_Nm"]}
-        case "rotor_inertia":
-            return {"armature": values["inertia_kg_m2"]}
-        case "joint_spring":
-            return {"stiffness": values["stiffness_Nm_per_rad"], "springref": values["rest_rad"]}
-    raise ValueError(f"MuJoCo cannot be given {effect.name}")
 
 
 def _lumped(mass: float, center: Array, tensor: Array, point: float, at: Array) -> tuple[float, Array, Array]:

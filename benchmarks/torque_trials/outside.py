@@ -50,18 +50,19 @@ def _own(*quantities: str) -> Callable[[int, Values], Drivers]:
     return lambda joint, fixed: [_of(quantity, joint) for quantity in quantities]
 
 
+_WORDS = {
+    "load": ("gravity torque", "load", "torque"),
+    "direction": ("direction of motion", "direction", "velocity"),
+    "velocity": ("velocity", "speed"),
+    "travel": ("travel since reversal", "position"),
+}
+
+
 def _of(quantity: str, joint: int) -> list[str]:
-    if quantity == "load":
-        return [f"{word} of joint {joint}" for word in ("gravity torque", "load", "torque")]
-    if quantity == "temperature":
-        return [f"temperature of joint {joint}", "temperature"]
-    if quantity == "direction":
-        return [f"{word} of joint {joint}" for word in ("direction of motion", "direction", "velocity")]
-    if quantity == "velocity":
-        return [f"{word} of joint {joint}" for word in ("velocity", "speed")]
-    if quantity == "travel":
-        return [f"{word} of joint {joint}" for word in ("travel since reversal", "position")]
-    return [quantity] if quantity == "time" else [f"{quantity} of joint {joint}"]
+    if quantity == "time":
+        return [quantity]
+    said = [f"{word} of joint {joint}" for word in _WORDS.get(quantity, (quantity,))]
+    return [*said, "temperature"] if quantity == "temperature" else said
 
 
 def sticky_zone(fixed: Values, joint: int, s: Scene, exerted: Array) -> Array:
@@ -200,39 +201,24 @@ SEALED = tuple(name for name in FAMILIES if sealed(name))
 
 
 def drawn(name: str, rng: np.random.Generator, s: Scene, noise: Array) -> tuple[int, dict[str, float]] | None:
-    """A joint (from 1) of a family and what else belongs to its form; None where no load acts that it needs.
-
-    Args:
-        name: of the family.
-        rng: draws it.
-        s: what the arm does.
-        noise: `(joint,)` Nm.
-    """
+    """A joint (from 1) of a family and what else belongs to its form; None where no load acts that it needs."""
     dof = s.q.shape[1]
     joint = int(rng.integers(1, dof + 1))
     fixed: dict[str, float] = {}
-    q, load = s.q[:, joint - 1], np.abs(s.load[:, joint - 1])
+    q, load = s.q[:, joint - 1], np.abs(s.load)
+    found: dict[str, Callable[[], float]] = {
+        **dict.fromkeys(("centre", "at", "rest"), lambda: np.percentile(q, rng.uniform(25, 75))),
+        "width": lambda: rng.uniform(0.1, 0.25) * np.ptp(q),
+        "order": lambda: rng.integers(3, 13),
+        "second": lambda: fixed["order"] + rng.integers(2, 9),
+        "bristle_rad": lambda: rng.uniform(0.05, 0.2) * np.ptp(q),
+        "knee_Nm": lambda: np.percentile(load[:, joint - 1], rng.uniform(50, 75)),
+        "step_Nm": lambda: rng.uniform(1.0, 4.0) * noise[joint - 1],
+        "by": lambda: rng.choice([k for k in range(1, dof + 1) if k != joint]),
+        "other_load_Nm": lambda: np.percentile(load[:, int(fixed["by"]) - 1], 90),
+        "load_Nm": lambda: np.percentile(load[:, joint - 1], 90),
+    }
     for key in FAMILIES[name].keys:
-        match key:
-            case "centre" | "at" | "rest":
-                fixed[key] = float(np.percentile(q, rng.uniform(25, 75)))
-            case "width":
-                fixed[key] = float(rng.uniform(0.1, 0.25) * np.ptp(q))
-            case "order":
-                fixed[key] = float(rng.integers(3, 13))
-            case "second":
-                fixed[key] = float(fixed["order"] + rng.integers(2, 9))
-            case "bristle_rad":
-                fixed[key] = float(rng.uniform(0.05, 0.2) * np.ptp(q))
-            case "knee_Nm":
-                fixed[key] = float(np.percentile(load, rng.uniform(50, 75)))
-            case "step_Nm":
-                fixed[key] = float(rng.uniform(1.0, 4.0) * noise[joint - 1])
-            case "by":
-                fixed[key] = float(rng.choice([k for k in range(1, dof + 1) if k != joint]))
-            case "other_load_Nm":
-                fixed[key] = float(np.percentile(np.abs(s.load[:, int(fixed["by"]) - 1]), 90))
-            case _:
-                fixed[key] = float(np.percentile(load, 90))
+        fixed[key] = float(found[key]())
     needed = [value for key, value in fixed.items() if key in ("knee_Nm", "load_Nm", "other_load_Nm")]
     return None if any(value < _LEAST_LOAD for value in needed) else (joint, fixed)

@@ -1,7 +1,7 @@
 """What the motors of an arm with hidden physics exert, in plain NumPy."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from benchmarks.torque_trials.effects import NAMED, Hidden, Scene
 from benchmarks.torque_trials.motion import Motion
 from benchmarks.torque_trials.outside import FAMILIES
 
-RIGID = ("link_mass", "link_com", "payload_error", "base_tilt", "time_offset")
+BODIES = ("link_mass", "link_com", "payload_error", "base_tilt")
+RIGID = (*BODIES, "time_offset")
 """The effects that change what the rigid bodies ask for."""
 
 
@@ -33,14 +34,8 @@ class Setup:
 def torques(setup: Setup, hidden: Sequence[Hidden], motion: Motion, scene: Scene | None = None) -> Array:
     """`(sample, joint)` Nm as a sensor without noise reads them.
 
-    Friction and springs add to what the rigid bodies ask for; what is outside to both; then come a sensor's scale and
-    the lag of what it shows.
-
-    Args:
-        setup: the arm where it stands.
-        hidden: effects.
-        motion: what it does.
-        scene: of `rigid`, where it is known already.
+    Friction and springs add to what the rigid bodies ask for (the scene, where it is known already); what is outside
+    to both; then come a sensor's scale and the lag of what it shows.
     """
     scene = scene or rigid(setup, hidden, motion)
     exerted = scene.load.copy()
@@ -71,7 +66,18 @@ def torques(setup: Setup, hidden: Sequence[Hidden], motion: Motion, scene: Scene
 
 def rigid(setup: Setup, hidden: Sequence[Hidden], motion: Motion) -> Scene:
     """The motion that the torques belong to, with what the rigid bodies ask for."""
-    arm, gravity, payload = setup.arm, setup.gravity, motion.payload
+    changed, added = changed_bodies(setup, hidden)
+    for effect in hidden:
+        if effect.name == "time_offset":
+            motion = motion.later(effect.values["offset_s"])
+    q, dq, ddq, payload = motion.q, motion.dq, motion.ddq, motion.payload + added
+    load = inverse_dynamics(changed.arm, q, dq, ddq, changed.gravity, payload, setup.payload_center)
+    return Scene(motion.time, q, dq, ddq, motion.temperature, load)
+
+
+def changed_bodies(setup: Setup, hidden: Sequence[Hidden]) -> tuple[Setup, float]:
+    """The arm with its hidden masses, centres and tilt, and what its payload weighs more than declared, kg."""
+    arm, gravity, added = setup.arm, setup.gravity, 0.0
     for effect in hidden:
         values = effect.values
         match effect.name:
@@ -80,11 +86,8 @@ def rigid(setup: Setup, hidden: Sequence[Hidden], motion: Motion) -> Scene:
             case "link_com":
                 arm = arm.with_link(effect.number, center=np.array([values[f"{axis}_m"] for axis in "xyz"]))
             case "payload_error":
-                payload = payload + values["mass_kg"]
+                added += values["mass_kg"]
             case "base_tilt":
                 tilt = rotation_from_vector(np.array([values["tilt_x_rad"], values["tilt_y_rad"], 0.0]))
                 gravity = tilt.T @ gravity
-            case "time_offset":
-                motion = motion.later(values["offset_s"])
-    load = inverse_dynamics(arm, motion.q, motion.dq, motion.ddq, gravity, payload, setup.payload_center)
-    return Scene(motion.time, motion.q, motion.dq, motion.ddq, motion.temperature, load)
+    return replace(setup, arm=arm, gravity=gravity), added

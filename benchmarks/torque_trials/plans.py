@@ -81,14 +81,7 @@ class Plan:
 
 
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
-    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
-
-    Args:
-        seed: of the campaign.
-        index: of the trial in it.
-        rng: draws what no goal is set on.
-        sealed: draws what is outside the catalogue from the sealed families, and from no other.
-    """
+    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest."""
     kind = ROUNDS.kind_of(seed, index)
     ordinal = ROUNDS.ordinal(seed, index, kind)
     edge = turn(seed, 28, ordinal, EDGES) if kind == "edge" else ""

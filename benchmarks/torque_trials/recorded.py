@@ -38,15 +38,7 @@ def declared_arm(plan: Plan, rng: np.random.Generator, arm: Arm) -> Arm:
 def measure(
     plan: Plan, rng: np.random.Generator, motion: Motion, exerted: Array, noise: Array
 ) -> tuple[Array, Array, Array]:
-    """Joints, velocities and torques as they are read.
-
-    Args:
-        plan: of the trial.
-        rng: draws the noise.
-        motion: what the arm does.
-        exerted: `(sample, joint)` Nm.
-        noise: `(joint,)` Nm as declared.
-    """
+    """Joints, velocities and torques as they are read, with the noise of a plan."""
     shape = exerted.shape
     draws = rng.normal(size=shape)
     match plan.noise:
@@ -67,25 +59,9 @@ def measure(
 
 
 def files_of(
-    plan: Plan,
-    rng: np.random.Generator,
-    setup: Setup,
-    told: Arm,
-    motion: Motion,
-    read: Spoiled,
-    unseen: Motion,
+    plan: Plan, rng: np.random.Generator, setup: Setup, told: Arm, motion: Motion, read: Spoiled, unseen: Motion
 ) -> dict[str, str]:
-    """What the diagnosis is given, and the motion that is to be predicted.
-
-    Args:
-        plan: of the trial.
-        rng: draws what no physics depends on.
-        setup: the arm where it stands.
-        told: the arm as it is described.
-        motion: of the recording.
-        read: what is read of it.
-        unseen: the other motion.
-    """
+    """What the diagnosis is given of an arm as it is told, and the motion that is to be predicted."""
     torque = read.torque
     said: dict[str, Any] = {
         "arm": "arm.yaml",

@@ -32,10 +32,7 @@ _OUTSIDE_BOUND = 0.25
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
     """The trial of an index: what is hidden is drawn again until some sensor there could see it.
 
-    Args:
-        seed: of the campaign.
-        index: of the trial in it.
-        sealed: draws what is outside the catalogue from the sealed families, and from no other.
+    Where `sealed`, what is outside the catalogue is of the sealed families, and of no other.
     """
     return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 20, index)
 

@@ -129,7 +129,8 @@ def read_floats(payload: bytes, count: int) -> Array:
     """
     if len(payload) != 4 * count:
         raise MalformedError(f"{len(payload)} bytes of floats; they must be {4 * count}")
-    return np.frombuffer(payload, "<f4").astype(float)
+    with np.errstate(invalid="ignore"):  # of a signalling NaN, which is then a quiet one
+        return np.frombuffer(payload, "<f4").astype(float)
 
 
 def round_floats(values: ArrayLike) -> Array:

@@ -3,21 +3,17 @@
 import socket
 import struct
 import time
-from contextlib import suppress
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_arm import ARM, KINEMATICS, emulated, new_host, reply, serving
+from live import ARM, KINEMATICS, reply
 
-from lite6jax.arms.description import load_bundled
-from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.controller import protocol, station
 from lite6jax.controller.connection import Address, parse_address
 from lite6jax.controller.station import SilentError, UncalibratedError, read_calibration
-from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
 
 READ = bytes.fromhex("00010002000108")
@@ -66,37 +62,6 @@ def test_a_reply_is_read_in_whatever_pieces_it_comes(at_a_time):
     assert read.calibration.arm.name == "lite6"
     assert read.calibration.source == "10.0.0.7"
     assert not read.error
-
-
-def test_what_is_read_is_a_file_that_fits(tmp_path):
-    path = write_factory(asked(reply()).calibration.kinematics, tmp_path / "arm.yaml")
-    np.testing.assert_array_equal(read_factory(path).kinematics, KINEMATICS)
-
-
-@pytest.mark.parametrize("status", [0x10, 0x20, 0x40, 0x70])
-def test_a_controller_in_error_still_has_its_calibration(status):
-    read = asked(reply(status=status))
-    np.testing.assert_array_equal(read.calibration.kinematics, KINEMATICS)
-    assert read.error == bool(status & 0x60)
-
-
-def test_what_follows_the_reply_and_the_unused_seventh_joint_do_not_matter():
-    rows = np.vstack([KINEMATICS, [np.nan] * 6])
-    np.testing.assert_array_equal(asked(reply(rows) + b"more").calibration.kinematics, KINEMATICS)
-
-
-def test_other_arms_are_read_when_they_are_named():
-    uf850 = load_bundled("uf850")
-    read = asked(reply(uf850.kinematics, kind=12), arm=uf850)
-    np.testing.assert_allclose(read.calibration.kinematics, uf850.kinematics, atol=1e-6)
-    xarm7 = load_bundled("xarm7")
-    assert asked(reply(xarm7.kinematics, dof=7, kind=7), arm=xarm7).calibration.kinematics.shape == (7, 6)
-
-
-def test_another_arm_is_named_with_its_remedy():
-    assert "6 joints, type 12 (uf850), not a lite6" in refused(reply(kind=12))
-    assert "--arm xarm7" in refused(reply(dof=7, kind=7))
-    assert "type 9 (lite6), not a uf850" in refused(reply(), arm=load_bundled("uf850"))
 
 
 def test_no_calibration_is_no_garbage():
@@ -159,88 +124,12 @@ def test_silence_and_half_a_silence_are_told_apart():
     assert "stopped replying after 90 of 179 bytes" in refused(reply()[:90], closes=False, seconds=0.05)
 
 
-def test_one_deadline_for_the_whole_exchange_also_when_bytes_keep_coming():
-    def drip(connection):
-        connection.recv(100)
-        for byte in reply():
-            connection.sendall(bytes([byte]))
-            time.sleep(0.02)
-
-    with serving(drip) as address:
-        started = time.monotonic()
-        with pytest.raises(InputError, match="stopped replying after"):
-            read_calibration(address, seconds=0.3)
-        assert time.monotonic() - started < 2  # the whole reply takes 3.6 s
-
-
-def test_nothing_listens():
-    with pytest.raises(InputError, match=r"port 1: nothing listens there; check the address"):
-        read_calibration(Address(new_host(), 1))
-
-
-def test_a_call_that_nobody_answers_ends(monkeypatch):
-    def never(self, place):
-        raise TimeoutError
-
-    monkeypatch.setattr(socket.socket, "connect", never)
-    with pytest.raises(InputError, match=r"192\.0\.2\.1: port 502: no reply; .*ping"):
-        read_calibration(Address("192.0.2.1"), seconds=0.1)
-
-
-def test_no_way_there(monkeypatch):
-    def unreachable(self, place):
-        raise OSError(113, "No route to host")
-
-    monkeypatch.setattr(socket.socket, "connect", unreachable)
-    with pytest.raises(InputError, match=r"cannot be reached \(No route to host\); check"):
-        read_calibration(Address("192.0.2.1"), seconds=0.1)
-
-
 @pytest.mark.parametrize(
     "text", ["", "arm", "192.168.1", "192.168.1.300", "::1", "10.0.0.1:", "10.0.0.1:x", "1.2.3.4:0"]
 )
 def test_what_is_no_address(text):
     with pytest.raises(InputError, match=r"is not an IPv4 address; .*192\.168\.1\.185"):
         parse_address(text)
-
-
-def test_addresses():
-    assert parse_address("localhost") == Address("127.0.0.1", 502)
-    assert str(parse_address("127.0.0.1:1502")) == "127.0.0.1:1502"
-    assert str(parse_address(" 192.168.1.185 ")) == "192.168.1.185"
-
-
-# ------------------------------------------------------------------ from an emulated controller
-
-
-@pytest.mark.parametrize(
-    "faults", [Faults(), Faults(fragment=1), Faults(latency=0.05), Faults(error=22), Faults(status=0x30)]
-)
-def test_an_emulated_arm_is_read_over_any_line(faults):
-    with emulated(faults=faults) as (controller, address):
-        read = read_calibration(address)
-        assert controller.snapshot().requests == {8: 1}
-    np.testing.assert_array_equal(read.calibration.kinematics, KINEMATICS)
-
-
-@pytest.mark.parametrize(
-    ("faults", "says"),
-    [
-        (Faults(invalid=True), "reports no valid calibration"),
-        (Faults(firmware=(2, 2, 0)), "reports no valid calibration"),
-        (Faults(firmware=(1, 12, 1)), "does not reply"),
-        (Faults(silent=frozenset({8})), "does not reply"),
-        (Faults(close_after=0), "closed the connection after 0 of 179 bytes"),
-        (Faults(close_after=90), "closed the connection after 90 of 179 bytes"),
-        (Faults(garbage=True), "which is not a calibration"),
-        (Faults(model=(6, 12)), "not a lite6"),
-        (Faults(nan=frozenset({"calibration"})), "not finite"),
-    ],
-)
-def test_every_fault_of_a_controller_is_a_line_of_its_own(faults, says):
-    with emulated(faults=faults) as (_, address), pytest.raises(InputError, match=says) as error:
-        read_calibration(address, seconds=0.5)
-    assert str(error.value).startswith(f"{address}: ")
 
 
 # ------------------------------------------------------------------ fuzz
@@ -303,12 +192,3 @@ def test_no_reply_hangs_the_reader_or_escapes_it(answer, at_a_time):
         assert np.isfinite(rows).all()
         assert np.abs(rows[:, :3] - ARM.kinematics[:, :3]).max() < 1
     assert time.monotonic() - started < 4
-
-
-@settings(max_examples=30)
-@given(ANSWERS)
-def test_no_half_reply_outlasts_the_deadline(answer):
-    started = time.monotonic()
-    with suppress(InputError):
-        asked(answer, closes=False, seconds=0.02)
-    assert time.monotonic() - started < 2

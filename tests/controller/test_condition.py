@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from live_arm import ARM, emulated
+from live import ARM, emulated
 
 from lite6jax.controller import protocol
 from lite6jax.controller.station import Station, parse_condition, read_condition
@@ -47,21 +47,6 @@ def test_a_base_offset_makes_the_frame_unknown(tmp_path):
     assert settings(tmp_path, world_offset=[0, 0, 1, 0, 0, 0]).pose_frame == "unknown"
     assert settings(tmp_path).pose_frame == "base"
     assert settings(tmp_path).tool == "none"
-
-
-def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
-    station = Station(ARM, str(tmp_path / "arms" / "mine.yaml"), None, parse_condition(report(), "here"), ())
-    assert station.sidecar_settings(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
-
-
-@pytest.mark.parametrize("length", [587, 417, 252, 233])
-def test_firmware_that_says_less_is_read_as_far_as_it_goes(length):
-    made = np.zeros((), protocol.report_layout(protocol.RICH, length))
-    made["tool_offset"][2] = 50
-    condition = parse_condition(made.tobytes(), "here")
-    assert condition.tool_offset[2] == 50
-    assert (condition.temperature is None) == (length < 252)
-    np.testing.assert_array_equal(condition.world_offset, 0)
 
 
 def test_what_is_not_to_be_relied_on_is_refused():

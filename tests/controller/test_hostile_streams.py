@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow.parquet
 import pytest
-from live_arm import ARM, serving
+from live import ARM, serving
 from test_rows import STEP, reports
 
 from lite6jax.controller import connection, protocol, recorder

@@ -16,13 +16,12 @@ import pyarrow.ipc
 import pyarrow.parquet
 import pytest
 import yaml
-from live_arm import ARM, KINEMATICS, emulated, new_host
+from live import ARM, KINEMATICS, emulated, new_host
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
 from lite6jax.controller import station
 from lite6jax.emulator import Faults, draw_sines
-from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,17 +44,6 @@ def test_read_prints_what_it_read_and_writes_a_file_that_fits(capsys, tmp_path):
     assert run(capsys, "fit", out)[0] == 0
 
 
-def test_no_number_is_cut_short_sixty_columns_wide(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    with emulated() as (_, address):
-        code, said, _ = run(capsys, "read", "--ip", address)
-        assert code == 0
-        assert "…" not in said
-        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 3)
-        assert code == 0
-        assert "…" not in said
-
-
 def test_read_refuses_before_it_calls(capsys, tmp_path):
     out = tmp_path / "arm.yaml"
     out.write_text("mine")
@@ -68,25 +56,6 @@ def test_read_refuses_before_it_calls(capsys, tmp_path):
     assert "is not an IPv4 address" in refused(capsys, "read", "--ip", "arm.local")
     assert "nothing listens there" in refused(capsys, "read", "--ip", f"{nobody}:1")
     assert run(capsys, "read")[0] == 2
-
-
-def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsys, tmp_path):
-    out = tmp_path / "arm.yaml"
-    out.write_text("mine")
-    with emulated(faults=Faults(invalid=True)) as (controller, address):
-        message = refused(capsys, "read", "--ip", address, "--out", out, "--force")
-        assert message.startswith(f"{address}: the controller reports no valid calibration")
-        assert out.read_text() == "mine"
-        controller.set_faults(Faults(error=9))
-        code, said, _ = run(capsys, "read", "--ip", address, "--out", out, "--force")
-    assert code == 0
-    assert "reports an error or a warning, which does not affect the calibration" in flat(said)
-    assert read_factory(out).arm.name == "lite6"
-
-
-def test_read_of_another_arm_needs_its_name(capsys):
-    with emulated(faults=Faults(model=(6, 12))) as (_, address):
-        assert "--arm uf850" in refused(capsys, "read", "--ip", address)
 
 
 # ------------------------------------------------------------------ fit --ip
@@ -115,37 +84,6 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
     assert names == {f"{stem}_{kind}.{suffix}" for kind in kinds for suffix in ("png", "svg")}
 
 
-def test_fit_saves_the_calibration_that_it_read(capsys, tmp_path, monkeypatch):
-    saved, read = tmp_path / "arm.yaml", tmp_path / "read.yaml"
-    with emulated() as (_, address):
-        run(capsys, "read", "--ip", address, "--out", read)
-        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", saved)
-        assert code == 0
-        assert f"Wrote {saved}" in flat(said)
-        assert saved.read_bytes() == read.read_bytes()
-        assert "exists already" in refused(capsys, "fit", "--ip", address, "--save-calibration", saved)
-
-        def fail(*_, **__):
-            raise InputError("no fit")
-
-        monkeypatch.setattr("lite6jax.calibration.fit.fit_calibration", fail)
-        again = tmp_path / "again.yaml"
-        assert "no fit" in refused(capsys, "fit", "--ip", address, "--no-sdk", "--save-calibration", again)
-        assert again.read_bytes() == saved.read_bytes()
-    assert "add --ip ADDRESS" in refused(capsys, "fit", saved, "--save-calibration", tmp_path / "other.yaml")
-    assert "let the name end in .yaml" in refused(
-        capsys, "fit", "--ip", address, "--save-calibration", tmp_path / "a.json"
-    )
-
-
-def test_fit_without_the_sdk_asks_for_the_calibration_only(capsys):
-    with emulated() as (controller, address):
-        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk")
-        assert controller.snapshot().requests == {8: 1}
-    assert code == 0
-    assert "Passed" not in said
-
-
 def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
     with emulated(faults=Faults(nominal_kinematics=True)) as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
@@ -172,15 +110,6 @@ def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(
     assert "  lite6jax diagnose fk.csv --out diagnosis.json\n" in said
 
 
-def test_a_tool_is_said(capsys):
-    with emulated(tool=[0, 0, 50, 0, 0, 0]) as (_, address):
-        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 20, width=60)
-    assert code == 0
-    assert "x 0.000 y 0.000 z 50.000 mm, roll 0.000 pitch 0.000 yaw 0.000 deg in its report" in flat(said)
-    assert "applied by its forward kinematics" in flat(said)
-    assert max(map(len, said.splitlines())) <= 62
-
-
 def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
     assert "needs a FILE, or an arm with --ip ADDRESS" in refused(capsys, "fit")
     assert "one of the two" in refused(capsys, "fit", tmp_path / "arm.yaml", "--ip", "127.0.0.1")
@@ -195,47 +124,6 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
 
 
 # ------------------------------------------------------------------ record
-
-
-@pytest.mark.long
-def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
-    out = tmp_path / "run.parquet"
-    with emulated(path=draw_sines(ARM), speed=10.0) as (controller, address):
-        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 2)
-        assert controller.snapshot().requests == {8: 1}
-    assert code == 0
-    assert "Recorded 500 rows: 1.996 s at 250.00 Hz by the controller's clock." in said
-    assert "No report missing, no duplicates." in said
-    for line in (
-        r"q1_rad … q6_rad +measured, encoders",
-        r"tau1_Nm … tau6_Nm +estimated by the controller",
-        r"temp1_degC … temp6_degC +measured, at 5 Hz",
-        r"x_m … qz +computed by the controller",
-    ):
-        assert re.search(line, said)
-    names = set(pyarrow.parquet.read_schema(out).names)
-    assert {"time_s", "q6_rad", "dq6_rad_per_s", "current6_A", "tau6_Nm", "temp6_degC", "run", "x_m", "qz"} <= names
-    for command in (["check", out], ["fit", out]):
-        code, said, err = run(capsys, *command)
-        assert (code, err) == (0, "")
-    assert "Geometry: the factory calibration, held. Sensor frame: the arm's base. Tool: none." in flat(said)
-
-
-def test_what_the_controller_computes_is_recorded_for_given_poses_and_diagnosed(capsys, tmp_path):
-    poses, out = tmp_path / "poses.csv", tmp_path / "fk.csv"
-    limits = ARM.joint_limits
-    q = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (80, 6))
-    header = ",".join(f"q{i}_rad" for i in range(1, 7))
-    np.savetxt(poses, q, delimiter=",", header=header, comments="", fmt="%.17g")
-    with emulated() as (_, address):
-        code, said, _ = run(capsys, "record", "--ip", address, "--poses", poses, "--out", out)
-    assert code == 0
-    assert "forward kinematics at 80 joint positions; nothing moved" in flat(said)
-    assert read_recording(out).settings.pose_source == "controller_fk"
-    assert re.search(r"q1_rad … q6_rad +as requested, not measured", said)
-    code, said, _ = run(capsys, "diagnose", out, "--out", tmp_path / "d.json")
-    assert code == 0
-    assert "Consistent: " in said
 
 
 def test_record_refuses_before_it_calls(capsys, tmp_path):
@@ -333,18 +221,3 @@ def test_less_than_was_asked_for_is_said_and_not_0(capsys, tmp_path):
         assert re.search(r"Recorded \d+ rows in \d+ runs", said)
         assert re.search(r"0 reports missing within runs, about \d+ between runs, no duplicates\.", said)
         assert "connection lost (" in flat(said)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
-def test_a_full_disk_is_said_and_what_is_there_is_kept(capsys, tmp_path, monkeypatch):
-    from test_table import room_for
-
-    out = tmp_path / "run.csv"
-    with emulated(speed=20.0) as (_, address), room_for(400_000):
-        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 20)
-    assert code == 2
-    rows = int(re.search(r"Recorded (\d+) rows", said)[1])
-    assert read_recording(out).samples == rows
-    assert f"run.csv: the disk took {rows} rows and not the last {5000 - rows} (" in err
-    assert err.endswith("free space before the next recording\n")
-    assert err.count("error: ") == 1

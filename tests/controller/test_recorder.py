@@ -1,21 +1,18 @@
 """Recording a live arm: every report once, whatever happens to the line, the disk or the person at the keyboard."""
 
-import re
 import threading
-import time
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 import yaml
-from live_arm import ARM, KINEMATICS, emulated, new_host, serving
+from live import ARM, KINEMATICS, emulated
 from test_table import room_for
 
 from lite6jax.arms.factory import read_factory
 from lite6jax.controller import protocol, recorder
-from lite6jax.controller.connection import Address, ReportPort, Reports
 from lite6jax.controller.recorder import record, record_poses
-from lite6jax.controller.station import read_condition, read_station
+from lite6jax.controller.station import read_station
 from lite6jax.emulator import Body, Faults, draw_sines, visit
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, estimated_torque, read_recording
@@ -83,20 +80,6 @@ def test_torques_without_noise_are_declared_as_the_controllers_own(tmp_path, noi
     assert any("the torques have no noise" in note for note in account["notes"]) == (source == "estimated")
 
 
-def test_missing_reports_are_counted(tmp_path):
-    done, read = recorded(tmp_path, 4.0, faults=Faults(lose_every=50))
-    assert done.missing == pytest.approx(20, abs=1)
-    assert done.short
-    table = pyarrow.parquet.read_table(tmp_path / "run.parquet")
-    assert sum(table["missing"].to_pylist()) == done.missing
-    assert set(table["gap"].to_pylist()) == {None, "reports not received"}
-    assert done.rows == read.samples
-    # by the controller's clock; a report that is lost at either end has no neighbour to miss it
-    due = np.rint((read.time[-1] - read.time[0]) / 0.004) + 1
-    assert done.rows + done.missing == due
-    assert due == pytest.approx(999, abs=1)
-
-
 def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_there(tmp_path):
     done, read = recorded(tmp_path, 12.0, faults=Faults(close_reports_after=300), speed=8.0)
     assert done.runs == read.run.max() + 1 >= 3
@@ -120,87 +103,6 @@ def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_ther
     assert (np.diff(read.time) > 0).all()
 
 
-def test_a_controller_that_hangs_up_now_and_then(tmp_path):
-    def close_connections(controller):
-        for _ in range(2):
-            time.sleep(0.4)
-            controller.close_connections()
-
-    done, read = recorded(tmp_path, 15.0, during=close_connections, speed=8.0)
-    assert done.runs == 3
-    assert (np.diff(read.time) > 0).all()
-    steps = np.rint(1e6 * np.diff(read.time))[np.diff(read.run) == 0]
-    assert (steps == 4000).all()
-
-
-def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 1.0)  # more than a busy machine keeps a thread waiting
-
-    def go_away(controller):
-        time.sleep(0.5)
-        controller.set_faults(Faults(silent_reports=True))
-
-    done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
-    assert 0 < done.rows == read.samples < 250
-    assert done.short
-    (silent,) = re.findall(r"s before 1 s: no report for ([\d.]+) s", "\n".join(done.notes))
-    assert float(silent) > 0.5
-
-
-def test_pieces_of_single_bytes_and_an_error_do_not_matter(tmp_path):
-    done, read = recorded(tmp_path, 0.4, faults=Faults(fragment=1), speed=1.0)
-    assert read.samples == 100
-    done, read = recorded(tmp_path, 0.4, "error.csv", faults=Faults(error=22))
-    assert read.samples == 100
-    assert any("reports error 22" in note for note in done.notes)
-
-
-def test_nan_rows_are_recorded_and_said(tmp_path):
-    out = tmp_path / "run.csv"
-    with emulated(faults=Faults(nan=frozenset({"reports"})), speed=20.0) as (_, address):
-        done = record(address, out, read_station(address, ARM, "lite6"), seconds=1.0)
-    assert done.rows == 250
-    assert done.settings.tool == done.settings.pose_frame == "unknown"
-    assert any("report's joint position is not finite" in note for note in done.notes)
-    assert any("rows contain values that are not finite" in note for note in done.notes)
-
-
-def test_without_a_calibration_or_a_slow_report_it_records_what_there_is(tmp_path):
-    done, read = recorded(tmp_path, 1.0, faults=Faults(invalid=True))
-    assert read.settings.factory_calibration is None
-    assert any("geometry stays unknown" in note for note in done.notes)
-    assert not (tmp_path / "run_factory.yaml").exists()
-    done, read = recorded(tmp_path, 1.0, "fast.csv", report_ports=(30000,))
-    assert read.settings.tool == read.settings.pose_frame == "unknown"
-    assert read.joint_temperature is None
-    assert any("no temperatures" in note for note in done.notes)
-
-
-def test_it_ends_when_asked_and_keeps_what_it_has(tmp_path):
-    stop = threading.Event()
-    shown = []
-
-    def show(progress):
-        shown.append(progress)
-        if progress.rows > 300:
-            stop.set()
-
-    with emulated(speed=4.0) as (_, address):
-        done = record(address, tmp_path / "run.csv", read_station(address, ARM, "lite6"), stop=stop, show=show)
-    assert done.rows == read_recording(tmp_path / "run.csv").samples > 300
-    assert [p.rows for p in shown] == sorted(p.rows for p in shown)
-    np.testing.assert_allclose(shown[-1].rate, 250)
-
-
-def test_stopped_before_the_first_report_there_is_nothing(tmp_path):
-    stop = threading.Event()
-    stop.set()
-    with emulated() as (_, address):
-        done = record(address, tmp_path / "run.csv", read_station(address, ARM, "lite6"), stop=stop)
-    assert (done.rows, done.written) == (0, ())
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
 def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
     out = tmp_path / name
@@ -214,41 +116,6 @@ def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
     read = read_recording(out)
     assert read.samples == done.rows > 1000
     np.testing.assert_array_equal(np.rint(1e6 * read.time), 4000 * np.arange(done.rows))
-
-
-def test_a_disk_that_has_room_again_in_time_costs_nothing(tmp_path):
-    out, full = tmp_path / "run.csv", []
-
-    def show(progress):
-        if "the disk cannot be written" in progress.trouble and not full:
-            full.append(progress.trouble)
-            room.__exit__(None, None, None)
-
-    with emulated(speed=20.0) as (_, address):
-        station = read_station(address, ARM, "lite6")
-        room = room_for(300_000)
-        room.__enter__()
-        try:
-            done = record(address, out, station, seconds=30.0, show=show)
-        finally:
-            if not full:  # else later tests would have no room either
-                room.__exit__(None, None, None)
-    assert full
-    assert "rows are kept in memory" in full[0]
-    assert (done.unwritten, done.refusal, done.rows) == (0, "", 7500)
-    np.testing.assert_array_equal(np.rint(1e6 * read_recording(out).time), 4000 * np.arange(7500))
-
-
-def test_what_stands_there_is_not_replaced_unasked(tmp_path):
-    for name in ("run.csv", "run.yaml", "run_factory.yaml"):
-        (tmp_path / name).write_text("mine")
-        with emulated() as (_, address):
-            station = read_station(address, ARM, "lite6")
-            with pytest.raises(InputError, match=rf"{name}: exists already"):
-                record(address, tmp_path / "run.csv", station, seconds=1.0)
-        assert (tmp_path / name).read_text() == "mine"
-        (tmp_path / name).unlink()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_port_that_is_not_there_or_silent(tmp_path, monkeypatch):
@@ -265,39 +132,6 @@ def test_a_port_that_is_not_there_or_silent(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="give more than zero"):
             record(address, tmp_path / "run.csv", station, seconds=-1.0)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_stream_that_is_none_is_left_for_another_connection():
-    report = np.zeros(1, protocol.report_layout(protocol.REALTIME))
-    report["length"] = 784
-    answers = [report.tobytes() * 2 + b"\xff" * 50, report.tobytes() + b"\0\0\0\x20" + bytes(28), report.tobytes() * 3]
-    waits = threading.Event()
-
-    def answer(connection):
-        connection.sendall(answers.pop(0))
-        if not answers:
-            waits.wait(10)
-
-    with serving(answer, 30000) as address, ReportPort(address, 30000) as port:
-        events = [port.events.get(timeout=5) for _ in range(5)]
-        waits.set()
-    assert [type(event) for event in events] == [Reports, str, Reports, str, Reports]
-    assert [len(event.reports) for event in events[::2]] == [2, 1, 3]
-    assert [event.connection for event in events[::2]] == [0, 1, 2]
-    assert "a report of 4294967295 bytes" in events[1]
-    assert "a report of 32 bytes on port 30000" in events[3]
-
-
-def test_the_first_report_has_a_deadline():
-    started = time.monotonic()
-    with (
-        emulated(faults=Faults(silent_reports=True)) as (_, address),
-        pytest.raises(InputError, match=r"within 0\.2 s"),
-    ):
-        read_condition(address, 0.2)
-    with pytest.raises(InputError, match="port 30002: nothing listens"):
-        read_condition(Address(new_host()), 0.2)
-    assert time.monotonic() - started < 5
 
 
 # ------------------------------------------------------------------ forward kinematics for given joints
@@ -325,49 +159,6 @@ def test_given_joints_are_answered_by_the_controller(tmp_path):
     assert settings.factory_calibration == "fk_factory.yaml"
     assert done.sources["q1_rad"] == "as requested, not measured"
     assert done.rows == 30
-
-
-def test_a_connection_that_is_lost_is_made_anew_and_no_row_is_left_out(tmp_path):
-    wanted, out = poses(400), tmp_path / "fk.parquet"
-    count = []
-
-    with emulated(faults=Faults(latency=0.001)) as (controller, address):
-
-        def advance(done):
-            count.append(done)
-            if len(count) == 100:
-                controller.close_connections()
-
-        done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted, advance=advance)
-    assert (done.rows, done.missing, done.refusal) == (400, 0, "")
-    np.testing.assert_array_equal(read_recording(out).joint_position, wanted.joint_position.astype(np.float32))
-
-
-def test_rows_without_joints_are_not_asked_for_and_that_is_said(tmp_path):
-    rows = [",".join(f"q{i}_rad" for i in range(1, 7)), "0,0,1,0,0,0", ",0,1,0,0,0", "0,1,1,0,0,0"]
-    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
-    with emulated() as (_, address):
-        asked = read_recording(tmp_path / "poses.csv")
-        done = record_poses(address, tmp_path / "fk.csv", read_station(address, ARM, "lite6"), asked)
-    assert done.rows == 2
-    assert done.notes == ("dropped 1 row with NaN, infinite or empty fields, that is row 2",)
-
-
-def test_interrupted_it_keeps_what_was_answered(tmp_path):
-    stop, count = threading.Event(), []
-
-    def advance(done):
-        count.append(done)
-        if len(count) == 12:
-            stop.set()
-
-    with emulated() as (_, address):
-        station = read_station(address, ARM, "lite6")
-        done = record_poses(address, tmp_path / "fk.csv", station, poses(), stop=stop, advance=advance)
-        assert (done.rows, done.missing) == (12, 18)
-        done = record_poses(address, tmp_path / "none.csv", station, poses(), stop=stop)
-    assert (done.rows, done.written) == (0, ())
-    assert read_recording(tmp_path / "fk.csv").samples == 12
 
 
 def test_joints_of_another_arm_or_a_controller_that_refuses(tmp_path):

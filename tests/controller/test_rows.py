@@ -1,8 +1,7 @@
 """Reports as rows: every report once, gaps counted, clocks that jump, and which way orientations are meant."""
 
 import numpy as np
-import pytest
-from live_arm import ARM, KINEMATICS
+from live import ARM, KINEMATICS
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
@@ -75,50 +74,6 @@ def test_a_row_is_what_the_report_says_in_si():
     assert (rows.count, rows.missing, rows.repeated, rows.run, rows.rate) == (5, 0, 0, 0, 250)
 
 
-def test_what_comes_twice_is_kept_once_within_and_across_connections():
-    rows = Rows(station())
-    clock = STEP * np.array([1, 2, 2, 3])
-    assert len(took(rows, reports(clock))["time_s"]) == 3
-    again = took(rows, reports(STEP * np.array([2, 3])), connection=0)  # set back by 4 ms: another clock, another run
-    assert (again["run"] == 1).all()
-    rows = Rows(station())
-    took(rows, reports(STEP * np.array([1, 2, 3])))
-    assert took(rows, reports(STEP * np.array([3])), connection=1) is None
-    table = took(rows, reports(STEP * np.array([3, 4, 5])), connection=1)
-    np.testing.assert_allclose(table["time_s"], [0.012, 0.016])
-    assert (table["run"] == 1).all()
-    assert (rows.count, rows.repeated, rows.missing) == (5, 2, 0)
-
-
-def test_gaps_are_counted_within_and_between_runs_and_stand_in_the_table():
-    rows = Rows(station())
-    table = took(rows, reports(STEP * np.array([1, 2, 4, 8])))
-    assert (rows.missing, table["missing"].tolist()) == (1 + 3, [0, 0, 1, 3])
-    assert table["gap"].tolist() == [None, None, "reports not received", "reports not received"]
-    took(rows, reports(STEP * np.array([10, 11])))
-    assert (rows.gaps.within, rows.gaps.between) == (5, 0)
-    rows.lost = "port 30000: closed by the controller"
-    table = took(rows, reports(STEP * np.array([100, 101])), connection=1)
-    assert (rows.gaps.within, rows.gaps.between, rows.missing, rows.run) == (5, 88, 93, 1)
-    np.testing.assert_allclose(table["time_s"], [0.396, 0.4])
-    assert table["missing"].tolist() == [88, 0]
-    assert table["gap"].tolist() == ["connection lost (port 30000: closed by the controller)", None]
-    gap = rows.gaps.longest(1)[0]
-    assert (gap.row, gap.run, gap.missing, gap.starts_run) == (7, 1, 88, True)
-    assert gap.seconds == pytest.approx(0.356)
-    assert [gap.row for gap in rows.gaps.longest(9)] == [3, 4, 5, 7]
-
-
-def test_many_gaps_are_counted_though_the_longest_only_are_kept_one_by_one():
-    rows = Rows(station())
-    clock = np.cumsum(np.where(np.arange(5000) % 2, 2, 1))
-    clock[3000:] += 40
-    took(rows, reports(STEP * clock, np.zeros((5000, 6))))
-    assert (rows.gaps.count, rows.gaps.within) == (2501, 2500 + 40)
-    assert rows.gaps.longest(1)[0].row == 3001
-    assert len(rows.gaps.listed) < 2500
-
-
 def test_a_clock_that_jumps_starts_a_run_and_is_said():
     rows = Rows(station(), seconds=0.06)
     table = took(rows, reports(STEP * np.arange(5)), heard=1.0)
@@ -145,49 +100,6 @@ def test_a_connection_lost_for_long_is_no_jump():
     assert rows.gaps.between == 4995
 
 
-@pytest.mark.parametrize("start", [2**63 - 2 * STEP, 2**63 + 10, 2**64 - 10**12])
-def test_a_clock_beyond_63_bits_loses_nothing(start):
-    rows = Rows(station())
-    clock = np.array([start + STEP * i for i in range(5)], np.uint64)
-    np.testing.assert_allclose(took(rows, reports(clock))["time_s"], 0.004 * np.arange(5))
-    table = took(rows, reports(np.array([7, 7 + STEP], np.uint64)))  # restarted
-    assert (rows.count, rows.run, len(table["time_s"])) == (7, 1, 2)
-    rows = Rows(station())
-    table = took(rows, reports(np.array([7, 7 + STEP, *clock], np.uint64)))
-    assert table["run"].tolist() == [0, 0, 1, 1, 1, 1, 1]
-    assert (np.diff(table["time_s"]) > 0).all()
-
-
-def test_a_clock_that_starts_anew_goes_on_in_another_run():
-    rows = Rows(station())
-    took(rows, reports(10**9 + STEP * np.arange(3)), heard=100.0)
-    table = took(rows, reports(STEP * np.arange(3)), connection=1, heard=107.0)
-    np.testing.assert_allclose(table["time_s"], 0.008 + 7.0 + 0.004 * np.arange(3), atol=1e-9)
-    assert (table["run"] == 1).all()
-    assert any("clock was set back 1 times" in note for note in rows.notes())
-    # in the middle of a piece
-    rows = Rows(station())
-    table = took(rows, reports(STEP * np.array([5, 6, 7, 2, 3])))
-    np.testing.assert_array_equal(table["run"], [0, 0, 0, 1, 1])
-    assert (np.diff(table["time_s"]) > 0).all()
-
-
-def test_a_clock_that_stands_still_ends_the_recording_and_costs_no_row():
-    rows = Rows(station())
-    assert len(took(rows, reports([*(STEP * np.arange(3)), *[77 * STEP] * 150]))["time_s"]) == 4
-    assert rows.stopped == "port 30000: the controller's clock has stopped at 308000 µs; update the firmware"
-
-
-def test_it_is_complete_when_the_time_has_come():
-    rows = Rows(station(), seconds=0.02)
-    took(rows, reports(STEP * np.arange(3)))
-    assert not rows.complete
-    table = took(rows, reports(STEP * np.arange(3, 9)))
-    assert rows.complete
-    np.testing.assert_allclose(table["time_s"], [0.012, 0.016])
-    assert rows.count == 5
-
-
 def test_a_rotation_vector_is_recognised_by_the_chain():
     q = np.random.default_rng(4).uniform(-2, 2, (30, 6))
     T = six_parameter_poses(KINEMATICS, q.astype(np.float32).astype(float))
@@ -198,19 +110,6 @@ def test_a_rotation_vector_is_recognised_by_the_chain():
             turn = Rotation.from_quat(np.stack([table[f"q{part}"] for part in "wxyz"], 1), scalar_first=True)
             np.testing.assert_allclose(turn.as_matrix(), T[:, :3, :3], atol=2e-6)
             assert any(f"orientations are {said}" in note for note in rows.notes())
-
-
-def test_what_is_not_to_be_told_is_decided_when_it_is():
-    home = np.zeros((4, 6))  # nearly roll 180°, where both readings are nearly the same
-    rows = Rows(station())
-    took(rows, reports(STEP * np.arange(4), home, vector=True))
-    assert rows.notes() == ()
-    q = np.random.default_rng(5).uniform(-2, 2, (4, 6))
-    table = took(rows, reports(STEP * np.arange(4, 8), q, vector=True))
-    turn = Rotation.from_quat(np.stack([table[f"q{part}"] for part in "wxyz"], 1), scalar_first=True)
-    T = six_parameter_poses(KINEMATICS, q.astype(np.float32).astype(float))
-    np.testing.assert_allclose(turn.as_matrix(), T[:, :3, :3], atol=2e-6)
-    assert "a rotation vector" in rows.notes()[0]
 
 
 def test_an_orientation_that_is_not_the_chains_is_left_out():
@@ -234,33 +133,6 @@ def test_the_tool_turns_the_orientation_that_is_expected():
     assert "qw" in took(rows, [row.tobytes() for row in made])
 
 
-def test_numbers_that_are_not_finite_stay_and_are_counted():
-    many = np.frombuffer(b"".join(reports(STEP * np.arange(6))), protocol.report_layout(protocol.REALTIME)).copy()
-    many["pose"][2] = np.nan
-    many["joint_position"][4, 1] = np.inf
-    rows = Rows(station())
-    table = took(rows, [row.tobytes() for row in many])
-    assert len(table["time_s"]) == 6
-    assert np.isnan(table["qw"][2])
-    assert np.isinf(table["q2_rad"][4])
-    assert "2 rows contain values that are not finite" in rows.notes()[-1]
-
-
-def test_reports_of_other_lengths_are_read_by_their_length():
-    rows = Rows(station(known=False))
-    table = took(rows, reports(STEP * np.arange(3), length=640) + reports(STEP * np.arange(3, 6), length=784))
-    assert len(table["time_s"]) == 6
-    assert "temp1_degC" not in table
-    assert "payload_kg" not in table
-
-
-def test_a_clock_of_another_speed_is_said():
-    rows = Rows(station())
-    took(rows, reports(STEP * np.arange(2)), heard=0.0)
-    took(rows, reports(STEP * np.arange(2, 5000)), heard=10.0)
-    assert any("runs 2 times as fast" in note for note in rows.notes())
-
-
 def resting(noise=0.0, connection=0):
     """Rows of an arm at rest whose torques have some noise, in pieces of 33 reports."""
     rows = Rows(station())
@@ -281,7 +153,3 @@ def test_torques_without_noise_are_the_controllers_own():
     measured = resting(noise=1e-3)
     assert not measured.torques_computed
     assert not any(note.startswith(said) for note in measured.notes())
-
-
-def test_torques_of_runs_that_are_shorter_than_a_window_say_nothing():
-    assert not resting(connection=1).torques_computed

@@ -1,6 +1,5 @@
 """Tables that grow on the disk: whole when they are closed, when the disk is full, and CSV after every piece."""
 
-import re
 import resource
 import signal
 from contextlib import contextmanager
@@ -11,7 +10,6 @@ import pyarrow.parquet
 import pytest
 
 from lite6jax.controller.recorder import TableWriter
-from lite6jax.errors import InputError
 from lite6jax.recordings.parquet import open_stream
 
 
@@ -58,29 +56,6 @@ def test_what_was_added_is_read_back_bit_for_bit(tmp_path, suffix):
         assert pyarrow.parquet.read_schema(path).field("c0").metadata[b"source"] == b"measured"
 
 
-def test_csv_is_whole_after_every_piece(tmp_path):
-    path = tmp_path / "run.csv"
-    table = TableWriter(path, False, {})
-    for count in (1, 2, 3):
-        table.append(rows(10, count))
-        assert table.flush()
-        assert len(read(path)["c0"]) == 10 * count
-    table.append(rows(250))  # those of a second are written at once
-    assert len(read(path)["c0"]) == 280
-    table.close()
-
-
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_words_and_their_absence_are_read_back(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    table = TableWriter(path, False, {})
-    parts = [[None, None], ['lost, "again"', None]]
-    for part in parts:
-        table.append({"q": np.zeros(2), "gap": np.array(part, object)})
-    table.close()
-    assert [word or None for word in read(path)["gap"]] == [None, None, 'lost, "again"', None]
-
-
 def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(tmp_path):
     path = tmp_path / "run.parquet"
     table = TableWriter(path, False, {"c0": "measured"})
@@ -102,56 +77,6 @@ def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(
     assert [table.file, *tmp_path.iterdir()] == [path, path]
 
 
-def test_a_stream_with_a_flipped_bit_is_read_or_refused(tmp_path):
-    path = tmp_path / "run.parquet"
-    table = TableWriter(path, False, {})
-    for seed in range(3):
-        table.append(rows(20, seed, columns=4))
-        assert table.flush()
-    content, rng, refused = table.file.read_bytes(), np.random.default_rng(0), 0
-    for at in rng.integers(0, len(content), 150):
-        damaged = bytearray(content)
-        damaged[at] ^= 1 << rng.integers(8)
-        table.file.write_bytes(damaged)
-        notes = []
-        try:
-            assert len(next(iter(read_stream(table.file, notes).values()))) == 60 or notes
-        except InputError:
-            refused += 1
-    assert refused > 20
-    table.file.write_bytes(b"not a stream")
-    with pytest.raises(InputError, match="is not an Arrow stream"):
-        read_stream(table.file, [])
-    table.file.write_bytes(content)
-    table.close()
-
-
-def test_a_disk_without_room_for_the_parquet_file_keeps_the_stream(tmp_path):
-    path = tmp_path / "run.parquet"
-    table = TableWriter(path, False, {})
-    parts = [rows(250, seed) for seed in range(4)]
-    for part in parts:
-        table.append(part)
-    with room_for(table.file.stat().st_size // 2):
-        table.close()
-    assert re.search(r"the rows are in .*run\.arrows", table.refusal)
-    assert [table.file] == list(tmp_path.iterdir())
-    np.testing.assert_array_equal(read_stream(table.file, [])["c3"], np.concatenate([part["c3"] for part in parts]))
-
-
-def test_a_recording_to_be_replaced_goes_when_its_successor_has_rows(tmp_path):
-    path = tmp_path / "run.parquet"
-    path.write_text("mine")
-    (tmp_path / "run.arrows").write_text("of a process that was killed")
-    table = TableWriter(path, True, {})
-    assert path.read_text() == "mine"
-    table.append(rows(3))
-    assert table.flush()
-    assert not path.exists()
-    table.close()
-    assert len(read(path)["c0"]) == 3
-
-
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("size", [200_000, 500_001, 1_200_000])
 def test_a_full_disk_costs_the_rows_that_do_not_fit_and_no_others(tmp_path, suffix, size):
@@ -171,32 +96,6 @@ def test_a_full_disk_costs_the_rows_that_do_not_fit_and_no_others(tmp_path, suff
     for name in parts[0]:
         sent = np.concatenate([part[name] for part in parts])
         np.testing.assert_array_equal(found[name], sent[: len(sent) - table.waiting])
-
-
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_after_the_disk_has_room_again_it_goes_on(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    table = TableWriter(path, False, {})
-    table.append(rows(250, 0))
-    with room_for(50_000):
-        table.append(rows(2500, 1))
-        assert (table.waiting, "large" in table.refusal) == (2500, True)
-    assert table.flush()
-    assert (table.waiting, table.refusal) == (0, "")
-    table.close()
-    np.testing.assert_array_equal(read(path)["c3"], np.concatenate([rows(250, 0)["c3"], rows(2500, 1)["c3"]]))
-
-
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_without_a_row_there_is_no_file(tmp_path, suffix):
-    path = tmp_path / f"run.{suffix}"
-    TableWriter(path, False, {}).close()
-    table = TableWriter(path, False, {})
-    with room_for(10):
-        table.append(rows(100))
-        table.close()
-    assert table.waiting == 100
-    assert not path.exists() or path.stat().st_size == 0
 
 
 def test_it_replaces_nothing_unasked(tmp_path):

@@ -61,11 +61,6 @@ def test_filters_agree_with_plain_numpy_and_are_counted():
     np.testing.assert_array_equal(found.joint_position, candidates(ARM, 1000, 5, filters).joint_position)
 
 
-def test_a_joint_that_only_turns_the_base_does_not_make_the_floor_refuse():
-    """The first joint's own origin stands on the floor and never moves."""
-    assert above_floor(ARM, 0.01).accepts(np.zeros((1, 6)))[0]
-
-
 def test_a_users_own_filter(tmp_path):
     path = tmp_path / "mine.py"
     path.write_text("import numpy as np\nlow = 0.5\ndef bent(q):\n    q += 0\n    return np.abs(q[:, 1]) > low\n")

@@ -10,13 +10,7 @@ from scipy.optimize import minimize
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import load_bundled
-from lite6jax.design.clearance import (
-    Capsule,
-    chain_capsules,
-    link_frames,
-    segment_distance,
-    self_collision,
-)
+from lite6jax.design.clearance import chain_capsules, link_frames, segment_distance, self_collision
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses
@@ -137,26 +131,6 @@ def test_many_poses_agree_with_one_at_a_time_in_plain_numpy():
             for i, j in collision.pairs
         ]
         assert found[n] == pytest.approx(min(apart), abs=1e-10)
-
-
-def test_an_arm_too_short_to_meet_itself_is_always_clear():
-    np.testing.assert_array_equal(self_collision(planar([1.0])).clearance(np.zeros((3, 1))), np.inf)
-
-
-def test_default_radius_is_a_twentieth_of_the_reach_and_a_tool_lengthens_the_last_link():
-    capsules = chain_capsules(planar([1.0, 0.5]), tool_point=[0.1, 0.0, 0.2])
-    assert [(c.name, c.radius) for c in capsules] == [("link1", 0.075), ("link2", 0.075)]
-    np.testing.assert_allclose(capsules[-1].end, [0.6, 0, 0.2])
-
-
-def test_a_capsule_is_carried_by_its_link():
-    """A sphere on the last link and one on the base, at a distance known from the arm's reach."""
-    arm = planar([1.0, 1.0])
-    spheres = [Capsule("post", 0, np.zeros(3), np.zeros(3), 0.1), Capsule("hand", 2, *np.eye(3)[[0, 0]], 0.2)]
-    collision = self_collision(arm, spheres)
-    angle = np.linspace(-3, 3, 9)
-    found = collision.clearance(np.stack([0.3 * angle, angle], 1))
-    np.testing.assert_allclose(found, 2 * np.abs(np.cos(angle / 2)) - 0.3, atol=1e-12)
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan])

@@ -11,7 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm, hayati_fk
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.determination import observability
-from lite6jax.design.identify import determine, identify
+from lite6jax.design.identify import determine
 from lite6jax.design.information import experiment, plan_experiment
 from lite6jax.design.sensor import SENSORS, Sensor
 from tests.oracles.arms import perturbed, random_kinematics, random_positions
@@ -62,19 +62,6 @@ def test_planar_arms_by_hand():
         "joint2_yaw": {"joint1_yaw": -1, "joint2_y": 0.3},
         "joint3_yaw": {"joint1_yaw": -1, "joint2_y": 0.3, "joint3_y": 0.25},
     }
-
-
-def test_a_joint_that_stands_still_tells_less():
-    """With q2 = 0 the arm is one link: of joint 2 nothing is told apart from joint 1 but along the circle it draws."""
-    setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
-    q = random_positions(np.random.default_rng(0), 30, 2)
-    q[:, 1] = 0.0
-    found = determine(setup, q)
-    # z = const, sin q1, cos q1; in the plane: const x, const y, radius and angle
-    assert found.rank == 7
-    study = identify(setup, q)
-    assert study.missed == 3
-    assert study.narrow() == [(1, 0.0)]
 
 
 def count(form, quantity, on_last_axis=False):
@@ -177,18 +164,6 @@ def test_what_is_said_of_parameters_is_what_readings_show(setup):
         assert singular[0] / singular[-1] == pytest.approx(np.linalg.cond(rows * setup.unit), rel=1e-9)
 
 
-def test_nothing_depends_on_the_units():
-    """Scaling a parameter's unit (mm for m) scales its deviation and leaves rank, words and free set as they were."""
-    setup = plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
-    want, factor = determine(setup, joints(60)), np.random.default_rng(0).uniform(0.5, 2, setup.size)
-    factor *= np.where(np.array(setup.units) == "m", 1e3, 57.3)
-    got = determine(replace(setup, scale=setup.scale * factor), joints(60))
-    assert got.rank == want.rank
-    np.testing.assert_array_equal(got.free, want.free)
-    np.testing.assert_allclose(got.standard_deviation, want.standard_deviation, rtol=1e-6)
-    assert [d.statement for d in got.dependencies] == [d.statement for d in want.dependencies]
-
-
 def test_what_is_known_beforehand_decides_what_readings_cannot():
     form = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).form
     model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
@@ -203,46 +178,6 @@ def test_what_is_known_beforehand_decides_what_readings_cannot():
     np.testing.assert_allclose(found.covariance, want, rtol=0, atol=1e-6 * np.abs(want).max())
 
 
-def test_what_cannot_move_is_left_out():
-    full = plan_experiment("lite6", "tracker_6d")
-    movable = np.arange(full.form.size) >= 28
-    setup = experiment(LITE6, full.form, full.model, full.sensor, movable=movable)
-    found = determine(setup, joints(60))
-    assert found.names == tuple(f"frame_{t}" for t in ("x", "y", "z", "rx", "ry", "rz"))
-    assert (found.rank, found.size) == (6, 6)
-
-
-def test_weak_and_correlated_parameters_are_named():
-    """A sensor of 100 mm tells nothing better than assembly does."""
-    setup = plan_experiment("lite6", SENSORS["tracker_6d"].with_noise(0.1, 1.0), frame=False)
-    assert set(determine(setup, joints(60)).weak()) == set(setup.names)
-    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(60)).weak() == ()
-    found = determine(plan_experiment("lite6", "tracker", frame=False), joints(100))
-    pairs = found.correlated()
-    assert ("d3", "alpha3") in [(a, b) for a, b, _ in pairs]
-    assert all(abs(rho) > 0.95 for _, _, rho in pairs)
-    said = {d.name: d.statement for d in found.dependencies}
-    assert said["theta_off6"] == "theta_off6 is unobservable: no reading changes with it."
-    assert said["a5"] == "a5 and theta_off5 move together: a5 +1 mm is undone by theta_off5 +0.932 deg."
-
-
-def test_one_pose_of_a_dial_gauge_tells_one_combination():
-    assert determine(plan_experiment("lite6", "dial_gauge"), joints(1)).rank == 1
-
-
-def test_no_accuracy_is_promised_where_something_stays_open():
-    """One pose tells 3 numbers; a dial gauge never tells x; a tracker tells all that positions depend on."""
-
-    def studied(sensor, poses):
-        return identify(plan_experiment("lite6", sensor, tool_at=(0.06, 0.0, 0.04)), joints(poses))
-
-    nothing = {"position_rms_m": None, "orientation_rms_rad": None}
-    assert studied("tracker", 1).to_dict()["predicted_accuracy"] == nothing
-    determined = {"dial_gauge": (False, False), "tracker": (True, False), "tracker_6d": (True, True)}
-    for sensor, expected in determined.items():
-        assert studied(sensor, 60).accuracy[2:] == expected
-
-
 # ------------------------------------------------------------------ observability indices
 
 
@@ -251,25 +186,6 @@ def test_indices_by_hand():
     assert (found.O2, found.O3, found.O4, found.condition, found.noise_amplification) == (0.25, 1, 0.25, 4, 1)
     assert pytest.approx((4 * 2 * 1) ** (1 / 3) / 2) == found.O1
     assert pytest.approx(1 / (1 / 4 + 1 / 2 + 1)) == found.O5
-
-
-def test_indices_as_matrices():
-    """O1 is a determinant, O3 a smallest eigenvalue."""
-    J = np.random.default_rng(1).normal(size=(40, 5))
-    found = observability(np.linalg.svd(J, compute_uv=False), samples=10)
-    assert pytest.approx(np.linalg.det(J.T @ J) ** (1 / 10) / np.sqrt(10)) == found.O1
-    assert pytest.approx(np.sqrt(np.linalg.eigvalsh(J.T @ J)[0])) == found.O3
-    assert found.condition == pytest.approx(np.linalg.cond(J))
-    assert pytest.approx(found.O2 * found.O3) == found.O4
-
-
-def test_the_same_poses_twice():
-    """m doubles and every singular value grows by √2: O1 stays, as a measure of a pose; O3 to O5 grow."""
-    s = np.array([5.0, 3.0, 0.5])
-    once, twice = observability(s, 10), observability(np.sqrt(2) * s, 20)
-    assert pytest.approx((once.O1, once.O2)) == (twice.O1, twice.O2)
-    for name in ("O3", "O4", "O5"):
-        assert getattr(twice, name) == pytest.approx(np.sqrt(2) * getattr(once, name))
 
 
 def test_the_fleet_fit_spreads_as_predicted():

@@ -8,7 +8,6 @@ from typed import flat, refused, run
 
 from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
-from lite6jax.design.identify import determine, predict_accuracy
 from lite6jax.design.poses import plan_poses
 from lite6jax.design.readings import READERS, draw_readings, plan_reading, read_places
 from lite6jax.errors import InputError
@@ -81,36 +80,6 @@ def test_poses_read_their_places_inside_the_limits(name):
         assert np.abs(white).max() > 1
 
 
-def test_images_are_poses_with_the_covariance_of_their_corners():
-    setup = plan_reading(LITE6, "flange_camera")
-    q = draw_readings(setup, 12).joint_position
-    sensor: Any = setup.sensor
-    T = np.asarray(setup.model.T_sensor_base)
-    tool = T @ (frames.chain(frames.transform_from_row(LITE6.kinematics), q, LITE6.sliding) @ setup.model.T_flange_tool)
-    fx, fy = sensor.lens[:2]
-    rows = setup.rows(q) / setup.unit
-    along = rows[..., list(setup.names).index("tool_z")]  # the camera's line of sight
-    corners = np.array(sensor.corners)
-    for k in range(len(q)):
-        seen = (corners - tool[k, :3, 3]) @ tool[k, :3, :3]
-        moved = seen - [0, 0, STEP]
-        pixels = [p[:, :2] / p[:, 2:] * [fx, fy] for p in (seen, moved)]
-        slope = (pixels[1] - pixels[0]) / STEP / sensor.pixel_noise  # but for the distortion, some per cent
-        assert np.linalg.norm(along[k]) == pytest.approx(np.linalg.norm(slope), rel=0.15)
-
-
-def test_touches_tell_more_in_sockets_of_two_plates():
-    workspace = random_positions(np.random.default_rng(1), 100, 6)
-    errors = {}
-    for plates in (1, 2):
-        setup = plan_reading(LITE6, "contact", plates)
-        found = determine(setup, draw_readings(setup, 40).joint_position)
-        errors[plates] = predict_accuracy(setup, found, workspace).position_rms
-        held = [name for name, free in zip(found.names, found.free, strict=True) if not free]
-        assert held == ["tool_rx", "tool_ry", "tool_rz"]  # no reading of a point tells them
-    assert errors[2] < errors[1] < 2e-3
-
-
 def test_a_plan_of_touches_shares_them_among_sockets_and_is_no_worse_than_chance():
     setup = plan_reading(LITE6, "contact", 1)
     q = draw_readings(setup, 120).joint_position
@@ -127,13 +96,6 @@ def test_places_out_of_reach_are_said():
 
 
 # ------------------------------------------------------------------ commands
-
-
-def test_identify_says_what_touches_determine(capsys):
-    text = flat(run(capsys, "identify", "lite6", "--sensor", "distance", "--poses", 40)[1])
-    assert "lite6, 40 poses drawn inside the limits; a sensor of distances to an anchor to ±0.05 mm" in text
-    assert "of 39 unknown parameters" in text
-    assert "predicts the whole workspace to ±0." in text
 
 
 def test_design_writes_touches_with_the_names_of_their_sockets(capsys, tmp_path):

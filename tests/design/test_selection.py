@@ -83,25 +83,6 @@ def test_values_are_those_of_the_first_poses_and_no_exchange_improves_them(name)
     assert (exchanges, cycles) == (0, 1)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_an_exchange_never_ends_worse_than_it_began(name):
-    rng = np.random.default_rng(5)
-    for seed in range(8):
-        rows = random_rows(seed, rows=2)
-        pool, start = Pool(rows), rng.choice(12, 5, replace=False)
-        improved, _, _ = exchange(pool, apply(name, pool), start)
-        before, after = (ORACLES[name](information(rows[which])) for which in (start, improved))
-        assert after >= before - 1e-9 * abs(before)
-
-
-def test_choices_do_not_depend_on_the_units():
-    rows, units = random_rows(1, candidates=200, rows=2, parameters=8), np.geomspace(1e-3, 1e3, 8)
-    pools = Pool(rows), Pool(rows * units)
-    ours, theirs = (choose(pool, 12, apply("D", pool)) for pool in pools)
-    np.testing.assert_array_equal(np.sort(ours.indices), np.sort(theirs.indices))
-    assert theirs.values[-1] - ours.values[-1] == pytest.approx(2 * np.log(units).sum(), abs=1e-6)
-
-
 @pytest.mark.parametrize("name", ["D", "A"])
 def test_directions_that_nothing_determines_drop_out(name):
     """Two columns that only ever act together, and one that never acts."""
@@ -114,14 +95,6 @@ def test_directions_that_nothing_determines_drop_out(name):
     eigenvalues = np.linalg.eigvalsh(M)[2:]
     expected = {"D": np.log(eigenvalues).sum(), "A": -np.sum(1 / eigenvalues)}[name]
     assert found.values[-1] == pytest.approx(expected, rel=1e-8)
-
-
-def test_coordinates_make_the_mean_information_the_identity():
-    rows = random_rows(6, candidates=30, rows=2)
-    rows = np.concatenate([rows, rows[:, :, :2]], axis=2)
-    prior = np.diag([1.0, 0, 0, 0, 1.0, 0])
-    T = Pool(rows, prior).outward
-    np.testing.assert_allclose(T.T @ (information(rows) + prior) @ T / 30, np.eye(5), atol=1e-10)
 
 
 def test_poses_already_recorded_count_through_the_prior():
@@ -155,10 +128,7 @@ GOOD = random_rows(0)
         (lambda: choose(Pool(GOOD), 0, Criterion()), "0 poses"),
         (lambda: choose(Pool(GOOD), 3, Criterion()), "3 poses: too few for the 4 directions"),
         (lambda: choose(Pool(GOOD), 3, Criterion()), "choose at least 4, or give a prior"),
-        (
-            lambda: Pool(GOOD * [1, 1, 1, 0]).apply(accuracy_criterion(ERRORS)),
-            "workspace's error has directions that no candidate determines",
-        ),
+        (lambda: Pool(GOOD * [1, 1, 1, 0]).apply(accuracy_criterion(ERRORS)), "workspace's error has directions that"),
     ],
 )
 def test_refusals_are_one_line_with_the_remedy(call, words):

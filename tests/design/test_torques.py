@@ -12,7 +12,7 @@ from lite6jax.cli import main
 from lite6jax.design.motions import Motion
 from lite6jax.design.torques import identify_torques, torque_model
 from lite6jax.errors import InputError
-from lite6jax.report.study import combination, torque_identification_report
+from lite6jax.report.study import torque_identification_report
 from tests.oracles.arms import random_kinematics
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
@@ -77,21 +77,6 @@ def test_base_parameters_give_all_torques():
     np.testing.assert_allclose(W[:, found.possible.free] @ beta, W @ x, atol=1e-8)
 
 
-def test_a_combination_in_words():
-    terms = [("link2 m·cx", 1.0), ("link3 m", 0.2), ("link4 m", 0.2), ("link5 m", 0.2), ("link4 m·cz", -1.0)]
-    assert combination(terms) == "link2 m·cx + 0.2 link3–5 m − link4 m·cz"
-
-
-def test_rotors_are_named_with_what_they_are_confounded_with():
-    found = torque_model(load_bundled("lite6"))
-    confounded = found.confounded
-    assert confounded["joint1 rotor inertia"] == ("link1 Izz",)
-    assert confounded["joint2 rotor inertia"] == ("link2 Izz",)
-    assert "joint3 rotor inertia" not in confounded
-    assert "link1 m" in found.silent
-    assert "link2 m" in found.silent
-
-
 def test_standard_deviations_are_those_of_least_squares():
     kinematics, noise = chain(2), np.array([0.3, 0.05])
     motion = random_states(2, 150)
@@ -123,26 +108,6 @@ def test_a_joint_that_does_not_move():
     assert found.deviations["joint2 viscous"] > 0
     assert np.isneginf(found.log_determinant)
     assert np.isinf(found.standard_deviation[~found.determined]).all()
-
-
-def test_at_rest_only_gravity_shows():
-    motion = random_states(3)
-    motion = motion._replace(dq=0 * motion.q, ddq=0 * motion.q)
-    found = identify_torques(torque_model(Arm("an arm", chain(3))), motion)
-    assert found.at_rest
-    names = [item.name for item, there in zip(found.model.base, found.determined, strict=True) if there]
-    assert names
-    assert not any("I" in name or "viscous" in name or "Coulomb" in name for name in names)
-
-
-def test_known_links_leave_friction():
-    found = identify_torques(torque_model(Arm("an arm", chain(3)), inertial=False), random_states(3))
-    assert [item.name for item in found.model.base][:4] == [
-        *(f"joint1 {kind}" for kind in ("viscous", "Coulomb", "offset", "rotor inertia"))
-    ]
-    assert found.determined.all()
-    document = found.to_dict()
-    assert document["rank"] == document["rank_possible"] == 12
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
 from lite6jax.recordings.settings import FactoryUncertainty
 from lite6jax.search.search import search
-from tests.oracles.arms import perturbed, random_positions
+from tests.oracles.arms import perturbed
 from tests.oracles.effects import predicted_poses
 from tests.oracles.transforms import perturb_poses
 
@@ -258,23 +258,3 @@ def _somewhere(seed, distance):
     T[:3, :3] = Rotation.from_rotvec(rng.uniform(-1.5, 1.5, 3)).as_matrix()
     T[:3, 3] = distance * rng.uniform(-1, 1, 3)
     return T
-
-
-__all__ = [
-    "LITE6",
-    "NOISE",
-    "OPTIONS",
-    "Made",
-    "check_values",
-    "estimates",
-    "fitted_to",
-    "found",
-    "moving_motion",
-    "plain_effect",
-    "quaternions",
-    "random_positions",
-    "searched",
-    "static_motion",
-    "truth",
-    "with_effects",
-]

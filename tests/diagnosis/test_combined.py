@@ -16,7 +16,6 @@ from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.combined import CombinedDiagnosis, compare_domains, diagnose_combined
 from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
-from lite6jax.diagnosis.torque_diagnosis import TorqueComparison
 from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.effects.kinematic.joints import JointCompliance
@@ -110,49 +109,6 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
     assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
 
 
-def test_what_disagrees_is_said(made, found):
-    heavier = torques_of(both(made, held=2.4))
-    payload = next(each for each in compare_domains(found.poses, heavier) if each.quantity == "payload_mass")
-    assert payload.agree is False
-    document = with_statements(CombinedDiagnosis(found.poses, heavier, compare_domains(found.poses, heavier)).to_dict())
-    said = next(entry["statement"] for entry in document["shared"] if entry["quantity"] == "payload_mass")
-    assert "they disagree" in said
-    assert "payload_com_m" in said
-
-
-def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
-    path = write_document(with_statements(found.to_dict()), tmp_path / "d.json")
-    document = json.loads(path.read_text())
-    assert document["before"]["heldout_position_rms_m"] > document["after"]["heldout_position_rms_m"]
-    assert document["torques"]["domain"] == "torque"
-    poses, torques = read_model(path), read_torque_model(path)
-    assert [e.label for e in poses.physics.effects] == [f.effect.label for f in found.poses.findings]
-    assert [e.label for e in torques.terms.terms] == [f.effect.label for f in found.torques.findings]
-    del document["torques"]["model"]["links"]
-    write_document(document, path, overwrite=True)
-    with pytest.raises(InputError, match="links"):
-        read_torque_model(path)
-
-
-def test_a_summary_names_both(found):
-    text = found.summary()
-    assert "The held-out position error is" in text
-    document = found.to_dict()
-    for domain in (document, document["torques"]):
-        assert ranking.headline(domain) in text
-    assert "Of the payload's mass" in text
-
-
-def test_a_plot_has_the_figures_of_both(found, monkeypatch):
-    def drawings(one, *_):
-        yield ("where" if one is found.poses else "friction"), Figure()
-
-    monkeypatch.setattr("lite6jax.report.diagnosis_figures.drawings", drawings)
-    assert list(found.plot()) == ["ranking", "where", "torque_ranking", "torque_friction"]
-    assert found.plot("mine")["torque_ranking"].get_suptitle().startswith("mine")
-    assert list(replace(found, torques=None).plot()) == ["ranking", "where"]
-
-
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
@@ -216,29 +172,6 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     code, said, err = run(capsys, "report", out)
     assert (code, said) == (2, "")
     assert "its model is damaged (Expected `array`, got `str` - at `$.model.links`)" in err
-
-
-def test_both_are_diagnosed_with_their_effects_and_references(recording, found, monkeypatch):
-    asked = {}
-
-    def poses(*given, **options):
-        asked["poses"] = options["effects"]
-        return found.poses
-
-    def torques(*given, **options):
-        asked["torques"], asked["reference"] = options["effects"], options["reference"]
-        return replace(found.torques, against=TorqueComparison("earlier.csv", None))
-
-    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", poses)
-    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_torques", torques)
-    reference = replace(recording, position=None, quaternion=None)
-    effects = (JointCompliance(1), ViscousFriction(1))
-    again = diagnose_combined(recording, LITE6, reference=reference, effects=effects)
-    assert asked == {"poses": effects[:1], "torques": effects[1:], "reference": reference}
-    assert [each.quantity for each in again.shared] == [each.quantity for each in found.shared]
-    document = with_statements(again.to_dict())
-    assert document["torques"]["against"]["statement"].startswith("Findings and model are those of this recording")
-    assert "against" not in document
 
 
 def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):

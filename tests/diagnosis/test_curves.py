@@ -56,14 +56,6 @@ def test_a_step(arm, still):
     assert np.sqrt(np.mean((done - 6e-4 * (q > 0.5))[beyond] ** 2)) < 6e-5
 
 
-def test_a_bump(arm, still):
-    def bump(q):
-        return -7e-4 * np.exp(-0.5 * ((q - 0.3) / 0.25) ** 2)
-
-    _, done = the_one(arm, still, (3, bump))
-    np.testing.assert_allclose(done, bump(still["joint_position"][:, 2]), atol=1.2e-4)
-
-
 def test_a_spring_that_hardens(arm, still):
     load = torque_of(arm, still, 2)
     turned = 8e-4 * np.tanh(2 * load / np.abs(load).max())

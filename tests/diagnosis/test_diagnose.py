@@ -11,7 +11,6 @@ from diagnosis.recorded import (
     drawn,
     found,
     moving_motion,
-    searched,
     static_motion,
     with_effects,
 )
@@ -104,18 +103,6 @@ def test_one_effect_is_explained(soft, wild):
     assert soft.estimated_noise == pytest.approx(NOISE[0], rel=0.1)
 
 
-@pytest.mark.long
-def test_a_frame_that_jumps_is_put_back_and_said(arm):
-    """By the default folds: four fifths of the rows have both frames."""
-    recording = replace(arm, frame=True).recording(static_motion(11, 300))
-    position = recording.position.copy()
-    position[:100] += np.array([1e-4, 0, 0])
-    diagnosis = diagnose_with(replace(recording, position=position))
-    assert [fault["fault"] for fault in diagnosis.to_dict()["data_faults"]] == ["frame_jump"]
-    assert diagnosis.verdict == "consistent"
-    assert rms(diagnosis.after) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)
-
-
 def test_a_jump_is_said_beside_physics(arm, still):
     """What jumped stays a jump, also where an effect is found beside it, and says how unlikely it is without."""
     recording = with_effects(arm, COMPLIANCE).recording(still)
@@ -126,19 +113,6 @@ def test_a_jump_is_said_beside_physics(arm, still):
     check_values(explanation.selection, COMPLIANCE)
     (fault,) = explanation.screened.found
     assert (fault.code, fault.rows[0]) == ("frame_jump", 101)
-    assert fault.numbers["log_likelihood_gap"] > 0
-
-
-@pytest.mark.long
-def test_joints_that_were_read_early_are_settled_beside_physics(arm, still):
-    """A share of each move that was left is a fault, and says how unlikely the poses are without a correction."""
-    recording = with_effects(arm, COMPLIANCE).recording(still)
-    rest = 2e-4 * np.diff(still["joint_position"], axis=0, prepend=0.0)
-    early = replace(recording, joint_position=recording.joint_position - rest)
-    explanation = explain(early)
-    assert found(explanation.selection) == [("joint_compliance", "joint2")]
-    (fault,) = explanation.screened.found
-    assert (fault.code, fault.numbers["shape"]) == ("unsettled_readouts", "move")
     assert fault.numbers["log_likelihood_gap"] > 0
 
 
@@ -155,21 +129,6 @@ def test_physics_that_looks_like_joints_read_early_is_physics(tmp_path):
     assert ruled_out.numbers["reason"] == "physics"
     assert ruled_out.numbers["log_likelihood_gap"] > 0
     assert ruled_out.numbers["rival_terms"] == explanation.labels
-
-
-@pytest.mark.long
-def test_physics_that_looks_like_a_jump_is_physics(arm):
-    """A step of a joint's transmission that the arm crosses: the poses after it are elsewhere, as if moved."""
-    motion = moving_motion(21, 160)
-    crossed = np.median(motion["joint_position"][:, 4])
-    recording = arm.recording(motion, bump=(5, lambda q: 5e-4 * (q > crossed)))
-    assert [fault.code for fault in screen(recording).found] == ["frame_jump"]
-    explanation = explain(recording)
-    assert [one.term.site for one in explanation.selection.state.tested] == ["joint5"]
-    assert explanation.screened.found == ()
-    (ruled_out,) = (fault for fault in explanation.screened.ruled_out if fault.code == "frame_jump")
-    assert ruled_out.numbers["reason"] == "physics"
-    assert "unnamed:joint5" in ruled_out.numbers["rival_terms"]
 
 
 def test_held_out_errors_are_those_of_the_rest(arm, still):
@@ -229,46 +188,12 @@ def test_the_document(soft, wild):
     assert ("time_offset", "clock") in lacking
 
 
-def test_physics_without_a_name(arm, still):
-    """A bump in one joint's transmission that no entry of the catalogue has."""
-
-    def curve(q):
-        return 1.5e-3 * np.exp(-0.5 * ((q - 1.4) / 0.12) ** 2)
-
-    case = pose_problem(arm.recording(still, bump=(3, curve)))
-    selection = searched(case)
-    (largest,) = selection.state.fit.terms.terms
-    assert largest.drivers[0].phrase == "position of joint 3"
-    assert found(selection) == [("unnamed", "joint3")]
-    values = selection.state.fit.values
-    at = np.linspace(0.2, 2.8, 200)
-    fitted = values @ largest.functions_at(at[None])
-    assert rms(fitted - curve(at)) < 1.5e-4
-
-
 def test_noise_that_is_not_as_declared(arm, still):
     """Three times the noise is not physics, and is not explained either; it is estimated."""
     diagnosis = diagnose(arm.recording(still, noise=(6e-5, 3e-4)))
     assert diagnosis.findings == ()
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.estimated_noise == pytest.approx(6e-5, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("undeclared", "noise"), [("orientation_noise_rad", (1e-3, 3e-3)), ("position_noise_m", (1e-3, 1e-2))]
-)
-def test_noise_that_is_declared_in_part_counts_where_it_is(arm, still, undeclared, noise):
-    """Of a hundred times the noise that is declared, nothing is the sensor's noise; the other part's is estimated."""
-    recording = arm.recording(still, noise=noise)
-    diagnosis = diagnose(replace(recording, settings=replace(recording.settings, **{undeclared: None})))
-    assert (diagnosis.findings, diagnosis.verdict) == ((), "unexplained")
-    assert diagnosis.quality.verdict == "above_noise"
-    left = (diagnosis.left.position, diagnosis.left.orientation)
-    part = int(undeclared == "position_noise_m")
-    assert left[1 - part] is None
-    assert left[part] == pytest.approx(noise[part] / NOISE[part], rel=0.2)
-    scale = diagnosis.fit.scale * np.array(diagnosis.problem.noise)
-    np.testing.assert_allclose(scale, noise, rtol=0.1)
 
 
 def test_a_recording_without_poses_is_refused(arm, still):
@@ -296,18 +221,6 @@ def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tm
     uncertainty = seen.problem.recording.settings.factory_uncertainty
     assert 7e-6 < uncertainty.position_m < 3e-5
     assert seen.faults[0].numbers["sigma_m"] == uncertainty.position_m
-
-
-@pytest.mark.long
-def test_physics_is_found_beside_a_calibration_that_is_off(tmp_path):
-    made = Made(tmp_path, (COMPLIANCE,), seed=5)
-    recording = made.recording(static_motion(5, SAMPLES))
-    off = 1.5e-5 * np.random.default_rng(0).standard_normal(made.kinematics.shape)
-    write_factory(made.kinematics + off, recording.settings.factory_calibration, overwrite=True)
-    explanation = explain(recording)
-    assert [fault.code for fault in explanation.screened.found] == ["calibration_off"]
-    assert found(explanation.selection) == [("joint_compliance", "joint2")]
-    check_values(explanation.selection, COMPLIANCE)
 
 
 def test_one_number_that_is_off_is_physics(tmp_path):
@@ -359,14 +272,6 @@ class TestPublishedTables:
         (fault,) = screen(captured("lite6_ros", "lite6", setup="free")).found
         assert fault.code == "nominal_table"
         assert screen(captured("lite6", "lite6", setup="free")).found == ()
-
-
-@pytest.mark.long
-def test_one_frame_that_is_off_is_physics(tmp_path):
-    text = "frame_offset:link=3,x_m=1e-4,y_m=-1e-4,z_m=0,rx_rad=2e-4,ry_rad=0,rz_rad=0"
-    seen = diagnose(Made(tmp_path, (text,), seed=5).recording(static_motion(5, SAMPLES)))
-    assert [finding.effect.label for finding in seen.findings] == ["frame_offset:link3"]
-    assert not seen.faults
 
 
 def test_a_result_gives_its_document_and_its_model(soft, still):

@@ -8,7 +8,6 @@ from diagnosis.recorded import LITE6, Made, static_motion
 from domains.pose.documents import document, stored
 from typed import flat, refused, run
 
-from lite6jax.arms.factory import read_factory
 from lite6jax.arms.files import read_arm, write_arm, write_urdf
 from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document
@@ -72,11 +71,6 @@ def mujoco_tip(path, q):
         T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
         poses.append(T)
     return np.array(poses)
-
-
-def described_tip(path, q):
-    arm = read_arm(str(path))
-    return six_parameter_poses(arm.kinematics, q) @ arm.T_joint_flange
 
 
 @pytest.mark.parametrize(
@@ -159,33 +153,6 @@ def test_a_urdf_of_another_arm_is_refused(made, robot, diagnosis, tmp_path, caps
     assert "--into writes a URDF, and --to asks for mjcf" in message
     message = refused(capsys, "convert", diagnosis, tmp_path / "new.yaml", "--into", robot)
     assert "what is written into a URDF is one; let the name end in .urdf" in message
-
-
-def test_a_bundled_arm_can_go_into_a_urdf_too(robot, tmp_path, capsys):
-    code, _, _ = run(capsys, "convert", "lite6", tmp_path / "new.urdf", "--into", robot)
-    assert code == 0
-    np.testing.assert_array_equal(read_arm(str(tmp_path / "new.urdf")).kinematics, read_arm(str(robot)).kinematics)
-
-
-def test_a_table_holds_the_chain(made, tmp_path, capsys):
-    source, target = stored(tmp_path, document(made, MOVING)), tmp_path / "arm.json"
-    code, said, _ = run(capsys, "convert", source, target)
-    assert code == 0
-    assert "Left out: joint compliance at joint2; joint harmonic at joint4; joint limits" in flat(said)
-    table = read_factory(target, LITE6)
-    q = positions()
-    poses = six_parameter_poses(table.kinematics, q) @ table.T_joint_flange
-    np.testing.assert_allclose(poses, six_parameter_poses(made.kinematics, q), atol=1e-9)
-    said = refused(capsys, "convert", diagnosed_of_unknown(source, tmp_path), tmp_path / "other.json")
-    assert said == f"{tmp_path / 'other.json'}: the form table holds a chain only; write description, urdf, mjcf"
-
-
-def diagnosed_of_unknown(source, folder):
-    """The same diagnosis of an arm whose nominal chain is not known."""
-    text = source.read_text().replace('"arm": "lite6"', '"arm": "mine"')
-    path = folder / "unknown.json"
-    path.write_text(text)
-    return path
 
 
 def test_the_inertia_of_an_own_arm_is_that_of_its_file(tmp_path, capsys):

@@ -1,16 +1,25 @@
-"""Folds that are worked on side by side."""
+"""Folds that are worked on side by side, by threads or processes, whose number changes no answer."""
 
+import os
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
+from diagnosis.recorded import Made, static_motion
 
-from lite6jax.diagnosis.fold_processes import work_on_folds
+from lite6jax import threads
+from lite6jax.cli import main
+from lite6jax.diagnosis.fold_processes import fold_processes, work_on_folds
 from lite6jax.diagnosis.heldout import fold_count, spread_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
 from lite6jax.estimation.noise import UNCORRELATED, Autocorrelation, NoiseModel
-from lite6jax.progress import Stage, entered, followed
+from lite6jax.progress import entered, followed
+from lite6jax.recordings import write_recording
+from tests.batch_work import folded
 
 
 def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed():
@@ -29,27 +38,6 @@ def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed(
     assert parts[0] == 1
     assert max(parts) <= 5
     assert {stage.parts for stage in stages} == {6}
-
-
-def test_the_follower_of_the_caller_hears_the_stages_of_every_fold():
-    stages = []
-    with followed(stages.append):
-        work_on_folds(lambda fold: entered("naming"), (), [0])
-    assert stages == [Stage("naming", 1, 2)]
-
-
-def test_an_error_ends_the_work_on_folds_that_have_not_begun():
-    begun = []
-
-    def work(fold):
-        begun.append(fold)
-        if fold == 0:
-            raise ValueError("no such fold")
-        threading.Event().wait(0.05)
-
-    with pytest.raises(ValueError, match="no such fold"):
-        work_on_folds(work, (), range(1000))
-    assert len(begun) < 100
 
 
 @pytest.mark.parametrize(
@@ -81,3 +69,39 @@ def test_rows_that_are_held_out_together_are_spread_in_blocks_longer_than_the_no
     assert (len(folds), block_count(folds)) == (5, blocks)
     ends = np.flatnonzero(np.diff(np.argmax(folds, 0))) + 1
     assert np.diff([0, *ends, rows]).min() == rows // blocks
+
+
+# ------------------------------------------------------------------ processes
+
+
+FOLDS = [np.array([k]) for k in range(5)]
+HERE = os.getpid()
+
+
+def test_folds_are_shared_and_results_in_their_order():
+    deadline = time.monotonic() + 60
+    with fold_processes(3):
+        while time.monotonic() < deadline:
+            results = work_on_folds(folded, ("done", HERE), FOLDS)
+            assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
+            if len({process for _, process in results}) > 1:  # those that have started by then
+                break
+    assert HERE in {process for _, process in results}
+    assert len({process for _, process in results}) > 1
+
+
+@pytest.mark.parametrize("what", ["die", "fail"])
+def test_what_a_process_could_not_do_is_done_here(what):
+    with fold_processes(3):
+        assert work_on_folds(folded, (what, HERE), FOLDS) == [(k, HERE) for k in range(5)]
+
+
+def test_the_document_is_the_same_for_any_number_of_processes(tmp_path, capsys, monkeypatch):
+    made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",))
+    path = write_recording(made.recording(static_motion(3, 120)), tmp_path / "run.csv")
+    command = ["diagnose", str(path), "--json", "--processes"]
+    shared = subprocess.run([sys.executable, "-m", "lite6jax.cli", *command, "2"], capture_output=True, check=True)
+    monkeypatch.setattr(threads, "limit", lambda count: None)  # there is but one thread in tests
+    assert main([*command, "1"]) == 0
+    assert capsys.readouterr().out == shared.stdout.decode()
+    assert b'"joint_compliance"' in shared.stdout

@@ -6,7 +6,6 @@ from diagnosis.recorded import NOISE, Made, searched, static_motion
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=3e-5"
 JOINTS = (1, 2, 3)
@@ -34,18 +33,6 @@ def swept(tmp_path_factory):
     held = np.arange(800) >= 640
     selection = searched(pose_problem(recording), ~held)
     return selection.problem, held, selection
-
-
-@pytest.mark.long
-def test_the_load_keeps_its_name_beside_the_spectra(swept):
-    _, _, selection = swept
-    fit = selection.state.fit
-    named = [k for k, term in enumerate(fit.terms.terms) if not isinstance(term, Unnamed)]
-    assert [fit.terms.terms[k].label for k in named] == ["joint_compliance:joint2"]
-    (place,) = range(*fit.terms.slices[named[0]].indices(len(fit.values)))
-    std = np.sqrt(fit.covariance[place, place])
-    assert fit.values[place] == pytest.approx(3e-5, abs=4 * std)
-    assert std < 2e-6
 
 
 def unnamed(selection):
@@ -103,12 +90,3 @@ def test_a_process_is_uncertain_where_nothing_was_measured(swept):
             for at, functions in zip((inside_at, outside_at), (inside, outside), strict=True)
         ]
         assert std[1] > 3 * std[0]
-
-
-def test_a_process_survives_its_file(swept):
-    _, _, selection = swept
-    terms = selection.state.fit.terms
-    for effect, part in zip(terms.terms, terms.slices, strict=True):
-        again, values = effect_from_dict(effect_as_dict(effect, selection.state.fit.values[part]))
-        assert again == effect
-        np.testing.assert_array_equal(values, selection.state.fit.values[part])

@@ -47,17 +47,6 @@ def test_the_order_of_a_joint(arm, still, joint, order, within):
     assert np.linalg.norm(score.values - wanted) < 0.15 * 6e-4
 
 
-def test_the_spectrum_has_its_peak_there(arm, still):
-    made = with_effects(arm, "joint_harmonic:joint=4,order=63.3,amplitude_rad=6e-4,phase_rad=0.8")
-    against = evidence(made, still)
-    orders, gains = spectrum(against, against.problem.periodic[3])
-    assert orders[0] == 1.0
-    assert OPTIONS.highest_order - 1 < orders[-1] < OPTIONS.highest_order
-    assert abs(orders[np.argmax(gains)] - 63.3) < orders[1] - orders[0]
-    assert gains.max() > 5 * np.sort(gains[np.abs(orders - 63.3) > 2])[-1]
-    assert (gains >= 0).all()
-
-
 def taught(motion, grid):
     """The motion with joint positions at multiples of some degrees, as they are typed into a teach pendant."""
     return {**motion, "joint_position": np.radians(np.round(np.degrees(motion["joint_position"]) / grid) * grid)}
@@ -79,21 +68,6 @@ def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest_whole_
     found = as_likely(against, best.family, best.order, OPTIONS.close)
     assert others is None or [other for other, _ in found] == others
     assert max([gap for _, gap in found], default=0.0) < (0.5 if others is None else 1e-6)
-
-
-def test_a_joint_that_hardly_moves_has_no_other_order(arm, still):
-    at_rest = {**still, "joint_position": still["joint_position"].copy()}
-    at_rest["joint_position"][:, 1] = 0.3 + 1e-9 * np.arange(len(at_rest["joint_position"]))
-    against = evidence(arm, at_rest)
-    assert as_likely(against, against.problem.periodic[1], 2.0, OPTIONS.close) == []
-
-
-def test_orders_that_angles_tell_apart_are_no_alternatives(arm, still):
-    made = with_effects(arm, "joint_harmonic:joint=2,order=2,amplitude_rad=6e-4,phase_rad=0.8")
-    against = evidence(made, still)
-    family = against.problem.periodic[1]
-    assert as_likely(against, family, 2.0, OPTIONS.close) == []
-    assert len(as_likely(against, family, 2.0, 1e6)) > 1  # where nothing is asked of them there are
 
 
 def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):

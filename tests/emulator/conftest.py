@@ -8,9 +8,7 @@ import socket
 import warnings
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from emulated import Line
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.emulator import Body
@@ -70,15 +68,3 @@ def connect(imported_sdk):
             arm.disconnect()
     imported_sdk.XCONF.SocketConf.TCP_CONTROL_PORT = port
     socket.setdefaulttimeout(None)
-
-
-@pytest.fixture(scope="session")
-def joints():
-    """`(sample, 6)` rad within the limits of a Lite 6."""
-    lower, upper = load_bundled("lite6").joint_limits.T
-    return np.random.default_rng(7).uniform(lower, upper, (200, 6))
-
-
-@pytest.fixture(scope="session")
-def raw():
-    return Line

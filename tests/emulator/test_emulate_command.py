@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from emulated import new_address
+from live import new_host
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
@@ -22,7 +22,7 @@ PORT = "15020"
 
 def emulate(capsys, *arguments, width=80):
     return run(
-        capsys, "emulate", "--address", new_address(), "--control-port", PORT, "--duration", "0.05", *arguments,
+        capsys, "emulate", "--address", new_host(), "--control-port", PORT, "--duration", "0.05", *arguments,
         width=width,
     )  # fmt: skip
 
@@ -40,52 +40,6 @@ def test_it_says_where_it_listens_and_what_is_hidden(capsys):
     assert "Faults: latency:0.1." in said
     assert "XCONF.SocketConf.TCP_CONTROL_PORT = 15020" in said
     assert "Stop with Ctrl-C." in said
-
-
-def test_what_the_motors_feel_is_said(capsys):
-    code, out, err = emulate(
-        capsys, "--effect", "viscous_friction:joint=2,viscous_Nm_s_per_rad=3", "--effect", "payload_error:mass_kg=0.2",
-        "--torque-noise", "0.05", width=120,
-    )  # fmt: skip
-    assert (code, err) == (0, "")
-    said = flat(out)
-    assert "Hidden effects, in the torques viscous_friction at joint2: viscous_Nm_s_per_rad = 3" in said
-    assert "payload_error at payload: mass_kg = 0.2" in said
-    assert "Noise of the torques: 0.05 0.05 0.05 0.05 0.05 0.05 N m." in said
-    message = refused(capsys, "emulate", "--torque-noise", "0.1", "0.1")
-    assert message == "lite6: the noise of torques; give one Nm per joint, 6, 0 or more"
-
-
-def test_several_arms_each_with_its_file(capsys, tmp_path):
-    arm = load_bundled("lite6")
-    files = [write_factory(arm.kinematics + 1e-4 * k, tmp_path / f"arm{k}.yaml") for k in range(2)]
-    code, out, _ = emulate(capsys, "--factory", *files, "--tool-offset", "0", "0", "50", "0", "0", "0")
-    assert code == 0
-    assert out.count("An emulated lite6 at") == 2
-    assert "arm1.yaml" in out
-
-
-@pytest.mark.parametrize("name", ["xarm5", "xarm7", "uf850"])
-def test_other_arms_by_name(capsys, name):
-    code, out, _ = emulate(capsys, "--arm", name)
-    assert code == 0
-    assert f"An emulated {name} at" in flat(out)
-    assert re.search(rf"Try: lite6jax read --ip \S+ --arm {name}\n", out)
-
-
-def test_lines_to_be_copied_are_whole_however_narrow_the_screen(capsys):
-    code, out, _ = emulate(capsys, width=60)
-    assert code == 0
-    assert re.search(r'arm = XArmAPI\("127\.[\d.]+"\)$', out, re.MULTILINE)
-    assert "     and before it: from xarm.core.config.x_config import XCONF\n" in out
-
-
-def test_the_faults_are_listed(capsys):
-    code, out, _ = run(capsys, "emulate", "--faults", width=60)
-    assert code == 0
-    assert "silence:REGISTER" in out
-    assert "latency:S" in out
-    assert max(map(len, out.splitlines())) <= 60
 
 
 @pytest.mark.parametrize(
@@ -122,7 +76,7 @@ def test_a_prismatic_joint_is_refused_and_the_chain_without_it_is_not(capsys, tm
 
 def test_ctrl_c_ends_it(tmp_path):
     """As a process of its own, with a calibration that is read back from it, and exit code 130."""
-    arm, address = load_bundled("lite6"), new_address()
+    arm, address = load_bundled("lite6"), new_host()
     own = (arm.kinematics + 1e-3).astype(np.float32).astype(float)
     file = write_factory(own, tmp_path / "arm.yaml")
     command = [sys.executable, "-m", "lite6jax.cli", "emulate", "--factory", str(file), "--address", address]

@@ -34,20 +34,6 @@ def test_velocity_is_the_derivative_of_position(name):
     np.testing.assert_allclose(path.at(t)[1], slope, atol=1e-3 if name in ("move", "short move", "visits") else 1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in PATHS if np.isfinite(PATHS[name].duration)])
-def test_it_stands_before_and_after(name):
-    path = PATHS[name]
-    q, dq = path.at(np.array([path.duration + 1.0, path.duration + 1e-9]))
-    np.testing.assert_array_equal(q, [path.at(np.array([path.duration]))[0][0]] * 2)
-    assert not dq.any()
-
-
-def test_a_move_meets_both_ends_exactly():
-    path = PATHS["move"]
-    q, _ = path.at(np.array([0.0, path.duration]))
-    assert q.tolist() == [HERE.tolist(), THERE.tolist()]
-
-
 @given(st.floats(0.01, 3.1), st.floats(0.1, 20.0), st.floats(1e-6, 6.0))
 def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
     path = move(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
@@ -62,11 +48,6 @@ def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way)
     np.testing.assert_allclose(q[:, 1], -q[:, 0] / 3, atol=1e-12)  # in time with each other
 
 
-def test_servo_keeps_to_the_limit_of_speed():
-    assert servo(np.zeros(1), np.full(1, 1e-3), 0.004).duration == 0.004
-    assert servo(np.zeros(1), np.ones(1), 0.004).duration == pytest.approx(1 / np.pi)
-
-
 @pytest.mark.parametrize("name", ["lite6", "xarm5", "xarm7"])
 def test_programs_stay_within_limits_and_speed(name):
     arm = load_bundled(name)
@@ -79,24 +60,6 @@ def test_programs_stay_within_limits_and_speed(name):
         assert not path.at(np.zeros(1))[1].any()
         assert np.ptp(q, axis=0).min() > 1.0
     assert read_path("rest", arm) is None
-
-
-def test_programs_are_drawn_by_seed():
-    a, b, c = (read_path("poses", LITE6, seed).at(np.arange(50.0))[0] for seed in (1, 1, 2))
-    np.testing.assert_array_equal(a, b)
-    assert not np.allclose(a, c)
-
-
-def test_visits_go_round():
-    path = visit([HERE, THERE], pause=1.0)
-    turn = path.pieces.x[-1]
-    t = np.linspace(0, turn, 57)[:-1]
-    np.testing.assert_allclose(path.at(t)[0], path.at(t + 3 * turn)[0], atol=1e-9)
-    assert path.at(np.array([0.5]))[0][0].tolist() == HERE.tolist()
-
-
-def test_acceleration_of_the_arm():
-    assert pytest.approx(20.0, abs=0.01) == MAX_ACCELERATION
 
 
 # ------------------------------------------------------------------------------------------ one after the other
@@ -132,13 +95,6 @@ def test_stopping_brakes_and_forgets_the_rest():
     np.testing.assert_allclose(line.at(np.array([0.5]))[0], PATHS["move"].at(np.array([0.5]))[0])
 
 
-def test_a_timeline_does_not_grow_for_ever():
-    line = Timeline(np.zeros(1))
-    for k in range(5000):
-        line.append(servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
-    assert len(line._paths) < 1300
-
-
 # ------------------------------------------------------------------------------------------ from a file
 
 
@@ -153,19 +109,6 @@ def test_a_trajectory_is_played(tmp_path):
     path = read_path(recording(tmp_path / "run.csv", "\n".join(rows)), LITE6)
     assert path.duration == pytest.approx(5.9)
     np.testing.assert_allclose(path.at(np.array([2.0]))[0][0], [0.1 * np.sin(4), 0, 1, 0, 0, 0], atol=1e-9)
-
-
-def test_static_poses_are_visited(tmp_path):
-    rows = [",".join(f"q{i}_deg" for i in range(1, 7)), "0,0,60,0,0,0", "30,0,60,0,0,0"]
-    path = read_path(recording(tmp_path / "poses.csv", "\n".join(rows)), LITE6)
-    assert path.duration == np.inf
-    np.testing.assert_allclose(path.at(np.zeros(1))[0][0], np.deg2rad([0, 0, 60, 0, 0, 0]))
-
-
-def test_a_trajectory_of_one_row_is_a_place(tmp_path):
-    header = "time_s," + ",".join(f"q{i}_rad" for i in range(1, 7))
-    path = read_path(recording(tmp_path / "one.csv", f"{header}\n0,0,0,1,0,0,0"), LITE6)
-    np.testing.assert_array_equal(path.at(np.array([0.0, 50.0]))[0], [[0, 0, 1, 0, 0, 0]] * 2)
 
 
 @pytest.mark.parametrize(
@@ -194,8 +137,3 @@ def test_motions_that_are_too_fast_or_out_of_order(tmp_path):
     back = recording(tmp_path / "back.csv", "\n".join([header, "0,0,0,1,0,0,0", "0.2,0,0,1,0,0,0", "0.1,0,0,1,0,0,0"]))
     with pytest.raises(InputError, match="time does not increase from row to row; sort the rows, and keep one run"):
         read_path(back, LITE6)
-
-
-def test_neither_a_program_nor_a_file():
-    with pytest.raises(InputError, match="--motion 'dance': is neither rest, sines, poses nor a recording's file"):
-        read_path("dance", LITE6)

@@ -1,23 +1,19 @@
 """Every register as the unmodified SDK asks for it."""
 
-import struct
-
 import numpy as np
 import pytest
-from emulated import CONTROL_PORT, new_address, until
+from live import CONTROL_PORT, Line, new_host, until
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.emulator import Body, Controller, draw_sines
-from lite6jax.simulation import draw_calibration
+from lite6jax.emulator import Body, Controller
 from tests.oracles.chains import six_parameter_poses
-from tests.oracles.transforms import rotate, shift
 
 
 @pytest.fixture(scope="module")
 def controller(lite6):
-    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as running:
+    with Controller(lite6, address=new_host(), control_port=CONTROL_PORT, speed=5.0) as running:
         yield running
 
 
@@ -54,8 +50,8 @@ def test_version_and_serial_number(arm):
     assert arm.arm.control_box_sn == "DL1000230801E02"
 
 
-def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller, raw):
-    with raw(controller) as line:
+def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller):
+    with Line(controller) as line:
         message = line.ask(8)
     assert len(message) == 179
     assert message[:11] == bytes.fromhex("0001 0002 00AD 08 10 01 06 09".replace(" ", ""))
@@ -63,29 +59,6 @@ def test_the_calibration_is_served_while_the_sdk_is_connected(arm, controller, r
     np.testing.assert_array_equal(rows[:6], controller.body.kinematics.astype(np.float32))
     assert not rows[6].any()
     assert arm.connected
-
-
-@pytest.mark.parametrize(("name", "dof", "kind"), [("xarm5", 5, 5), ("xarm6", 6, 6), ("xarm7", 7, 7), ("uf850", 6, 12)])
-def test_other_arms(name, dof, kind, connect, raw):
-    nominal = load_bundled(name)
-    body = Body(nominal, draw_calibration(nominal, seed=2))
-    with Controller(body, address=new_address(), control_port=CONTROL_PORT) as controller:
-        arm = connect(controller)
-        assert (arm.axis, arm.device_type) == (dof, kind)
-        q = np.random.default_rng(0).uniform(*np.clip(nominal.joint_limits.T, -3, 3))
-        code, pose = arm.get_forward_kinematics([float(value) for value in q])
-        T = six_parameter_poses(body.kinematics, q[None])[0] @ nominal.T_joint_flange
-        assert code == 0
-        distance, turn = pose_difference(pose, T)
-        assert distance < 2e-4
-        assert turn < 2e-6
-        with raw(controller) as line:
-            message = line.ask(8)
-        assert message[8:11] == bytes([1, dof, kind])
-        rows = np.frombuffer(message[11:], "<f4").reshape(7, 6)
-        np.testing.assert_allclose(rows[:dof], body.kinematics, atol=1e-6)
-        until(lambda: arm.arm._first_report_over)
-        assert (arm.axis, arm.device_type) == (dof, kind)
 
 
 def test_the_dh_table_of_an_xarm6_is_the_one_the_vendor_prints(connect):
@@ -97,21 +70,10 @@ def test_the_dh_table_of_an_xarm6_is_the_one_the_vendor_prints(connect):
     )
     expected = np.frombuffer(printed, "<f4").reshape(7, 4)
     nominal = load_bundled("xarm6")
-    with Controller(Body(nominal, nominal.kinematics), address=new_address(), control_port=CONTROL_PORT) as controller:
+    with Controller(Body(nominal, nominal.kinematics), address=new_host(), control_port=CONTROL_PORT) as controller:
         code, table = connect(controller).get_dh_params()
     assert code == 0
     np.testing.assert_allclose(np.reshape(table, (7, 4)), expected, atol=2e-5)
-
-
-def test_the_dh_table_of_a_lite6_walks_its_nominal_chain(arm):
-    """Modified DH (Craig): Rx(alpha) Tx(a) Rz(theta) Tz(d) before each joint's turn goes on."""
-    code, table = arm.get_dh_params()
-    assert code == 0
-    q, T = np.array([0.3, -0.4, 1.2, 0.5, -0.6, 0.7]), np.eye(4)
-    for (theta, d, alpha, a), angle in zip(np.reshape(table, (7, 4)), q, strict=False):
-        T = T @ rotate("x", alpha) @ shift(a, 0, 0) @ rotate("z", theta + angle) @ shift(0, 0, d)
-    nominal = six_parameter_poses(load_bundled("lite6").kinematics, q[None])[0]
-    np.testing.assert_allclose(T[:3, 3] / 1e3, nominal[:3, 3], atol=1e-7)
 
 
 # ------------------------------------------------------------------------------------------ kinematics
@@ -136,23 +98,10 @@ def test_forward_kinematics_at_the_precision_of_the_wire(arm, controller):
     assert pose_difference(poses, T_rounded)[0].max() < 3.5e-5
 
 
-@pytest.mark.parametrize("degrees", [False, True])
-def test_degrees_and_radians(arm, controller, degrees):
-    q = [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
-    code, pose = arm.get_forward_kinematics(
-        q if degrees else np.deg2rad(q).tolist(), input_is_radian=not degrees, return_is_radian=True
-    )
-    assert code == 0
-    T = six_parameter_poses(controller.body.kinematics, np.deg2rad([q]))[0]
-    distance, turn = pose_difference(pose, T)
-    assert distance < 2e-4
-    assert turn < 2e-6
-
-
-def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, controller, raw):
-    reference = joints[:12] + 0.3
+def test_inverse_kinematics_goes_back_through_the_forward_one(arm, controller):
     lower, upper = controller.body.arm.joint_limits.T
-    for q, near in zip(joints[:12], np.clip(reference, lower, upper), strict=True):
+    joints = np.random.default_rng(7).uniform(lower, upper, (12, 6))
+    for q, near in zip(joints, np.clip(joints + 0.3, lower, upper), strict=True):
         pose = arm.get_forward_kinematics(q.tolist())[1]
         code, found = arm.get_inverse_kinematics(pose)
         assert code == 0
@@ -160,44 +109,11 @@ def test_inverse_kinematics_goes_back_through_the_forward_one(arm, joints, contr
         back = np.array(arm.get_forward_kinematics(found)[1])
         assert np.linalg.norm(back[:3] - pose[:3]) < 2e-3
         # firmware 2.7.103 on takes a reference to stay near; the SDK decides by the version whether it sends one
-        with raw(controller) as line:
+        with Line(controller) as line:
             asked = protocol.encode_floats(pose) + b"\1" + protocol.encode_floats(protocol.pad_joints(near))
             given = np.frombuffer(line.send(protocol.Frame(43, asked))[8:], "<f4")
         there = six_parameter_poses(controller.body.kinematics, given[None, :6])[0, :3, 3]
         np.testing.assert_allclose(1e3 * there, pose[:3], atol=2e-3)
-
-
-def test_no_inverse_kinematics_out_of_reach(arm):
-    code, _ = arm.get_inverse_kinematics([5000, 0, 0, 0, 0, 0])
-    assert code == 10  # the SDK's "invalid"
-
-
-def test_joint_limits(arm):
-    inside = [0, 0, 1, 0, 0, 0]
-    assert arm.is_joint_limit(inside) == (0, False)
-    assert arm.is_joint_limit([0, np.deg2rad(150.09), 1, 0, 0, 0]) == (0, False)
-    assert arm.is_joint_limit([0, np.deg2rad(150.2), 1, 0, 0, 0]) == (0, True)
-    assert arm.is_joint_limit([0, 0, np.deg2rad(-4), 0, 0, 0]) == (0, True)
-
-
-def test_torques_hold_the_arm_up(ready, controller):
-    """Against the gradient of the potential energy by finite differences."""
-    body = controller.body
-    assert ready.set_servo_angle(angle=[0.3, 0.4, 1.0, 0.2, -0.5, 0.1], speed=3, wait=True) == 0
-    code, torque = ready.get_joints_torque()
-    assert code == 0
-
-    def energy(q):
-        T, total = np.eye(4), 0.0
-        for row, angle, mass, centre in zip(body.kinematics, q, body.arm.mass, body.arm.center_of_mass, strict=True):
-            T = T @ six_parameter_poses(row[None], np.array([[angle]]))[0]
-            total += mass * 9.81 * (T[:3, :3] @ centre + T[:3, 3])[2]
-        return total
-
-    q, h = np.array([0.3, 0.4, 1.0, 0.2, -0.5, 0.1]), 1e-5
-    gradient = [(energy(q + h * e) - energy(q - h * e)) / (2 * h) for e in np.eye(6)]
-    np.testing.assert_allclose(torque[:6], gradient, atol=2e-5)
-    assert torque[6] == 0
 
 
 def test_tool_offset_and_payload(ready, controller):
@@ -221,24 +137,6 @@ def test_tool_offset_and_payload(ready, controller):
 # ------------------------------------------------------------------------------------------ states and moves
 
 
-def test_a_controller_that_was_just_switched_on(lite6, connect):
-    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
-        arm = connect(controller)
-        assert arm.get_state() == (0, 4)
-        assert arm.get_err_warn_code() == (0, [0, 0])
-        assert arm.get_cmdnum() == (0, 0)
-        assert arm.get_position()[0] == 0
-        # reads work, and nothing moves
-        assert arm.set_servo_angle(angle=[0.5, 0, 1, 0, 0, 0]) == -2  # the SDK: not ready
-        assert arm.get_servo_angle() == (0, [0] * 7)
-        assert arm.motion_enable(True) == 0
-        assert arm.set_state(0) == 0
-        assert arm.get_state() == (0, 2)
-        assert arm.motion_enable(False, servo_id=3) == 0
-        assert arm.set_state(0) == 0
-        assert arm.get_state() == (0, 4)
-
-
 def test_a_move_takes_the_time_of_its_limits(ready, controller):
     """A trapezoid: way over speed plus speed over acceleration; the emulated clock says how long it took."""
     assert ready.set_servo_angle(angle=[0] * 6, speed=3, wait=True) == 0
@@ -254,64 +152,10 @@ def test_a_move_takes_the_time_of_its_limits(ready, controller):
     until(lambda: np.allclose(ready.get_servo_angle(is_real=True)[1], there, rtol=0, atol=1e-6))  # servos follow
 
 
-def test_moves_queue_up_and_are_waited_for(ready, controller):
-    goals = [[0.2, 0.1, 0.5, 0, 0, 0], [0.4, -0.1, 0.9, 0, 0.2, 0], [0, 0, 0, 0, 0, 0]]
-    for goal in goals[:-1]:
-        assert ready.set_servo_angle(angle=goal, speed=0.3, radius=10) == 0  # register 24
-    assert ready.get_cmdnum()[1] >= 1
-    assert ready.set_servo_angle(angle=goals[-1], speed=1.0, wait=True) == 0  # told of by feedback
-    assert ready.get_cmdnum() == (0, 0)
-    assert ready.get_servo_angle()[1] == [0] * 7
-    assert controller.snapshot().requests[24] >= 2
-    assert controller.snapshot().requests[254] >= 2
-    assert ready.arm.wait_all_task_finish(timeout=5) == 0  # register 253
-    assert controller.snapshot().requests[253] >= 1
-
-
-def test_a_move_that_is_only_to_be_checked_does_not_happen(ready, raw, controller):
-    ready.set_only_check_type(1)
-    assert ready.set_servo_angle(angle=[0.5, 0, 0.5, 0, 0, 0], speed=1) == 0
-    ready.set_only_check_type(0)
-    assert ready.get_cmdnum() == (0, 0)
-    beyond = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]) + b"\1")
-    with raw(controller) as line:
-        assert line.send(beyond)[7:] == bytes([0, 0, 0, 23])
-    assert ready.get_err_warn_code() == (0, [0, 0])
-
-
-def test_home(ready):
-    assert ready.set_servo_angle(angle=[0.3] * 6, speed=3, wait=True) == 0
-    assert ready.move_gohome(speed=3, wait=True) == 0
-    assert ready.get_servo_angle()[1] == [0] * 7
-
-
-def test_pause_goes_on_and_stop_does_not(ready):
-    goal = [1.5, 0, 1.0, 0, 0, 0]
-    assert ready.set_servo_angle(angle=goal, speed=0.2) == 0  # 7.5 s, 1.5 s of ours
-    until(lambda: ready.get_servo_angle()[1][0] > 0.1)
-    assert ready.set_state(3) == 0
-    assert ready.get_state() == (0, 3)
-    until(lambda: np.ptp([ready.get_servo_angle(is_real=True)[1][0] for _ in range(3)]) == 0)
-    halfway = ready.get_servo_angle()[1][0]
-    assert 0 < halfway < 1.5
-    assert ready.set_state(0) == 0
-    assert ready.get_state() == (0, 1)
-    until(lambda: ready.get_state() == (0, 2))
-    np.testing.assert_allclose(ready.get_servo_angle()[1][:6], goal, atol=1e-6)
-    assert ready.set_servo_angle(angle=[0] * 6, speed=0.2) == 0
-    assert ready.set_servo_angle(angle=goal, speed=0.2) == 0
-    until(lambda: ready.get_servo_angle()[1][0] < 1.4)
-    assert ready.set_state(4) == 0
-    assert ready.get_cmdnum() == (0, 0)
-    assert ready.get_state() == (0, 4)
-    until(lambda: np.ptp([ready.get_servo_angle(is_real=True)[1][0] for _ in range(3)]) == 0)
-    assert 0 < ready.get_servo_angle()[1][0] < 1.5
-
-
-def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller, raw):
+def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller):
     assert ready.set_servo_angle(angle=[0, 2.7, 1, 0, 0, 0]) == -8  # the SDK looks itself
     message = protocol.Frame(23, protocol.encode_floats([0, 2.7, 1, 0, 0, 0, 0, 1, 1, 0]))
-    with raw(controller) as line:
+    with Line(controller) as line:
         status = line.send(message)[7]
     assert status & 0x50 == 0x50
     assert ready.get_err_warn_code() == (0, [23, 0])
@@ -324,64 +168,12 @@ def test_a_joint_beyond_its_limit_is_an_error_that_stops_it(ready, controller, r
     assert ready.get_state() == (0, 2)
 
 
-def test_servo_mode_follows_at_once_within_the_limit_of_speed(ready, controller):
-    assert ready.set_servo_angle(angle=[0] * 6, speed=3, wait=True) == 0
-    assert ready.set_mode(1) == 0
-    assert ready.set_state(0) == 0
-    until(lambda: ready.mode == 1)
-    assert ready.set_servo_angle_j([0.005, 0, 0.01, 0, 0, 0]) == 0
-    until(lambda: ready.get_servo_angle()[1][2] == pytest.approx(0.01, abs=1e-6))
-    assert ready.set_servo_angle_j([1.0, 0, 0.5, 0, 0, 0]) == 0
-    duration = controller.call(lambda core: core.timeline._paths[-1][1].duration)
-    assert duration == pytest.approx(0.995 / np.pi, rel=1e-5)
-    until(lambda: ready.get_servo_angle(is_real=True)[1][0] == pytest.approx(1.0, abs=1e-6))
-    # a move of position mode is refused here, and the other way round
-    assert ready.set_servo_angle(angle=[0] * 6, speed=1) == 10
-    assert ready.set_mode(0) == 0
-    assert ready.set_state(0) == 0
-    assert ready.set_servo_angle_j([0] * 6) == 10
-
-
-def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
-    """The SDK's trap: `get_servo_angle` gives commands unless asked for the real ones."""
-    path = draw_sines(lite6.arm, seed=3)
-    with Controller(lite6, path=path, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as controller:
-        arm = connect(controller)
-        until(lambda: controller.snapshot().time > 1.5)
-        frozen = 1.7
-        commanded, measured = controller.call(
-            lambda core: (core.read_commands(np.array([frozen]))[0][0], core.read_encoders(np.array([frozen]))[0][0])
-        )
-        assert np.abs(commanded - measured).max() > 1e-3
-        np.testing.assert_allclose(commanded, path.at(np.array([frozen]))[0][0])
-        np.testing.assert_allclose(measured, path.at(np.array([frozen - 0.008]))[0][0])
-        code, (q, dq, tau) = arm.get_joint_states(num=3)
-        assert code == 0
-        assert len(q) == len(dq) == len(tau) == 7
-        assert np.abs(dq).max() > 0.01
-        assert arm.get_state() == (0, 1)
-        # to stop what it does takes the usual
-        assert arm.set_state(4) == 0
-        assert arm.get_state() == (0, 4)
-
-
-def test_a_discarded_move_is_told_of(ready, raw, controller):
-    with raw(controller) as line:
-        assert line.send(protocol.Frame(254, b"\2"))[7] == 0
-        far = protocol.Frame(23, protocol.encode_floats([1, 0, 1, 0, 0, 0, 0, 0.1, 1, 0]), transaction=77)
-        assert line.send(far)[6] == 23
-        assert ready.set_state(4) == 0
-        told = line.receive()
-    assert struct.unpack(">H", told[:2]) == (77,)
-    assert (told[6], told[8], told[9], told[12]) == (0xFF, 2, 23, 2)
-
-
 # ------------------------------------------------------------------------------------------ what is not emulated
 
 
-def test_what_is_not_emulated_is_called_invalid(arm, raw, controller):
+def test_what_is_not_emulated_is_called_invalid(arm, controller):
     assert arm.get_gripper_position()[0] != 0
-    with raw(controller) as line:
+    with Line(controller) as line:
         assert line.send(protocol.Frame(199))[7] & 8
         assert line.send(protocol.Frame(44, bytes(5)))[7] & 8  # a size that is none
         assert line.send(protocol.Frame(11))[7] & 8
@@ -389,24 +181,13 @@ def test_what_is_not_emulated_is_called_invalid(arm, raw, controller):
         assert line.ask(13)[8] in (1, 2, 4, 5)
 
 
-def test_standard_modbus_is_answered_with_an_exception(arm):
-    """Silence would hold the SDK for 10 000 s."""
-    assert arm.read_holding_registers(0, 1)[0] == 0x81
-
-
-def test_a_heartbeat_is_not_answered(raw, controller):
-    with raw(controller) as line:
-        line.socket.sendall(bytes([0, 0, 0, 1, 0, 2, 0, 0]))
-        assert line.ask(13)[6] == 13
-
-
-def test_garbage_on_the_control_port_hangs_up(raw, controller):
+def test_garbage_on_the_control_port_hangs_up(controller):
     rng = np.random.default_rng(0)
-    with raw(controller) as line:
+    with Line(controller) as line:
         line.socket.sendall(bytes(64))
         assert line.socket.recv(10) == b""
     for size in range(0, 200, 7):
-        with raw(controller) as line:
+        with Line(controller) as line:
             line.socket.sendall(rng.bytes(size))
-    with raw(controller) as line:
+    with Line(controller) as line:
         assert line.ask(13)[6] == 13

@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from emulated import CONTROL_PORT, new_address, read_reports
 from scipy.stats import kstest
 
-from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, Controller, draw_sines
+from lite6jax.emulator import Body, draw_sines
 from lite6jax.emulator.body import Load, Sample
 from lite6jax.emulator.core import Core
 from lite6jax.errors import InputError
@@ -58,13 +56,6 @@ def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
         carried = Load(TOOL, payload, CENTER)
         found = body.torque(sample, ddq, carried)
         np.testing.assert_allclose(found, by_pinocchio(body, sample, ddq, payload, CENTER), atol=1e-12)
-
-
-def test_without_masses_there_are_no_torques(lite6):
-    body = Body(replace(lite6.arm, mass=None, center_of_mass=None, inertia=None), lite6.kinematics)
-    assert not body.torque(*moved(), Load(TOOL, 0.7, CENTER)).any()
-    with pytest.raises(InputError, match="has no masses, which torques need; add `inertial` to its description"):
-        with_effects(body, "torque_offset:joint=1,offset_Nm=1")
 
 
 def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
@@ -126,19 +117,6 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
     assert np.abs(late.torque(time) - plain.torque(time)).max() > 1e-2
 
 
-def test_the_torque_of_one_joint_is_late(arm, lite6):
-    path = draw_sines(arm, seed=5)
-    rigid = Body(arm, lite6.kinematics)
-    late, plain = Core(with_effects(rigid, "torque_lag:joint=2,lag_s=0.02")), Core(rigid)
-    for core in (late, plain):
-        core.follow(path)
-    time = np.linspace(1.0, 2.0, 50)
-    expected = plain.torque(time)
-    expected[:, 1] = plain.torque(time - 0.02)[:, 1]
-    np.testing.assert_allclose(late.torque(time), expected, atol=1e-12)
-    assert np.abs(late.torque(time) - plain.torque(time)).max() > 1e-2
-
-
 def test_noise_is_normal_white_and_that_of_its_instant(arm, lite6):
     sigma = np.array([0.06, 0.08, 0.05, 0.02, 0.02, 0.015])
     core = Core(Body(arm, lite6.kinematics, torque_noise=sigma))
@@ -150,21 +128,6 @@ def test_noise_is_normal_white_and_that_of_its_instant(arm, lite6):
     assert np.abs(of_joints).max() < 0.06
     assert np.abs([np.corrcoef(n[1:], n[:-1])[0, 1] for n in noise.T]).max() < 0.06
     np.testing.assert_array_equal(core.torque(time[7:9]), core.torque(time)[7:9])
-
-
-def test_the_reports_carry_friction_and_noise(arm, lite6):
-    body = with_effects(
-        Body(arm, lite6.kinematics), "viscous_friction:joint=1,viscous_Nm_s_per_rad=20", torque_noise=np.full(6, 0.01)
-    )
-    path = draw_sines(arm, seed=5)
-    with Controller(body, path=path, address=new_address(), control_port=CONTROL_PORT, speed=40.0) as controller:
-        read = read_reports(controller, protocol.REALTIME, 500)
-    time = (read["time_us"].astype(np.int64) - 60_000_000) / 1e6
-    plain = Core(Body(arm, lite6.kinematics), path=path)
-    friction = read["torque"][:, :6] - plain.torque(time)
-    friction[:, 0] -= 20 * read["joint_velocity"][:, 0]
-    assert np.abs(friction).max() < 0.06
-    np.testing.assert_allclose(friction.std(0), 0.01, rtol=0.15)
 
 
 @pytest.mark.parametrize(

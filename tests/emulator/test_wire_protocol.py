@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Calibration, Frame, Identity, MalformedError, Register, Status
+from lite6jax.controller.protocol import Calibration, Frame, MalformedError, Register, Status
 
 
 def bytes_of(text):
@@ -24,10 +24,6 @@ MOVE = bytes_of(
     "C2 B8 B2 3E 58 A0 0B 41 00 00 00 00"
 )
 POSE = bytes_of("00 01 00 02 00 1A 29 10 43 00 4F 43 B4 CE 18 3A 3A 00 E0 42 DB 0F 49 40 FD AD 80 B6 7C D9 20 37")
-VERSION = bytes_of(
-    "00 01 00 02 00 2A 01 00 36 2C 36 2C 58 49 31 32 30 32 2C 41 43 31 33 30 32 2C 76 31 2E 31 32 2E 31 30"
-    "00 00 00 00 00 00 00 00 00 00 00 00 00 00"
-)
 
 
 def only(received):
@@ -66,11 +62,6 @@ def test_a_reply_echoes_transaction_and_protocol():
     assert asked.reply(b"\x02", Status.ERROR).encode() == bytes_of("FF FF 00 03 00 03 0D 40 02")
 
 
-@pytest.mark.parametrize(("bit", "value"), [("INVALID", 8), ("CANNOT_MOVE", 16), ("WARNING", 32), ("ERROR", 64)])
-def test_bits_of_the_status(bit, value):
-    assert Status[bit] == value
-
-
 @given(st.lists(st.tuples(st.integers(0, 65535), st.integers(0, 255), st.binary(max_size=60)), max_size=5), st.data())
 def test_frames_survive_any_fragmentation(messages, data):
     frames = [Frame(register, body, transaction) for transaction, register, body in messages]
@@ -85,28 +76,6 @@ def test_frames_survive_any_fragmentation(messages, data):
     assert not buffer
 
 
-def test_a_frame_without_a_register_is_none():
-    with pytest.raises(MalformedError, match="length 0"):
-        list(protocol.take_frames(bytearray(6)))
-
-
-def test_the_version_is_forty_bytes_of_text():
-    lite6 = Identity(6, 9, "LI1006", "DL1000", (2, 7, 1))
-    assert lite6.encode() == b"6,9,LI1006,DL1000,v2.7.1".ljust(40, b"\0")
-    assert Frame(1, b"\0" + Identity(6, 6, "XI1202", "AC1302", (1, 12, 10)).encode()).encode() == VERSION
-    with pytest.raises(ValueError, match="not shorter than 40"):
-        Identity(6, 9, "L" * 20, "D" * 20, (2, 7, 1)).encode()
-
-
-def test_serial_numbers():
-    # register 2 as printed: the arm's, NUL, the box's, a line feed
-    printed = bytes_of(
-        "58 49 31 32 30 32 30 34 32 30 31 42 30 32 00 41 43 31 33 30 32 30 32 42 30 32 4C 30 32 0A 00 00 00 00 00"
-        "00 00 00 00 00"
-    )
-    assert protocol.encode_text("XI120204201B02\0AC130202B02L02\n") == printed
-
-
 def test_the_calibration_reply_is_179_bytes():
     rows = np.arange(36.0).reshape(6, 6) / 64  # exact in fp32
     message = protocol.Frame(Register.CALIBRATION).reply(Calibration(1, 6, 9, rows).encode()).encode()
@@ -118,25 +87,6 @@ def test_the_calibration_reply_is_179_bytes():
     np.testing.assert_array_equal(read.rows, [*rows, np.zeros(6)])
     with pytest.raises(MalformedError, match="170 bytes"):
         Calibration.decode(bytes(170))
-
-
-def test_the_calibration_of_seven_joints_fills_it():
-    rows = np.random.default_rng(0).normal(size=(7, 6)).astype(np.float32).astype(float)
-    read = Calibration.decode(Calibration(1, 7, 7, rows).encode())
-    np.testing.assert_array_equal(read.rows, rows)
-
-
-def test_what_floats_are_refused():
-    with pytest.raises(MalformedError, match="must be 8"):
-        protocol.read_floats(bytes(7), 2)
-    with pytest.raises(MalformedError, match="must be 24"):
-        protocol.read_floats(bytes(28), 6)
-    assert protocol.read_floats(bytes(8), 2).tolist() == [0, 0]
-
-
-def test_joints_are_always_seven():
-    np.testing.assert_array_equal(protocol.pad_joints(np.ones((2, 5))), [[1, 1, 1, 1, 1, 0, 0]] * 2)
-    assert protocol.pad_joints(np.ones(7)).tolist() == [1] * 7
 
 
 def test_poses_are_millimetres_and_fixed_angles():
@@ -154,43 +104,7 @@ def test_poses_are_millimetres_and_fixed_angles():
     np.testing.assert_array_equal(rotation_vector[:, :3], pose[:, :3])
 
 
-@pytest.mark.parametrize("turn", [(0, 0, 0), (np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (1e-9, 0, 0), (3.1, 0.1, 0)])
-def test_axis_and_angle_at_their_ends(turn):
-    R = Rotation.from_rotvec(turn)
-    T = np.eye(4)
-    T[:3, :3] = R.as_matrix()
-    vector = protocol.encode_axis_angle(protocol.read_pose(protocol.encode_pose(T)))[3:]
-    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), R.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(vector), np.linalg.norm(turn), atol=1e-12)
-
-
-def test_feedback_is_where_the_sdk_reads_it():
-    """The SDK's documentation of a feedback's bytes."""
-    command = protocol.Frame(Register.MOVE_JOINTS, transaction=0x0A0B, protocol=3)
-    told = protocol.encode_feedback(command, protocol.MOTION_ENDED, 2, 1_000_000, task=7).encode()
-    assert struct.unpack(">H", told[0:2]) == (0x0A0B,)
-    assert struct.unpack(">H", told[4:6]) == (len(told) - 6,)
-    assert (told[6], told[8], told[9], told[12]) == (0xFF, 2, 23, 2)
-    assert struct.unpack(">H", told[10:12]) == (7,)
-    assert struct.unpack(">Q", told[13:21]) == (1_000_000,)
-
-
 # The offsets of lite6.md, and the first bytes of the vendor's table of port 30000.
-OFFSETS = [
-    (30000, "time_us", 4), (30000, "target_position", 32), (30000, "joint_position", 116),
-    (30000, "joint_velocity", 144), (30000, "joint_acceleration", 172), (30000, "current", 200),
-    (30000, "torque", 228), (30000, "target_pose", 424), (30000, "pose", 472),
-    (30001, "tool_offset", 91), (30002, "tool_offset", 91), (30002, "temperature", 245), (30002, "current", 355),
-    (30003, "state_mode", 4), (30003, "commands", 5), (30003, "joint_position", 7), (30003, "pose", 35),
-    (30003, "torque", 59),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("port", "field", "offset"), OFFSETS)
-def test_where_fields_stand(port, field, offset):
-    fields = protocol.report_layout(port).fields
-    assert fields is not None
-    assert fields[field][1] == offset
 
 
 SDK_NAMES = {
@@ -237,40 +151,6 @@ def test_reports_are_laid_out_as_the_sdk_reads_them(port, sdk_reports):
     whole = ctypes.sizeof(theirs)
     # newer firmware appends general inputs and outputs to port 30000
     assert layout.itemsize == {30000: whole - 20}.get(port, whole)
-
-
-@pytest.mark.parametrize("port", list(protocol.RATES))
-def test_reports_are_read_as_written(port):
-    rng = np.random.default_rng(port)
-    records = np.zeros(3, protocol.report_layout(port))
-    records["length"] = protocol.LENGTHS[port]
-    records["joint_position"] = rng.normal(size=(3, 7))
-    records["pose"] = rng.normal(size=(3, 6))
-    records["state_mode"] = 0x12
-    buffer = bytearray(records.tobytes()) + b"\0\0"
-    reports = list(protocol.take_reports(buffer))
-    assert buffer == b"\0\0"
-    for report, record in zip(reports, records, strict=True):
-        read = np.frombuffer(report, protocol.report_layout(port))[0]
-        np.testing.assert_array_equal(read["joint_position"], record["joint_position"])
-        np.testing.assert_array_equal(read["pose"], record["pose"])
-        assert read["state_mode"] == 0x12
-
-
-def test_the_clock_is_a_big_endian_number_of_microseconds():
-    record = np.zeros(1, protocol.report_layout(30000))
-    record["time_us"] = 0x0102030405060708
-    record["length"] = 784
-    assert record.tobytes()[:12] == bytes_of("00 00 03 10 01 02 03 04 05 06 07 08")
-
-
-def test_longer_and_shorter_reports_are_read_as_far_as_they_go():
-    assert "current" not in (protocol.report_layout(30002, 245).names or ())
-    assert "tool_offset" in (protocol.report_layout(30002, 245).names or ())
-    assert protocol.report_layout(30000, 804).itemsize == 804
-    assert protocol.report_layout(30003, 87).names == protocol.report_layout(30003).names
-    with pytest.raises(MalformedError, match="a report of 80 bytes on port 30003; it has 135"):
-        protocol.report_layout(30003, 80)
 
 
 @pytest.mark.parametrize("start", [b"\0\0\0\0", b"\0\0\0\4", b"\xff\0\0\0", b"GET "])

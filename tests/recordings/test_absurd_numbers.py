@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from lite6jax.domains.pose.fit import fit_recording
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, read_recording, read_targets
-from tests.damaged import CSV, LITE6, SAMPLES, recording
+from lite6jax.recordings import read_recording, read_targets
+from tests.damaged import CSV, SAMPLES
 
 ROW = 20
 ABSURD = [
@@ -55,22 +54,6 @@ def test_the_row_of_an_absurd_number_is_dropped_and_named(written, column, value
         np.testing.assert_array_equal(actual[name], array, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    ("column", "value"), [("x_m", "-0"), ("x_m", "99"), ("q2_rad", "6283"), ("z_m", "1e-320"), ("time_s", "9e8")]
-)
-def test_what_a_sensor_could_give_is_kept(written, column, value):
-    read = read_recording(written((ROW, column, value)))
-    assert read.samples == SAMPLES
-    assert read.columns()[column][ROW - 1] == float(value)
-
-
-def test_the_fit_is_that_of_the_other_rows(written):
-    limits = {"joint_limits": LITE6.joint_limits, "reach": LITE6.reach}
-    expected = fit_recording(read_recording(written((ROW, "x_m", "")), **limits))
-    found = fit_recording(read_recording(written((ROW, "x_m", "1e15")), **limits))
-    np.testing.assert_array_equal(found.parameters, expected.parameters)
-
-
 def test_many_rows_are_listed_and_over_half_are_an_error(written):
     rows = range(2, 42, 2)
     notes = read_recording(written(*((row, "y_m", "1e9") for row in rows))).notes
@@ -84,51 +67,6 @@ def test_many_rows_are_listed_and_over_half_are_an_error(written):
         "59 of 60 rows have numbers beyond any arm or sensor (1e+09 in column q1_rad, row 1); check the unit and the "
         "column"
     )
-
-
-def test_positions_in_millimetres_are_asked_about_and_not_dropped(written):
-    cells = [(row, name, str(300 * row)) for row in range(1, SAMPLES + 1) for name in ("x_m", "y_m", "z_m")]
-    with pytest.raises(InputError, match="are these millimetres"):
-        read_recording(written(*cells), reach=LITE6.reach)
-
-
-def test_velocities_and_times_beside_an_absurd_number_are_those_without_its_row(tmp_path):
-    time = 1.75e9 + 0.1 * np.arange(20)
-    q = np.sin(np.arange(20.0))[:, None]
-    spoiled = {"q1_rad": q[:, 0].copy(), "time_s": time.copy()}
-    spoiled["q1_rad"][7], spoiled["time_s"][11] = 1e300, -1e300
-    read = Recording.from_dataframe(spoiled, motion="trajectory")
-    empty = {
-        "q1_rad": np.where(np.arange(20) == 7, np.nan, q[:, 0]),
-        "time_s": np.where(np.arange(20) == 11, np.nan, time),
-    }
-    expected = Recording.from_dataframe(empty, motion="trajectory")
-    np.testing.assert_array_equal(read.time, expected.time)
-    assert read.time[0] == 0
-    np.testing.assert_array_equal(read.joint_velocity, expected.joint_velocity)
-
-
-def test_arrays_are_treated_as_files_are():
-    whole = recording()
-    position = whole.position.copy()
-    position[ROW - 1, 2] = 1e200
-    read = Recording.from_arrays(whole.joint_position, position)
-    assert ROW not in read.row
-    assert read.notes[0].endswith(f"1e+200 in column z_m, row {ROW}")
-
-
-@pytest.mark.parametrize(
-    ("column", "absurd", "kept"), [("tau2_Nm", 1.1e5, 9e4), ("tau1_mNm", -1.1e8, 9e7), ("ddq1_rad_per_s2", 1e8, 1e6)]
-)
-def test_rows_of_torques_and_accelerations_that_no_arm_has_are_dropped(column, absurd, kept):
-    table = {"q1_rad": np.zeros(9), "q2_rad": np.zeros(9)}
-    quantity, unit = column.split("_", 1)
-    table |= {f"{quantity[:-1]}{joint}_{unit}": np.zeros(9) for joint in (1, 2)}
-    table[column][4], table[column][7] = absurd, kept
-    read = Recording.from_dataframe(table)
-    assert read.row.tolist() == [1, 2, 3, 4, 6, 7, 8, 9]
-    si = absurd / 1e3 if unit == "mNm" else absurd
-    assert read.notes[0] == (f"numbers beyond any arm or sensor count as missing: {si:.5g} in column {column}, row 5")
 
 
 def test_a_target_that_is_absurd_is_a_target_without_a_value(tmp_path):

@@ -100,22 +100,6 @@ def test_a_recording_is_written_that_the_other_commands_read(cv2, tmp_path, caps
     assert np.isfinite(found.position).all()
 
 
-def test_images_are_matched_by_name_where_a_column_has_it(cv2, tmp_path, capsys):
-    T = poses(5)
-    write_images(cv2, tmp_path / "images", T)
-    names = [f"image{k}.png" for k in (4, 2, 0, 1, 3)]
-    q = write_joints(tmp_path / "joints.csv", names, 5)
-    given = "camera={mounted: on_flange, fx: 900, fy: 905, cx: 410, cy: 300}"
-    command = ["detect", str(tmp_path / "images"), "--board", "charuco:7x5,20mm,15mm,4X4_50", "--set", given]
-    out = tmp_path / "run.csv"
-    assert main([*command, "--joints", str(tmp_path / "joints.csv"), "--out", str(out)]) == 0
-    found = recordings.read_recording(out)
-    np.testing.assert_allclose(found.joint_position, q[[2, 3, 1, 4, 0]])
-    assert found.settings.camera is not None
-    assert found.settings.camera.mounted == "on_flange"
-    assert "calibrated" not in capsys.readouterr().out
-
-
 def test_joints_that_do_not_match_are_refused(tmp_path):
     images = [tmp_path / f"image{k}.png" for k in range(3)]
     write_joints(tmp_path / "joints.csv", rows=4)
@@ -127,20 +111,6 @@ def test_joints_that_do_not_match_are_refused(tmp_path):
     write_joints(tmp_path / "joints.csv", ["image0", "image0", "image2"], 3)
     with pytest.raises(InputError, match="rows 1 and 2 are both of image image0"):
         boards.match_rows(images, tmp_path / "joints.csv")
-
-
-@pytest.mark.parametrize(
-    ("board", "said"),
-    [
-        ("chessboard:7x5,20mm", "write charuco:COLUMNSxROWS"),
-        ("charuco:2x5,20mm", "3 squares or more"),
-        ("charuco:7x5,20mm,20mm", "markers smaller"),
-        ("charuco:7x5,2.0.0mm", "give sides in mm"),
-    ],
-)
-def test_boards_of_another_form_are_refused(board, said):
-    with pytest.raises(InputError, match=said):
-        boards.parse_board(board)
 
 
 def test_what_shows_no_board_ends_in_one_line(cv2, tmp_path, capsys):
@@ -157,15 +127,3 @@ def test_what_shows_no_board_ends_in_one_line(cv2, tmp_path, capsys):
         assert said in error
         assert error.count("\n") == 1
     assert not (tmp_path / "joints_corners.csv").exists()
-
-
-def test_without_opencv_one_line_says_what_to_install(tmp_path, capsys, monkeypatch):
-    def missing(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(boards, "import_module", missing)
-    (tmp_path / "a.png").write_bytes(b"")
-    write_joints(tmp_path / "joints.csv", rows=1)
-    command = ["detect", str(tmp_path / "a.png"), "--joints", str(tmp_path / "joints.csv")]
-    assert main([*command, "--board", "charuco:7x5,20mm"]) == 2
-    assert "pip install 'lite6jax[camera]'" in capsys.readouterr().err

@@ -1,13 +1,11 @@
 """A column of times may be a clock's: as text in forms of one meaning, or as timestamps of a table."""
 
-import json
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from typed import flat, run
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, read_targets
@@ -94,32 +92,3 @@ def test_timestamps_of_tables_are_read_alike(tmp_path, unit, zone):
     frame = Recording.from_dataframe(pa.table(table), motion="static")
     np.testing.assert_allclose(frame.time, SECONDS, rtol=1e-15)
     assert "counted from the first, 2026-11-21T23:59:59.500" in frame.notes[0]
-
-
-def test_text_of_tables_is_read_alike(tmp_path):
-    table = {"time_s": stamps(FORMS["zone"]), "q1_rad": [0.1] * 4}
-    path = tmp_path / "run7.parquet"
-    pq.write_table(pa.table(table), path)
-    np.testing.assert_allclose(read_recording(path).time, SECONDS, rtol=1e-15)
-    np.testing.assert_allclose(Recording.from_dataframe(table, motion="static").time, SECONDS, rtol=1e-15)
-    with pytest.raises(InputError, match="column q1_rad: holds string, not numbers"):
-        Recording.from_dataframe({"time_s": [0.0], "q1_rad": ["2026-11-21T10:00:00"]})
-
-
-def test_init_recognises_a_clock(tmp_path, capsys):
-    path = tmp_path / "log.csv"
-    rows = [f"{time},{0.1 * k},{0.2 * k},ok" for k, time in enumerate(stamps(FORMS["zone"]))]
-    path.write_text("\n".join(["timestamp,joint1,joint2,state", *rows]) + "\n")
-    code, out, _ = run(capsys, "init", path, "--yes", width=200)
-    assert code == 0
-    assert "Time: timestamp, in seconds (certain: a clock that counts from 1970)." in flat(out)
-    np.testing.assert_allclose(read_recording(path).time, SECONDS, rtol=1e-15)
-    code, out, _ = run(capsys, "init", path, "--json", "--force")
-    assert json.loads(out)["columns"]["timestamp"] == "time_s"
-
-
-def test_dates_with_points_leave_decimal_commas(tmp_path):
-    path = tmp_path / "run7.csv"
-    path.write_text("Datum;time_s;q1_rad;note\n21.11.2026 10:00:00;0,5;-1,25;v1.2\n21.11.2026 10:00:01;1,5;2;v1.2\n")
-    recording = read_recording(path)
-    assert (recording.time.tolist(), recording.joint_position.ravel().tolist()) == ([0.5, 1.5], [-1.25, 2.0])

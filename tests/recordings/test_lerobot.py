@@ -76,27 +76,6 @@ def test_the_state_of_all_episodes_is_read(tmp_path, version, kind):
     assert recording.source == str(folder)
 
 
-@pytest.mark.parametrize(
-    ("names", "wanted"), [({"motors": NAMES}, "observation.state.joint_1.pos"), (None, "observation.state.0")]
-)
-def test_names_below_a_heading_and_none(tmp_path, names, wanted):
-    folder = dataset(tmp_path / "picks", names=names)
-    _, table = open_table(folder, (), ArmJoints(), [])
-    assert table.names[0] == wanted
-
-
-@pytest.mark.parametrize("said", [{"units": "rad"}, {"info": {"unit": ["rad"] * 6 + ["percent"]}}])
-def test_units_that_the_data_set_states(tmp_path, said):
-    folder = dataset(tmp_path / "picks")
-    info = json.loads((folder / "meta" / "info.json").read_text())
-    info["features"]["observation.state"] |= said
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    _, table = open_table(folder, (), ArmJoints(), [])
-    found = inspect(list(table.numbers()))
-    assert found.columns["observation.state.joint_3.pos [rad]"] == "q3_rad"
-    assert found.of("q").unit.sure == "certain"
-
-
 def test_without_a_sidecar_its_columns_are_named_and_init_with_them(tmp_path):
     folder = dataset(tmp_path / "picks")
     with pytest.raises(InputError) as caught:

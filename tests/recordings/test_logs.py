@@ -1,7 +1,5 @@
 """Logs of ROS 1 and 2, by the package's own writers, and what is made of them."""
 
-import json
-import subprocess
 import sys
 
 import numpy as np
@@ -12,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.description import write_arm
 from lite6jax.arms.files import read_arm
 from lite6jax.calibration.source import read_source
-from lite6jax.cli import main
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
@@ -22,15 +19,6 @@ from tests.logs import joints, poses, write
 from tests.oracles import kane, sliding_arms
 
 pytest.importorskip("rosbags.rosbag2", reason="the package of the extra `rosbag` is not installed")
-
-
-def small(path, **options):
-    """Two joints on straight lines at 10 Hz, poses half a step between."""
-    t = np.arange(6) / 10
-    at = t[:-1] + 0.05
-    q = np.stack([1 + t, 2 - 3 * t], 1)
-    p = np.stack([at, 2 * at, 3 * at], 1)
-    return write(path, {"/joint_states": joints(t, q), "/tool": poses(at, p)}, **options)
 
 
 def refusal(path, **options):
@@ -51,19 +39,14 @@ def test_joints_stand_at_the_poses_stamps(tmp_path):
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     names = ("arm_joint1", "arm_joint2", "arm_joint3")
     path = write(
-        tmp_path / "run.mcap",
-        {"/joint_states": joints(t, q, names, dq, tau), "/tool": poses(at, p, quaternion)},
+        tmp_path / "run.mcap", {"/joint_states": joints(t, q, names, dq, tau), "/tool": poses(at, p, quaternion)}
     )
     recording = read_recording(path)
 
     # the stamps are whole nanoseconds: the oracle sees the same
     t, at = np.round(t * 1e9) / 1e9, np.round(at * 1e9) / 1e9
     np.testing.assert_allclose(recording.time, at - at[0], atol=1e-12)
-    for found, wanted in (
-        (recording.joint_position, q),
-        (recording.joint_velocity, dq),
-        (recording.joint_torque, tau),
-    ):
+    for found, wanted in ((recording.joint_position, q), (recording.joint_velocity, dq), (recording.joint_torque, tau)):
         oracle = np.stack([np.interp(at, t, column) for column in wanted.T], 1)
         np.testing.assert_allclose(found, oracle, atol=1e-9)
     np.testing.assert_array_equal(recording.position, p)
@@ -78,16 +61,6 @@ def test_joints_stand_at_the_poses_stamps(tmp_path):
         "the efforts of /joint_states are taken as torques in N m: assumed, as they state no unit",
         "times are the header stamps of /joint_states, the header stamps of /tool",
     )
-
-
-def test_the_log_times_where_headers_are_empty(tmp_path):
-    t = np.arange(6) / 10
-    recording = read_recording(small(tmp_path / "run.mcap", stamped=False))
-    at = t[:-1] + 0.05
-    np.testing.assert_allclose(recording.time, at - 0.05, atol=1e-9)
-    np.testing.assert_allclose(recording.joint_position, np.stack([1 + at, 2 - 3 * at], 1), atol=1e-12)
-    said = "times are the log times (no header stamps) of /joint_states, the log times (no header stamps) of /tool"
-    assert said in recording.notes
 
 
 def test_poses_without_joints_around_them_are_dropped_and_counted(tmp_path):
@@ -132,49 +105,6 @@ def test_joints_are_put_in_order(tmp_path, names, dof, wanted, order):
         assert recording.notes[0].endswith(f"; left out: {names[0]}")
 
 
-def test_messages_may_hold_some_joints_in_any_order(tmp_path):
-    t = np.arange(8) / 10
-    topic = joints(t, np.stack([t, 1 + t], 1))
-    for k, message in enumerate(topic.messages):
-        if k == 3:
-            message |= {"name": ["joint1"], "position": [99.0]}
-        elif k % 2:
-            message |= {"name": message["name"][::-1], "position": message["position"][::-1]}
-    at = t[:-1] + 0.025
-    topics = {"/joint_states": topic, "/tool": poses(at, np.outer(at, [1, 1, 1]))}
-    recording = read_recording(write(tmp_path / "run.mcap", topics))
-    np.testing.assert_allclose(recording.joint_position, np.stack([at, 1 + at], 1), atol=1e-9)
-    assert "passed over 1 messages of /joint_states without the positions of all these joints" in recording.notes
-
-
-def test_what_drivers_fill_with_zeros_is_not_taken(tmp_path):
-    t = np.arange(6) / 10
-    q = np.stack([t, -t], 1)
-    nothing = np.zeros_like(q)
-    upright = np.tile([1.0, 0, 0, 0], (6, 1))
-    topics = {
-        "/joint_states": joints(t, q, velocities=nothing, efforts=nothing * np.nan),
-        "/tool": poses(t, np.outer(t, [1, 2, 3]), upright),
-    }
-    recording = read_recording(write(tmp_path / "run.mcap", topics))
-    assert recording.velocity_differentiated
-    np.testing.assert_allclose(recording.joint_velocity, np.tile([1.0, -1.0], (6, 1)), atol=1e-7)
-    assert recording.joint_torque is None
-    assert recording.quaternion is None
-    assert "the orientations of /tool never change: they are taken as not measured" in recording.notes
-
-
-def test_rows_that_are_not_finite_are_dropped(tmp_path):
-    t = np.arange(6) / 10
-    q = np.stack([t, -t], 1)
-    q[2] = np.inf
-    p = np.outer(t, [1.0, 2, 3])
-    p[5] = np.nan
-    recording = read_recording(write(tmp_path / "run.mcap", {"/joint_states": joints(t, q), "/tool": poses(t, p)}))
-    assert "dropped 2 rows with NaN, infinite or empty fields, the first is row 3" in recording.notes[-2:]
-    np.testing.assert_allclose(recording.joint_position[:, 0], t[[0, 1, 3, 4]], atol=1e-12)
-
-
 def test_topics_are_named_where_there_are_several(tmp_path):
     t = np.arange(5) / 10
     topics = {
@@ -208,25 +138,6 @@ def test_topics_are_named_where_there_are_several(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("topic", "missing", "remedy"),
-    [
-        ("/tool", "sensor_msgs/JointState", ""),
-        (
-            "/joint_states",
-            "geometry_msgs/PoseStamped",
-            ", or name run.mcap#/joint_states for a motion or torques without poses",
-        ),
-    ],
-)
-def test_a_topic_that_is_missing(tmp_path, topic, missing, remedy):
-    t = np.arange(3) / 10
-    both = {"/joint_states": joints(t, np.stack([t, t], 1)), "/tool": poses(t, np.outer(t, [1, 0, 0]))}
-    kind = both[topic].kind.replace("/msg/", "/")
-    path = write(tmp_path / "run.mcap", {topic: both[topic]})
-    assert refusal(path) == f"has no topic of {missing}; it has {topic} ({kind}); record one with these types{remedy}"
-
-
 def test_efforts_are_torques_without_poses_too(tmp_path):
     t = np.arange(5) / 10
     q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
@@ -240,76 +151,13 @@ def test_efforts_are_torques_without_poses_too(tmp_path):
     assert refusal(write(path, two)).startswith("has 2 topics of sensor_msgs/JointState: /left/joint_states, /right")
 
 
-def test_efforts_may_be_named_currents(tmp_path, capsys):
-    t = np.arange(9) / 10
-    q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
-    path = write(tmp_path / "run.mcap", {"/joint_states": joints(t, q, efforts=tau)}, sidecar=None)
-    assert main(["init", str(path), "--yes"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "Joint torques: tau1_Nm, tau2_Nm, in N m (assumed: the largest is 3.8)." in said
-    assert "Check in the sidecar what was assumed: joint torques." in said
-    assert "If the efforts are currents, say so for each: --column tau1_Nm=current1_A." in said
-    assert read_recording(path).motor_current is None
-    named = [f"--column=tau{k}_Nm=current{k}_A" for k in (1, 2)]
-    assert main(["init", str(path), "--yes", "--force", *named, "--set", "torque_constant_Nm_per_A=[2, 3]"]) == 0
-    recording = read_recording(path)
-    assert recording.joint_torque is None
-    np.testing.assert_array_equal(recording.torques(), tau * [2, 3])
-
-
-def test_no_topics_at_all(tmp_path):
-    assert "it has no topics at all; record" in refusal(write(tmp_path / "run.mcap", {}))
-
-
-@pytest.mark.parametrize("share", [0.999, 0.5, 0.01])
-def test_a_truncated_file(tmp_path, share):
-    path = small(tmp_path / "run.mcap")
-    content = path.read_bytes()
-    path.write_bytes(content[: max(9, int(share * len(content)))])
-    message = refusal(path)
-    assert message.startswith("is no bag, truncated or damaged (")
-    assert message.endswith("); recover what is left with `mcap recover`, or record again")
-
-
-@pytest.mark.parametrize("content", [b"", b"q1_rad,x_m\n0,0\n" * 99, b"PAR1" * 99])
-def test_another_kind_of_file(tmp_path, content):
-    path = tmp_path / "run.mcap"
-    path.write_bytes(content)
-    assert refusal(path).startswith("is no bag, truncated or damaged (")
-
-
 def test_clocks_that_do_not_overlap(tmp_path):
     t = np.arange(5) / 10
-    topics = {
-        "/joint_states": joints(t, np.stack([t, t], 1)),
-        "/tool": poses(t + 100, np.outer(t, [1, 0, 0])),
-    }
+    topics = {"/joint_states": joints(t, np.stack([t, t], 1)), "/tool": poses(t + 100, np.outer(t, [1, 0, 0]))}
     assert refusal(write(tmp_path / "run.mcap", topics)) == (
         "no pose lies between joint states (joints 0.000 to 0.400 s, poses 100.000 to 100.400 s); stamp both by one "
         "clock"
     )
-
-
-def test_joint_states_that_say_too_little(tmp_path):
-    t = np.arange(3) / 10
-    tool = poses(t, np.outer(t, [1, 0, 0]))
-    one = {"/joint_states": joints([0.0], [[0.0, 0.0]]), "/tool": tool}
-    assert refusal(write(tmp_path / "a.mcap", one)) == "has 1 joint states at different times; record at least 2"
-    nameless = {"/joint_states": joints(t, np.zeros((3, 0)), ()), "/tool": tool}
-    assert "/joint_states name no joints; record them with names" in refusal(write(tmp_path / "b.mcap", nameless))
-    empty = {"/joint_states": joints(t, np.zeros((3, 0))), "/tool": tool}
-    assert refusal(write(tmp_path / "c.mcap", empty)) == (
-        "no message of /joint_states has the positions of all of joint1, joint2; record again"
-    )
-    others = {"/joint_states": joints(t, np.zeros((3, 2)) + t[:, None]), "/tool": tool}
-    assert refusal(write(tmp_path / "d.mcap", others), dof=6) == (
-        "has 2 joints (q1 ... q2), the arm has 6; choose the arm it is of"
-    )
-
-
-def test_the_package_is_imported_only_for_such_a_file():
-    code = "import sys, lite6jax; sys.exit(any(name.split('.')[0] == 'rosbags' for name in sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def sliding_log(folder, names=("joint1", "joint2", "joint3"), sidecar=None):
@@ -361,20 +209,6 @@ def test_joints_are_in_the_order_of_the_arm_that_names_them(tmp_path):
     assert note.endswith("left out: gripper")
 
 
-def test_init_names_the_units_of_a_log_by_the_arm(tmp_path, capsys):
-    write_arm(slid.arm(), tmp_path / "telescope.yaml")
-    path, (_, q, *_) = sliding_log(tmp_path)
-    assert main(["init", path, "--arm", str(tmp_path / "telescope.yaml"), "--json", "--set", "motion=trajectory"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["columns"] == {}
-    units = {tuple(block["columns"]): block["unit"]["choice"] for block in found["blocks"]}
-    assert units["q3_m",] == "m"
-    assert units["tau3_N",] == "N"
-    again = read_recording(path)
-    assert again.sliding == (2,)
-    np.testing.assert_allclose(again.joint_position, q, atol=1e-12)
-
-
 # ------------------------------------------------------------------ kinds of logs
 
 
@@ -412,31 +246,6 @@ def test_folders_of_ros_2(tmp_path, plugin, kind):
     assert any("robot_state_publisher" in note for note in recording.notes) == (kind == "TFMessage")
 
 
-def test_a_file_of_ros_1(tmp_path):
-    path = write(tmp_path / "run7.bag", topics_of())
-    holds_the_motion(read_recording(path))
-    path.write_bytes(path.read_bytes()[:3000])
-    assert refusal(path).startswith("is no bag, truncated or damaged (")
-
-
-def test_a_file_within_a_folder_needs_no_metadata(tmp_path):
-    path = write(tmp_path / "run7", topics_of())
-    (part,) = path.glob("*.db3")
-    part.with_suffix(".yaml").write_text("recording: {motion: trajectory}\n")
-    holds_the_motion(read_recording(part))
-    (path / "metadata.yaml").unlink()
-    holds_the_motion(read_recording(part))
-    (path / "run7_1.db3").write_bytes(part.read_bytes())
-    assert refusal(path) == "a rosbag2 without metadata.yaml; write that with `ros2 bag reindex run7`"
-
-
-@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
-def test_a_folder_whose_recorder_was_ended_is_read_by_its_file(tmp_path, plugin):
-    path = write(tmp_path / "run7", topics_of(), plugin=plugin)
-    (path / "metadata.yaml").unlink()
-    holds_the_motion(read_recording(path))
-
-
 def test_frames_of_tf_are_named(tmp_path):
     path = write(tmp_path / "run7", topics_of("TFMessage", ("base", "marker")))
     assert refusal(path) == (
@@ -449,14 +258,6 @@ def test_frames_of_tf_are_named(tmp_path):
         "topic /tf has no transform to tool; it has base in world, marker in world"
     )
     assert read_recording(f"{path}#/joint_states").position is None
-
-
-def test_the_name_of_a_frame_may_have_colons_and_slashes(tmp_path):
-    path = write(tmp_path / "run7", topics_of("TFMessage", ("tag36h11:7", "tag36h11:8/left:x")))
-    for k, child in enumerate(("tag36h11:7", "tag36h11:8/left:x")):
-        recording = read_recording(f"{path}#/joint_states,/tf:{child}")
-        np.testing.assert_allclose(recording.position, P + k, atol=1e-12)
-    assert "has no transform to tag36h11:9; it has tag36h11:7 in" in refusal(f"{path}#/joint_states,/tf:tag36h11:9")
 
 
 def test_folders_that_are_damaged_and_packages_that_are_missing(tmp_path, monkeypatch):

@@ -3,10 +3,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, drop_missing
-from lite6jax.recordings.motion import with_joints
 
 STATIC = RecordingSettings(motion="static")
 TRAJECTORY = RecordingSettings(motion="trajectory")
@@ -23,22 +21,6 @@ def uneven_times(count, step, seed=0):
     return np.arange(count) * step + np.random.default_rng(seed).uniform(-0.3, 0.3, count) * step
 
 
-def test_static_direction_is_the_sign_of_the_step_and_starts_from_zero_in_every_run():
-    q = [[0.5, -0.5], [0.7, -0.9], [0.7, 0.1], [-1.0, 2.0], [-2.0, 3.0]]
-    recording = Recording.from_arrays(q, run=[4, 4, 4, 1, 1], settings=STATIC)
-    assert recording.direction_of_motion.tolist() == [[1, -1], [1, -1], [0, 1], [-1, 1], [-1, 1]]
-
-
-def test_a_run_that_returns_to_an_earlier_number_is_a_new_run():
-    recording = Recording.from_arrays([[2.0], [1.0], [1.5]], run=[0, 1, 0], settings=STATIC)
-    assert recording.direction_of_motion.ravel().tolist() == [1, 1, 1]
-
-
-def test_trajectory_direction_is_the_sign_of_the_recorded_velocity():
-    recording = Recording.from_arrays([[0.0], [1.0], [2.0]], joint_velocity=[[-0.1], [0.0], [3.0]], settings=TRAJECTORY)
-    assert recording.direction_of_motion.ravel().tolist() == [-1, 0, 1]
-
-
 def test_trajectory_without_times_takes_the_direction_from_the_row_order_and_says_so():
     recording = Recording.from_arrays([[0.0], [1.0], [3.0], [1.0], [0.0]], settings=TRAJECTORY)
     assert recording.direction_of_motion.ravel().tolist() == [1, 1, 0, -1, -1]
@@ -48,30 +30,6 @@ def test_trajectory_without_times_takes_the_direction_from_the_row_order_and_say
     )
     with pytest.raises(InputError, match=r"recording: a trajectory without velocities; add time_s or dq1_rad_per_s"):
         recording.velocities()
-
-
-def test_commanded_positions_stay_beside_the_measured_ones():
-    time = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.015, 400))
-    q, dq = swing(time)
-    recording = Recording.from_arrays(q, time=time, joint_velocity=dq, joint_torque=dq, commanded_position=q + 0.1)
-    even, fault, _ = evenly_timed(recording)
-    assert fault is not None
-    np.testing.assert_allclose(even.commanded_position, even.joint_position + 0.1, atol=1e-4)
-    A, b = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([0.5, 0.0])
-    changed = with_joints(recording, A, b)
-    np.testing.assert_allclose(changed.commanded_position, (q + 0.1) @ A.T + b, atol=1e-12)
-    assert changed.made_anew().commanded_position is None
-
-
-def test_a_selection_keeps_the_direction_and_velocity_of_the_whole():
-    time = uneven_times(40, 0.05)
-    whole = Recording.from_arrays(swing(time)[0], time=time, settings=TRAJECTORY)
-    rows = np.arange(40) % 3 == 0
-    part = whole.select(rows)
-    np.testing.assert_array_equal(part.velocities(), whole.velocities()[rows])
-    np.testing.assert_array_equal(part.direction_of_motion, whole.direction_of_motion[rows])
-    assert part.row.tolist() == [k + 1 for k in range(0, 40, 3)]
-    np.testing.assert_array_equal(whole.select(np.array([5, 2])).joint_position, whole.joint_position[[5, 2]])
 
 
 def test_a_dropped_row_does_not_change_its_neighbours_direction_or_velocity():
@@ -93,19 +51,6 @@ def test_a_dropped_row_does_not_change_its_neighbours_direction_or_velocity():
     part = drop_missing(Recording.assembled(q, time=time, position=seen, settings=TRAJECTORY))
     np.testing.assert_array_equal(part.velocities(), np.delete(whole.velocities(), [7, 8, 20], axis=0))
     assert part.notes[-1] == "dropped 3 rows with NaN, infinite or empty fields, the first is row 8"
-
-
-def test_differentiation_follows_an_analytic_trajectory_to_second_order_ends_included():
-    errors = []
-    for step in (0.02, 0.01):
-        time = uneven_times(int(4 / step), step)
-        q, dq = swing(time)
-        recording = Recording.from_arrays(q, time=time, settings=TRAJECTORY)
-        assert recording.velocity_differentiated
-        assert "differentiating the positions over time" in recording.notes[0]
-        errors.append(np.abs(recording.velocities() - dq).max())
-    assert errors[0] < 2e-3
-    assert errors[0] / errors[1] > 3.0  # halving the step quarters the error
 
 
 def test_differentiation_is_exact_for_parabolas_and_agrees_with_numpy():
@@ -136,19 +81,6 @@ def test_differentiation_does_not_cross_runs_and_does_not_need_sorted_rows():
     order = np.concatenate([np.random.default_rng(3).permutation(20), np.arange(20, 53)])
     mixed = Recording.from_arrays(q[order], time=time[order], run=run, settings=TRAJECTORY)
     np.testing.assert_allclose(mixed.velocities(), expected[order], atol=1e-12)
-
-
-def test_differentiation_passes_over_rows_of_equal_time_and_rows_with_nan():
-    time = np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.4, 0.5])
-    q = 3.0 * time[:, None]
-    q[5] = np.nan
-    velocity = Recording.assembled(q, time=time, settings=TRAJECTORY).velocities()
-    np.testing.assert_allclose(velocity[[0, 1, 2, 3, 4, 6]], 3.0, atol=1e-12)
-    assert np.isnan(velocity[5, 0])
-
-
-def test_velocities_of_a_static_recording_are_zero():
-    assert Recording.from_arrays([[1.0], [2.0]], time=[0, 8], settings=STATIC).velocities().tolist() == [[0.0], [0.0]]
 
 
 @pytest.mark.parametrize(
@@ -227,37 +159,3 @@ def test_a_quaternion_beyond_one_per_cent_is_refused_with_its_row():
     quaternion[2:] = 1e200
     with pytest.raises(InputError, match="row 3 has length inf"):
         Recording.from_arrays(np.zeros((5, 6)), position=np.zeros((5, 3)), quaternion=quaternion)
-
-
-def test_quaternions_with_missing_numbers_are_left_to_be_dropped():
-    quaternion = np.array([[1.0, 0, 0, 0], [np.nan, 0, 0, 0], [np.inf, 0, 0, 0], [1.0, 0, 0, 0]])
-    recording = Recording.assembled(np.zeros((4, 6)), position=np.zeros((4, 3)), quaternion=quaternion, settings=STATIC)
-    assert drop_missing(recording).row.tolist() == [1, 4]
-
-
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"joint_position": np.zeros(3)}, r"recording: joint_position has the shape \(3,\); give \(sample, joint\)"),
-        ({"joint_position": np.zeros((0, 6))}, r"joint_position has the shape \(0, 6\)"),
-        ({"position": np.zeros((4, 3))}, r"position has the shape \(4, 3\); give \(3, 3\)"),
-        ({"quaternion": np.ones((3, 4))}, "orientations without positions; add x_m y_m z_m"),
-        ({"joint_torque": np.zeros((3, 5))}, r"joint_torque has the shape \(3, 5\); give \(3, 6\)"),
-        ({"joint_acceleration": np.zeros((2, 6))}, r"joint_acceleration has the shape \(2, 6\); give \(3, 6\)"),
-        ({"time": np.zeros((3, 1))}, r"time has the shape \(3, 1\); give \(3,\)"),
-        ({"run": np.array([0.0, 0.5, 1.0])}, "run has the type float64; give integers"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused(arrays, message):
-    with pytest.raises(InputError, match=message):
-        Recording.from_arrays(**{"joint_position": np.zeros((3, 6))} | arrays)
-
-
-def test_what_is_not_given_is_zero_or_absent():
-    recording = Recording.from_arrays(np.zeros((3, 7)))
-    assert (recording.samples, recording.dof, recording.numbers_per_sample) == (3, 7, 0)
-    assert recording.payload.tolist() == [0, 0, 0]
-    assert recording.run.tolist() == [0, 0, 0]
-    assert recording.row.tolist() == [1, 2, 3]
-    assert recording.settings == RecordingSettings()
-    assert list(recording.columns()) == [f"q{i}_rad" for i in range(1, 8)]

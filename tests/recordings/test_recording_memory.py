@@ -6,8 +6,7 @@ import pytest
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, RecordingSettings, read_recording, require_radians, write_recording
-from lite6jax.recordings.units import far_joint
+from lite6jax.recordings import Recording, RecordingSettings, read_recording
 
 LITE6 = load_bundled("lite6")
 SAMPLES = 40
@@ -57,18 +56,6 @@ def test_arrays_are_kept_and_keys_of_the_sidecar_are_declared(plausible):
     assert both.settings == RecordingSettings(pose_frame="base", position_noise_m=1e-4)
 
 
-def test_rows_that_are_not_finite_are_dropped_and_counted(plausible):
-    plausible["position"][[3, 7], 1] = np.nan, np.inf
-    recording = Recording.from_arrays(**plausible)
-    assert recording.row.tolist() == [k for k in range(1, SAMPLES + 1) if k not in (4, 8)]
-    assert recording.notes[-1] == "dropped 2 rows with NaN, infinite or empty fields, the first is row 4"
-    plausible["position"][:30] = np.nan
-    assert refused(Recording.from_arrays, **plausible) == (
-        "recording: 30 of 40 rows have NaN, infinite or empty fields, the first is row 1, most of them in column x_m "
-        "(30); fill or remove that column, or record again"
-    )
-
-
 def test_degrees_are_refused_and_name_the_remedy(plausible):
     degrees = np.rad2deg(plausible["joint_position"])
     row, joint = np.argwhere(abs(degrees) > 4 * np.pi)[0][0], 0
@@ -82,47 +69,6 @@ def test_degrees_are_refused_and_name_the_remedy(plausible):
     assert refused(Recording.from_arrays, mixed) == (
         f"recording: joint_position: row {row + 1} is at {degrees[row, 0]:.5g} rad while the arm's joint 1 goes from "
         "-6.283 to 6.283 rad; are these degrees? give radians: np.deg2rad(joint_position)"
-    )
-
-
-def test_degrees_are_seen_beside_rows_that_are_not_finite(plausible):
-    degrees = np.rad2deg(plausible["joint_position"])
-    degrees[::3] = np.nan
-    assert "are these degrees?" in refused(Recording.from_arrays, degrees)
-
-
-def test_outliers_and_turned_joints_are_not_taken_for_degrees(plausible):
-    plausible["joint_position"][:3] = 500.0
-    plausible["joint_position"][:, 5] += 2 * np.pi
-    assert Recording.from_arrays(**plausible).samples == SAMPLES
-
-
-def test_a_joint_a_turn_off_is_not_taken_for_degrees_where_no_joint_turns_far():
-    q, limits = np.zeros((10, 3)), np.tile([-3.05, 3.05], (3, 1))
-    q[:, 2] = 3.05 + 2 * np.pi
-    assert far_joint(q, limits) is None
-    q[:, 2] += 0.01
-    assert far_joint(q, limits) == (0, 2)
-
-
-def test_millimetres_are_refused_and_name_the_remedy(plausible):
-    message = refused(Recording.from_arrays, plausible["joint_position"], 1e3 * plausible["position"], arm="lite6")
-    assert message.startswith("recording: position: the positions lie ")
-    assert message.endswith(
-        f" m from their middle (median) while the arm reaches {LITE6.reach:.3g} m; are these millimetres? give metres: "
-        "position / 1000"
-    )
-    far = plausible["position"] + [30.0, 0.0, 0.0]
-    assert Recording.from_arrays(plausible["joint_position"], far).samples == SAMPLES  # a distant sensor
-    assert "m from the base (median)" in refused(
-        Recording.from_arrays, plausible["joint_position"], far, pose_frame="base"
-    )
-
-
-def test_quaternions_of_another_length_are_refused_with_their_row(plausible):
-    plausible["quaternion"][11] *= 1.5
-    assert "columns qw qx qy qz: row 12 has length 1.5, not 1; give unit quaternions, scalar first" in refused(
-        Recording.from_arrays, **plausible
     )
 
 
@@ -148,11 +94,6 @@ def test_quaternions_of_another_length_are_refused_with_their_row(plausible):
 def test_arrays_that_cannot_be_a_recording(changes, message):
     given = {"joint_position": np.zeros((3, 6)), "position": np.zeros((3, 3))} | changes
     assert message in refused(Recording.from_arrays, **given)
-
-
-def test_an_arm_that_is_not_declared_is_judged_by_the_bundled_ones_of_as_many_joints():
-    assert "while the arm reaches 1.03 m" in refused(Recording.from_arrays, np.full((3, 5), 6.0), 1e3 * np.eye(3))
-    assert Recording.from_arrays(np.full((3, 4), 6.0), 1e3 * np.eye(3)).dof == 4  # there is none
 
 
 # ------------------------------------------------------------------ data frames
@@ -185,49 +126,6 @@ def test_data_frames_hold_what_a_file_with_the_same_columns_holds(plausible, tmp
         np.testing.assert_array_equal(getattr(recording, name), getattr(file, name), err_msg=name)
 
 
-def test_a_recordings_columns_are_a_data_frame(plausible, tmp_path):
-    recording = Recording.from_arrays(**plausible, motion="static")
-    again = Recording.from_dataframe(recording.columns(), recording.settings)
-    np.testing.assert_array_equal(again.position, recording.position)
-    write_recording(again, tmp_path / "run.parquet")
-
-
-def test_absent_values_are_dropped_and_counted(plausible):
-    table = columns_of(plausible)
-    table["x_m"] = [None if k in (4, 9) else value for k, value in enumerate(table["x_m"].tolist())]
-    for frame in (table, pa.table(table)):
-        recording = Recording.from_dataframe(frame)
-        assert recording.samples == SAMPLES - 2
-        assert recording.notes[-1] == "dropped 2 rows with NaN, infinite or empty fields, the first is row 5"
-
-
-def test_integers_with_absent_values_of_pandas(plausible):
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame(columns_of(plausible))
-    frame["run"] = pandas.array([0] * 20 + [1] * 19 + [None], dtype="Int64")
-    recording = Recording.from_dataframe(frame)
-    assert recording.run.tolist() == [0] * 20 + [1] * 19
-
-
-def test_other_columns_are_ignored_and_named(plausible):
-    table = columns_of(plausible) | {"comment": ["a", 1] * 20, "paylod_kg": np.zeros(SAMPLES)}
-    notes = Recording.from_dataframe(table).notes
-    assert notes[0] == "ignored columns that mean nothing here: 'comment', 'paylod_kg' (meant payload_kg?)"
-
-
-def test_units_of_columns_that_cannot_be(plausible):
-    named = columns_of(plausible, degrees=True)
-    wrong = {name.replace("_deg", "_rad"): value for name, value in named.items()}
-    message = refused(Recording.from_dataframe, wrong)
-    assert message.startswith("recording: column q")
-    assert message.endswith("are these degrees? name the columns q1_deg ...")
-    named = columns_of(plausible, millimetres=True)
-    wrong = {name.replace("_mm", "_m"): value for name, value in named.items()}
-    message = refused(Recording.from_dataframe, wrong)
-    assert message.startswith("recording: columns x_m y_m z_m: the positions lie ")
-    assert message.endswith("are these millimetres? name the columns x_mm y_mm z_mm")
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -251,28 +149,4 @@ def test_what_is_no_data_frame(frame):
     )
 
 
-def test_a_data_frame_without_rows():
-    assert refused(Recording.from_dataframe, {"q1_rad": []}) == "recording: has column names but no rows; record again"
-
-
 # ------------------------------------------------------------------ the check that public calls share
-
-
-@pytest.mark.parametrize("shape", [(6,), (20, 6), (3, 20, 6)])
-def test_the_shared_check_of_joint_positions(shape):
-    q = np.random.default_rng(1).uniform(LITE6.joint_limits[:, 0], LITE6.joint_limits[:, 1], shape)
-    require_radians(q, LITE6.joint_limits)
-    require_radians(np.where(q > 1, np.nan, q), LITE6.joint_limits)
-    at = {1: "it", 2: r"row 1", 3: "sample (1, 1)"}[len(shape)]
-    wrong = np.full(shape, 90.0)
-    assert refused(require_radians, wrong, LITE6.joint_limits, "q") == (
-        f"q: {at} is at 90 rad while the arm's joint 1 goes from -6.283 to 6.283 rad; are these degrees? give radians: "
-        "np.deg2rad(q)"
-    )
-    assert refused(require_radians, q + 0j) == "joint_position: holds complex numbers; give real ones"
-
-
-def test_one_arm_of_a_fleet_in_degrees_is_seen():
-    q = np.zeros((50, 20, 6))
-    q[31] = 45.0
-    assert "sample (32, 1) is at 45 rad" in refused(require_radians, q, LITE6.joint_limits)

@@ -1,11 +1,7 @@
-import dataclasses
-import math
-
 import pytest
-import yaml
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import FactoryUncertainty, RecordingSettings, read_settings, sidecar_path, write_settings
+from lite6jax.recordings import FactoryUncertainty, RecordingSettings, read_settings, write_settings
 
 FULL = """
 recording:
@@ -72,53 +68,6 @@ def test_every_key_is_read(tmp_path):
     )
 
 
-def test_the_defaults_are_those_of_the_document(tmp_path):
-    documented = {
-        "arm": None,
-        "factory_calibration": None,
-        "factory_uncertainty": None,
-        "joint_source": "unknown",
-        "joint_noise_rad": 0.0,
-        "pose_source": "unknown",
-        "motion": None,
-        "pose_frame": "unknown",
-        "tool": "unknown",
-        "position_noise_m": None,
-        "orientation_noise_rad": None,
-        "payload_com_m": (0.0, 0.0, 0.0),
-        "reference_temperature_degC": 25.0,
-        "gravity_m_per_s2": (0.0, 0.0, -9.81),
-        "inertial_uncertainty": 0.1,
-        "payload_uncertainty_kg": 0.0,
-        "torque_source": "unknown",
-        "torque_noise_Nm": None,
-        "inertial": "declared",
-        "torque_constant_Nm_per_A": None,
-        "contact_noise_m": None,
-        "contact_distances": (),
-        "contact_points": None,
-        "plane_noise_m": None,
-        "planes": None,
-        "distance_noise_m": None,
-        "anchor_m": "unknown",
-        "distance_offset": "none",
-        "axis_noise_m": None,
-        "axis": "unknown",
-        "pixel_noise_px": None,
-        "camera": None,
-        "board": None,
-        "points_m": None,
-        "date": None,
-        "instrument": None,
-    }
-    for settings in (
-        read_settings(tmp_path / "absent.yaml"),
-        read_settings(sidecar(tmp_path, "recording:\n")),
-        read_settings(sidecar(tmp_path, "recording: {}\n")),
-    ):
-        assert dataclasses.asdict(settings) == documented
-
-
 @pytest.mark.parametrize("settings", ["full", "default", "awkward"])
 def test_round_trip_is_exact(tmp_path, settings):
     settings = {
@@ -132,133 +81,31 @@ def test_round_trip_is_exact(tmp_path, settings):
     assert read_settings(path) == settings
 
 
-def test_writing_needs_permission_to_replace(tmp_path):
-    path = write_settings(RecordingSettings(), tmp_path / "out.yaml")
-    with pytest.raises(InputError, match=r"out\.yaml: exists already; .*--force"):
-        write_settings(RecordingSettings(arm="ur5e"), path)
-    write_settings(RecordingSettings(arm="ur5e"), path, overwrite=True)
-    assert read_settings(path).arm == "ur5e"
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("recording: {pose_frme: base}", "recording.pose_frme: unknown key; did you mean pose_frame?"),
-        ("recording: {zzz: 1}", "recording.zzz: unknown key; accepted: arm, factory_calibration, factory_uncertainty"),
-        ("recording: {}\nnotes: 1", "notes: unknown key; accepted: recording"),
-        ("recording: {arm: lite6}\nrecordings: 1", "recordings: unknown key; did you mean recording?"),
         ("arm: lite6", "is not a sidecar; its one top key must be `recording:`"),
-        ("[1, 2]", "is not a sidecar"),
         ("recording: [arm, lite6]", "recording: ['arm', 'lite6'] is not a mapping; write `key: value` lines"),
         ("recording: {motion: moving}", "recording.motion: 'moving' is not accepted; give static or trajectory"),
-        (
-            "recording: {joint_source: [measured]}",
-            "recording.joint_source: ['measured'] is not accepted; give measured, commanded or unknown",
-        ),
-        (
-            "recording: {pose_source: tracker}",
-            "'tracker' is not accepted; give laser_tracker, motion_capture, camera, controller_fk, touch, draw_wire, "
-            "height_gauge or unknown",
-        ),
+        ("recording: {joint_source: [measured]}", "recording.joint_source: ['measured'] is not accepted; give"),
         ("recording: {date: 21.11.2026}", "recording.date: '21.11.2026' is not accepted; give a day as YYYY-MM-DD"),
-        ("recording: {date: 2026-11-21T10:00:00}", "is not accepted; give a day as YYYY-MM-DD"),
-        (
-            "recording: {date: '2026-02-30'}",
-            "recording.date: '2026-02-30' is not accepted (day is out of range for month); give a day",
-        ),
-        (
-            f"recording: {{instrument: {'x' * 121}}}",
-            "is not accepted (expected str of length <= 120); give one line of at most 120",
-        ),
-        ("recording: {pose_frame: world}", "recording.pose_frame: 'world' is not accepted; give base or unknown"),
+        (f"recording: {{instrument: {'x' * 121}}}", "is not accepted (expected str of length <= 120); give one line"),
         ("recording: {motion: }", "recording.motion: has no value; give static or trajectory, or leave the key out"),
-        (
-            "recording: {joint_noise_rad: -1.0e-5}",
-            "joint_noise_rad: -1e-05 is not accepted (expected float >= 0.0); give one sigma",
-        ),
-        (
-            "recording: {joint_noise_rad: .nan}",
-            "joint_noise_rad: nan is not accepted (expected float >= 0.0); give one sigma in rad",
-        ),
-        ("recording: {position_noise_m: .inf}", "position_noise_m: inf is not accepted (expected float <= 1.0)"),
-        (
-            "recording: {position_noise_m: 0}",
-            "0 is not accepted (expected float >= 1e-12); give one sigma in m, more than zero (leave",
-        ),
-        (
-            "recording: {orientation_noise_rad: true}",
-            "orientation_noise_rad: True is not accepted; give one sigma in rad",
-        ),
+        ("recording: {joint_noise_rad: -1.0e-5}", "joint_noise_rad: -1e-05 is not accepted (expected float >= 0.0);"),
+        ("recording: {position_noise_m: 0}", "0 is not accepted (expected float >= 1e-12); give one sigma in m, more"),
         ("recording: {orientation_noise_rad: 0.1deg}", "orientation_noise_rad: '0.1deg' is not accepted"),
-        ("recording: {reference_temperature_degC: warm}", "'warm' is not accepted; give a finite number in degrees"),
-        ("recording: {reference_temperature_degC: 1" + 400 * "0" + "}", "... is not accepted (Number out of range)"),
         ("recording: {gravity_m_per_s2: -9.81}", "-9.81 is not accepted; give three numbers [x, y, z] in m/s^2"),
-        ("recording: {gravity_m_per_s2: [0, 0]}", "[0, 0] is not accepted; give three numbers"),
-        (
-            "recording: {payload_com_m: [0, 0, 50]}",
-            "[0, 0, 50] is not accepted (expected float <= 5.0, at [2]); give three numbers [x, y, z] in m, not in mm",
-        ),
-        (
-            "recording: {inertial_uncertainty: 10}",
-            "10 is not accepted (expected float <= 0.5); give one sigma relative to",
-        ),
-        (
-            "recording: {inertial_uncertainty: -0.1}",
-            "inertial_uncertainty: -0.1 is not accepted (expected float >= 0.0); give one",
-        ),
-        (
-            "recording: {payload_uncertainty_kg: -1}",
-            "-1 is not accepted (expected float >= 0.0); give one sigma in kg, zero or more",
-        ),
-        (
-            "recording: {torque_source: sensor}",
-            "recording.torque_source: 'sensor' is not accepted; give measured, current, estimated or unknown",
-        ),
-        (
-            "recording: {torque_noise_Nm: 0.1}",
-            "recording.torque_noise_Nm: 0.1 is not accepted; give a list with one sigma in N m per joint, each more",
-        ),
-        (
-            "recording: {torque_noise_Nm: []}",
-            "torque_noise_Nm: [] is not accepted (expected array of length >= 1); give a list with one sigma",
-        ),
-        (
-            "recording: {torque_noise_Nm: [0.1, 0]}",
-            "torque_noise_Nm: [0.1, 0] is not accepted (expected float >= 1e-09, at [1]); give",
-        ),
-        (
-            "recording: {torque_noise_Nm: [0.1, 1.0e5]}",
-            "is not accepted (expected float <= 10000.0, at [1]); give a list",
-        ),
-        ("recording: {torque_noise_Nm: [0.1, low]}", "torque_noise_Nm: [0.1, 'low'] is not accepted; give a list"),
-        (
-            "recording: {inertial: fitted}",
-            "inertial: 'fitted' is not accepted; give declared, unknown (they are fitted)",
-        ),
-        ("recording: {inertial: 10}", "inertial: 10 is not accepted (expected float <= 0.5); give declared, unknown"),
-        ("recording: {inertial: 0}", "inertial: 0 is not accepted (expected float > 0.0); give declared, unknown"),
-        ("recording: {inertial: true}", "inertial: True is not accepted; give declared, unknown"),
-        (
-            "recording: {torque_constant_Nm_per_A: 12}",
-            "torque_constant_Nm_per_A: 12 is not accepted; give a list with one number in N m per A for each joint",
-        ),
+        ("recording: {payload_com_m: [0, 0, 50]}", "[0, 0, 50] is not accepted (expected float <= 5.0, at [2]); give"),
+        ("recording: {inertial_uncertainty: 10}", "10 is not accepted (expected float <= 0.5); give one sigma"),
+        ("recording: {torque_noise_Nm: 0.1}", "recording.torque_noise_Nm: 0.1 is not accepted; give a list with one"),
+        ("recording: {torque_noise_Nm: [0.1, 0]}", "torque_noise_Nm: [0.1, 0] is not accepted (expected float >="),
+        ("recording: {inertial: fitted}", "inertial: 'fitted' is not accepted; give declared, unknown (they are"),
         ("recording: {torque_constant_Nm_per_A: [12, 0]}", "[12, 0] is not accepted (zero); give a list with one"),
-        (
-            "recording: {torque_constant_Nm_per_A: [12, 1.0e9]}",
-            "is not accepted (expected float <= 100000.0, at [1]); give a list with one",
-        ),
         ("recording: {tool: flange}", "recording.tool: 'flange' is not accepted; give none, unknown, or six numbers"),
-        (
-            "recording: {tool: [0, 0, 1]}",
-            "recording.tool: [0, 0, 1] is not accepted; give none, unknown, or six numbers",
-        ),
         ("recording: {tool: [0, 0, 100, 0, 0, 0]}", "is not accepted (expected float <= 5.0, at [2]); give none"),
-        (
-            "recording: {tool: [0, 0, 0.1, 0, 0, 90]}",
-            "is not accepted (expected float <= 6.283185307179586, at [5]); give none",
-        ),
+        ("recording: {tool: [0, 0, 0.1, 0, 0, 90]}", "is not accepted (expected float <= 6.283185307179586, at [5]);"),
         ("recording: {arm: 6}", "recording.arm: 6 is not accepted; give a bundled arm's name, or the path"),
-        ("recording: {arm: ''}", "recording.arm: '' is not accepted"),
         (
             "recording: {factory_uncertainty: {position_m: 1.0e-5, rotation_rad: 1.0e-5}}",
             "recording.factory_uncertainty: belongs to a factory_calibration; add that key or leave this one out",
@@ -267,14 +114,8 @@ def test_writing_needs_permission_to_replace(tmp_path):
             "recording: {factory_calibration: a.yaml, factory_uncertainty: {position_m: 1.0e-5}}",
             "is not accepted (Object missing required field rotation_rad); give {position_m: 1.0e-5, rotation_rad: 1.0",
         ),
-        (
-            "recording: {factory_uncertainty: {position_m: 1.0e-5, rotation_rad: 1.0e-5, rotation_deg: 1}}",
-            "is not accepted (Object contains unknown field rotation_deg); give {position_m: 1.0e-5, rotation_rad",
-        ),
-        ("recording: {factory_uncertainty: 1.0e-5}", "factory_uncertainty: 1e-05 is not accepted; give {position_m:"),
         ("recording: {motion: static, motion: static}", "line 1: the key 'motion' is given twice; keep one"),
         ("recording: {arm: !!python/object/apply:os.getcwd []}", "line 1: the YAML tag 'tag:yaml.org,2002:python/"),
-        ("recording: {arm: [}", "line 1: not valid YAML"),
     ],
 )
 def test_what_a_sidecar_must_not_say(tmp_path, text, message):
@@ -285,11 +126,6 @@ def test_an_alias_bomb_is_refused(tmp_path):
     lines = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
     assert "aliases expand" in refusal(sidecar(tmp_path, "\n".join([*lines, "recording: *a11"])))
-
-
-def test_a_tool_may_be_written_as_in_the_document(tmp_path):
-    assert read_settings(sidecar(tmp_path, "recording: {tool: 0 0 0.1 0 0 1.5}")).tool == (0, 0, 0.1, 0, 0, 1.5)
-    assert read_settings(sidecar(tmp_path, "recording: {tool: none}")).tool == "none"
 
 
 def test_a_sidecar_of_the_other_suffix_is_not_passed_over(tmp_path):
@@ -309,35 +145,3 @@ def test_paths_are_kept_and_resolved_beside_the_sidecar(tmp_path):
     assert bundled.factory_path(tmp_path) is None
     for name in ("mine.urdf", "mine.YAML", "./mine", "mine.urdf.xacro", "arms\\mine"):
         assert RecordingSettings(arm=name).arm_is_file
-
-
-def test_settings_that_move_lead_to_the_same_files(tmp_path):
-    (tmp_path / "there/deep").mkdir(parents=True)
-    settings = RecordingSettings(arm="../arm.urdf", factory_calibration=str(tmp_path / "own.yaml"))
-    moved = settings.moved(tmp_path / "there", tmp_path / "there/deep")
-    assert moved.arm == "../../arm.urdf"
-    assert moved.factory_calibration == str(tmp_path / "own.yaml")
-    assert settings.moved(tmp_path, tmp_path) is settings
-    assert RecordingSettings().moved(tmp_path, tmp_path / "there") == RecordingSettings()
-
-
-def test_settings_made_in_python_are_held_to_the_same_rules():
-    with pytest.raises(InputError, match=r"joint_noise_rad: -1\.0 is not accepted \(expected float >= 0\.0\)"):
-        RecordingSettings(joint_noise_rad=-1.0)
-    with pytest.raises(InputError, match="position_noise_m: nan is not accepted"):
-        dataclasses.replace(RecordingSettings(), position_noise_m=math.nan)
-
-
-def test_the_written_form_is_plain_yaml(tmp_path):
-    path = write_settings(
-        RecordingSettings(tool=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), joint_noise_rad=1e-5), tmp_path / "out.yaml"
-    )
-    content = yaml.safe_load(path.read_text())
-    assert list(content) == ["recording"]
-    assert content["recording"]["tool"] == [0, 0, 0.1, 0, 0, 0]
-    assert content["recording"]["joint_noise_rad"] == 1e-5  # a number again, not text
-    assert "motion" not in content["recording"]
-
-
-def test_the_sidecar_stands_beside_the_recording():
-    assert sidecar_path("data/run7.csv").as_posix() == "data/run7.yaml"

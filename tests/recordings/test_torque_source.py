@@ -45,30 +45,3 @@ def test_a_torque_that_is_constant_at_rest_is_computed():
 )
 def test_a_measured_torque_and_one_of_which_nothing_can_be_told_are_not(changed):
     assert not estimated_torque(pendulum(**changed))
-
-
-def test_one_joint_with_noise_is_enough():
-    recording = pendulum()
-    noisy = recording.joint_torque + [[0.0, 1.0]] * np.random.default_rng(1).normal(scale=1e-3, size=(3000, 2))
-    assert not estimated_torque(
-        Recording.from_arrays(recording.joint_position, time=recording.time, joint_torque=noisy, motion="trajectory")
-    )
-
-
-def test_a_joint_that_carries_nothing_does_not_count():
-    recording = pendulum()
-    torque = recording.joint_torque * [1.0, 0.0]
-    q, time = recording.joint_position, recording.time
-    assert estimated_torque(Recording.from_arrays(q, time=time, joint_torque=torque, motion="trajectory"))
-    assert not estimated_torque(Recording.from_arrays(q, time=time, joint_torque=0 * torque, motion="trajectory"))
-    assert not estimated_torque(Recording.from_arrays(q, time=time, motion="trajectory"))
-
-
-def test_a_window_ends_with_its_run():
-    """A controller that was moved between its runs: across them the torques differ, within them they do not."""
-    q = np.repeat([[0.3, 0.2], [0.3, 0.2]], 120, axis=0)
-    torque = np.repeat([[5.0, 1.0], [5.1, 1.2]], 120, axis=0)
-    run = np.repeat([0, 1], 120)
-    assert estimated_torque(
-        Recording.from_arrays(q, time=STEP * np.arange(240), joint_torque=torque, run=run, motion="trajectory")
-    )

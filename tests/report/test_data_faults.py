@@ -1,7 +1,5 @@
 """The sentences about data faults: whole, with the number and the remedy, from codes and numbers alone."""
 
-import json
-
 import pytest
 
 from lite6jax.recordings.fault import DataFault
@@ -9,8 +7,6 @@ from lite6jax.report.faults import (
     fault_name,
     fault_statement,
     ruled_out_statement,
-    ruled_out_statements,
-    with_statements,
 )
 
 COLUMNS = {"median_error_m": 0.2, "corrected_error_m": 1e-4, "alternatives": []}
@@ -42,7 +38,7 @@ FOUND = [
     (fault("swapped_joints", joints=[2, 3], **COLUMNS), "Joints 2 and 3 are swapped."),
     (fault("mirrored_joint", joint=4, **COLUMNS), "Joint 4 has its sign reversed."),
     (fault("joint_unit", joint=3, unit="deg", **COLUMNS), "Joint 3 is in degrees."),
-    (fault("joint_turns", 5, 10, joints=[2]), "Joint 2 is off by whole turns in 2 rows."),
+
     (
         fault("joint_turns", joint=2, added_rad=-1.5707963, **COLUMNS),
         "The column of joint 2 has its zero off by +90 deg.",
@@ -56,10 +52,7 @@ FOUND = [
         "These corrections fit about as well: the column of joint 2 has its zero off by half a turn.",
     ),
     (fault("frame_jump", 62, 63, **JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
-    (
-        fault("frame_jump", 62, **JUMP, run=1, log_likelihood_gap=812.3, rival_terms=[]),
-        "Without a jump, the best explanation (no effect) is less likely by 812 of log-likelihood.",
-    ),
+
     (
         fault("unsettled_readouts", shape="move", joints=[3], all_joints=False, **REST),
         "a share of each move remained (joint 3; 0.0001 ± 2e-06 of the move",
@@ -69,10 +62,7 @@ FOUND = [
               rival_terms=["unnamed:joint2"], **REST),
         "Without a correction, the best explanation (unnamed:joint2) is less likely by 55 of log-likelihood.",
     ),
-    (
-        fault("unsettled_readouts", 3, 9, 12, shape="rows", joints=[1], all_joints=False, rest=0.01),
-        "in 3 rows: 0.01 of the move remained",
-    ),
+
     (
         fault("nominal_table", declared="lite6", table="lite6_ros", decided=False, share=0.9, share_std=0.3,
               used="instead_of_file", log_likelihood_gap=40.0, rival_terms=["joint_offset:joint3"],
@@ -134,26 +124,6 @@ def test_what_rules_a_fault_out_is_stated(fault, words):
     assert said.endswith(".")
 
 
-def test_columns_that_the_same_numbers_rule_out_share_a_sentence():
-    faults = [DataFault(code, (), COLUMN_ERRORS) for code in ("swapped_joints", "mirrored_joint")]
-    assert ruled_out_statements(faults) == [
-        "Not found: swapped joints, joint with reversed sign; the median error is 0.3 mm, and such faults are searched "
-        "for above 7.48 mm."
-    ]
-
-
 def test_a_code_of_another_version_has_a_name():
     assert fault_name("of_tomorrow") == "Of tomorrow"
     assert fault_statement(DataFault("of_tomorrow", (3,), {"something": 1})) == "Of tomorrow."
-
-
-def test_a_document_gets_its_statements():
-    document = {
-        "schema": "lite6jax/diagnosis/2",
-        "data_faults": [fault.to_dict() for fault, _ in FOUND],
-        "ruled_out": [fault.to_dict() for fault, _ in RULED_OUT],
-    }
-    read = with_statements(json.loads(json.dumps(document)))
-    assert [entry["statement"] for entry in read["data_faults"]] == [fault_statement(fault) for fault, _ in FOUND]
-    assert all(entry["statement"] for entry in read["ruled_out"])
-    assert "statement" not in document["data_faults"][0]

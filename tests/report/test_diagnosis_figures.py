@@ -1,12 +1,10 @@
 """The figures of a diagnosis show errors, shares, orders and curves on the data they are of, with labels and units."""
 
-import io
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, LITE6, WAVES, diagnosed, of_waves
+from diagnosed import COMPLIANCE, LITE6, WAVES, diagnosed, of_waves
 from torque_diagnosed import COULOMB, EFFECTS, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
@@ -15,7 +13,6 @@ from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.diagnosis.partial_residuals import finding_curves
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report.canvas import medians
 from lite6jax.report.diagnosis_figures import drawings, explained_map, finding_figure, order_spectrum
 from lite6jax.simulation import simulate
 
@@ -23,17 +20,16 @@ TURN = "joint deflection (mrad)"
 ALONG = "displacement along it (mm)"
 FITTED = "fitted displacement of the measured pose (mm)"
 GEAR = "joint_harmonic:joint=1,order=80.4,amplitude_rad=4e-4,phase_rad=1"
-EXPANSION = "link_thermal_expansion:expansion_per_K=4e-5"
 CURVES = [
     (COMPLIANCE, {}, "gravity torque of joint 2 (Nm)", TURN),
-    (HARMONIC, {}, "position of joint 1 (deg)", TURN),
-    ("joint_offset:joint=3,offset_rad=5e-4", {}, "position of joint 3 (deg)", TURN),
+
+
     ("joint_backlash:joint=2,gap_rad=8e-4", {}, "direction of motion of joint 2", TURN),
     ("joint_lag:joint=1,lag_s=2e-3", {"motion": "trajectory"}, "velocity of joint 1 (deg/s)", TURN),
     (GEAR, {}, "phase of the harmonic, position of joint 1 (deg)", TURN),
-    (EXPANSION, {"warm_up": 15.0}, "temperature rise (K)", "growth of the links (ppm)"),
+
     ("tool_offset:x_m=2e-3,y_m=1e-3", {}, "row of the recording", ALONG),
-    ("measurement_scale:scale=5e-4", {}, FITTED, ALONG),
+
     ("time_offset:offset_s=0.02", {"motion": "trajectory"}, FITTED, ALONG),
 ]  # fmt: skip
 
@@ -66,18 +62,6 @@ def test_a_finding_lies_on_its_data(recorded, text, given, across, up):
     assert np.isfinite(panel.get_ylim()).all()
 
 
-def test_links_turn_about_two_axes(recorded):
-    found = diagnosed(*recorded("link_compliance:link=2,compliance_x_rad_per_Nm=1e-4,compliance_y_rad_per_Nm=6e-5"))
-    assert [(panel.get_xlabel(), panel.get_ylabel()) for panel in finding_figure(found, "run.csv").axes] == [
-        (f"gravity moment {axis} of link 2 (Nm)", f"rotation about {axis} (mrad)") for axis in "xy"
-    ]
-
-
-def test_one_finding_alone(found):
-    (panel,) = finding_figure(found, "", [1]).axes
-    assert panel.get_title() == "2. joint harmonic, joint1"
-
-
 def test_the_spectrum_of_a_gear_lies_on_its_data(wavy):
     (panel,) = finding_figure(wavy, "", [0]).axes
     assert (panel.get_title(), panel.get_ylabel()) == (
@@ -94,24 +78,6 @@ def test_the_spectrum_of_a_gear_lies_on_its_data(wavy):
     assert band[:, 0].min() == pytest.approx(curve.get_xdata().min())
     marks = [line for line in order_spectrum(wavy, "run.csv").axes[1].lines if line.get_linewidth() == 6]
     assert [tuple(mark.get_xdata()) for mark in marks] == [(0.5, 60.0)]
-
-
-def test_a_function_of_two_drivers_has_a_point_at_each_sample(recorded):
-    """Over its first driver, among its partial residuals."""
-    settings = recorded(COMPLIANCE)[0].settings
-    drivers = "position of joint 2 and gravity torque of joint 2"
-    both = Unnamed("joint2", drivers, -3.0, 3.0, "smooth*line", further=(-40.0, 40.0), spread=3e-4)
-    values = np.random.default_rng(4).normal(scale=3e-4, size=both.size)
-    recording = simulate(LITE6, effects=[(both, values)], motion="static", samples=300, settings=settings)
-    found = diagnosed(recording, (both,))
-    (curve,) = finding_curves(found, 0)
-    assert (curve.quantity.phrase, curve.scattered) == ("position of joint 2", True)
-    at = both.functions_at(np.asarray(both.values_at(found.problem.motion, found.problem.loads)))
-    truth = values @ at - (values @ at).mean()
-    order = np.argsort(np.asarray(found.problem.motion.joint_position[1]), kind="stable")
-    assert np.abs(curve.curve - truth[order]).max() < 5 * curve.std.max()
-    (panel,) = finding_figure(found, "", [0]).axes
-    assert panel.get_xlabel() == "position of joint 2 (deg)"
 
 
 def test_a_loop_has_a_point_at_each_sample(recorded):
@@ -132,23 +98,6 @@ def test_a_loop_has_a_point_at_each_sample(recorded):
     np.testing.assert_allclose(drawn - drawn.mean(), (fitted - fitted.mean())[order], atol=6e-5)
     assert len(dots.get_xdata()) > 100
     assert not panel.collections
-
-
-def test_many_findings_fit_a_page(compliant):
-    """Fourteen findings and more: no figure is higher than a page of its width, and panels stay readable."""
-    for count in (1, 4, 6, 7, 14, 15, 20):
-        figure = finding_figure(compliant, "", [0] * count)
-        width, height = figure.get_size_inches()
-        assert sum(panel.get_visible() for panel in figure.axes) == count
-        assert height <= 1.42 * width
-        assert width <= 18.5
-
-
-def test_two_components_do_not_mix(recorded):
-    """What one component does is not in the data that the other one is drawn over."""
-    found = diagnosed(*recorded("base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=3e-5"))
-    for panel in finding_figure(found, "").axes:
-        assert_on_its_data(panel, 0.3)
 
 
 # ------------------------------------------------------------------ errors, shares, orders and what is left of poses
@@ -191,19 +140,6 @@ def test_where_it_is(compliant):
     assert f"{100 * shares[at, driver]:.0f}" in [text.get_text() for text in panel.texts]
 
 
-def test_where_little_is_explained_the_map_is_scaled_to_that(clean):
-    low, high = explained_map(clean, "run.csv").axes[0].images[0].get_clim()
-    assert (low, high) == (0, pytest.approx(max(100 * np.nanmax(explained_shares(clean).shares), 2.0)))
-
-
-def test_a_median_of_a_thin_bin_is_left_out():
-    x = np.concatenate([np.linspace(0, 1, 400), np.full(6, 2.0)])
-    at, thick, _ = medians(x, np.ones(406), share=0.5)
-    assert np.isfinite(thick[at < 1]).all()
-    assert np.isnan(thick[at > 1.1]).all()
-    assert np.isfinite(medians(x, np.ones(406))[1][-1])
-
-
 def test_the_share_is_what_a_plain_fit_explains(compliant):
     """Of joint 2 and gravity's torque, by least squares on the residuals, the adjusted share of the variance."""
     problem, baseline = compliant.problem, compliant.selection.state.baseline
@@ -217,24 +153,6 @@ def test_the_share_is_what_a_plain_fit_explains(compliant):
     left = e - A @ np.linalg.lstsq(A, e, rcond=None)[0]
     share = 1 - np.sum(left**2) / np.sum(e**2) * e.size / (e.size - 11)
     assert shares[sites.index("joint2"), drivers.index("load")] == pytest.approx(share, abs=0.01)
-
-
-def test_what_a_constant_explains_is_shown_beside_functions_that_contain_it(recorded):
-    """A joint whose zero is off: functions of any driver there explain as much, and nothing says by which."""
-    sites, drivers, shares = explained_shares(diagnosed(*recorded("joint_offset:joint=2,offset_rad=1e-3")))
-    joint2 = shares[sites.index("joint2")]
-    assert joint2[drivers.index("constant")] > 0.9
-    np.testing.assert_allclose(joint2[[drivers.index("position"), drivers.index("time")]], joint2[0], atol=0.02)
-
-
-def test_an_error_of_the_image_is_at_the_sensor(recorded):
-    recording, _ = recorded()
-    p = recording.position
-    seen = replace(recording, position=p * (1 + 4e-3 * np.sum(p**2, 1, keepdims=True)))
-    sites, drivers, shares = explained_shares(diagnosed(seen, ()))
-    assert drivers[-1] == "two drivers"  # products of two measured positions explain even more
-    at, driver = np.unravel_index(np.nanargmax(shares[:, :-1]), shares[:, :-1].shape)
-    assert (sites[at], drivers[driver]) == ("sensor", "measured position")
 
 
 def test_the_order_found_is_marked(drawn):
@@ -251,31 +169,7 @@ def test_the_order_found_is_marked(drawn):
     assert orders[-1] > 195
 
 
-def test_orders_are_drawn_where_nothing_is_left(compliant, monkeypatch):
-    """Of two identical recordings, whose difference is zero."""
-    tested = evidence_map.score_test
-
-    def nothing(problem, fit, options):
-        test = tested(problem, fit, options)
-        return replace(test, residual=np.zeros_like(test.residual))
-
-    monkeypatch.setattr(evidence_map, "score_test", nothing)
-    figure = order_spectrum(compliant, "run.csv")
-    assert np.isfinite(figure.axes[0].get_ylim()).all()
-    assert all((joint.noise == 1.0).all() for joint in evidence_map.joint_spectra(compliant))
-    figure.savefig(io.BytesIO())
-
-
 # ------------------------------------------------------------------ torques
-
-
-def test_bars_are_the_errors_of_each_joint(motors, motors_drawn):
-    (panel,) = motors_drawn["error_by_joint"].axes
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("joint", "torque error (Nm RMS)")
-    for bars, errors in zip(panel.containers, (motors.before, motors.after), strict=True):
-        np.testing.assert_allclose([bar.get_height() for bar in bars], np.sqrt(np.mean(errors**2, 1)))
-    spread = [segment[0, 1] for segment in panel.collections[0].get_segments()]
-    np.testing.assert_allclose(spread, np.std(motors.problem.measured, axis=1))
 
 
 def test_torques_over_time(motors, motors_drawn):

@@ -49,19 +49,6 @@ def test_a_panel_for_each_joint(solution):
         assert y[7] == pytest.approx(np.median(dots.get_ydata()[near]))
 
 
-def test_the_differences_of_arms(comparison):
-    figure = figures.parameter_differences(comparison)
-    lengths, angles = figure.axes
-    assert (lengths.get_ylabel(), angles.get_ylabel()) == ("difference (mm)", "difference (deg)")
-    names = [tick.get_text() for tick in (*lengths.get_xticklabels(), *angles.get_xticklabels())]
-    assert sorted(names) == sorted(LITE6.form.names)
-    assert legend(figure) == ["1 arm0", "2 arm1", "3 arm2"]
-    d1 = [tick.get_text() for tick in lengths.get_xticklabels()].index("d1")
-    at = LITE6.form.names.index("d1")
-    shown = [line.get_ydata()[d1] for line in lengths.lines[:3]]
-    np.testing.assert_allclose(shown, 1e3 * comparison.difference[:, at])
-
-
 def test_the_distances_between_arms(comparison):
     panel, bar = figures.distance_between(comparison).axes
     assert bar.get_ylabel() == "largest distance of the flanges (mm)"
@@ -69,17 +56,6 @@ def test_the_distances_between_arms(comparison):
     np.testing.assert_allclose(table[1:, 1:], 1e3 * comparison.between)
     np.testing.assert_allclose(table[0, 1:], 1e3 * comparison.from_nominal.max(1))
     assert f"{table[1, 2]:.2f}" in [text.get_text() for text in panel.texts]
-
-
-def test_many_arms_are_drawn_without_names(comparison):
-    rng = np.random.default_rng(2)
-    many = compare(
-        [FactoryCalibration(perturbed(rng, LITE6.kinematics), LITE6, np.eye(4), f"{i}.yaml") for i in range(14)]
-    )
-    assert figures.parameter_differences(many).legends == []
-    panel = figures.distance_between(many).axes[0]
-    assert panel.get_xlabel() == "arm (0: nominal)"
-    assert len(panel.texts) == 0
 
 
 def test_written_whole_and_the_same_again(tmp_path, solution):

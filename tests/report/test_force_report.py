@@ -12,19 +12,11 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.bodies import PayloadTorque
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.recordings import Recording
-from lite6jax.recordings.fault import DataFault
 from lite6jax.report.diagnosis_figures import drawings, ranking_figure
-from lite6jax.report.faults import fault_statement
 from lite6jax.report.ranking import contribution, headline
 from lite6jax.report.remedies import remedy_of
 from lite6jax.report.statements import with_statements
 from tests.oracles import kane
-
-
-def test_what_friction_holds_is_said_in_the_unit_of_the_joint():
-    numbers = {"joints": [2, 3], "std_Nm": [0.5, 4.0], "prismatic_joints": [3]}
-    said = fault_statement(DataFault("held_by_friction", (1,), numbers))
-    assert "0.5 Nm at joint 2, 4 N at joint 3" in said
 
 
 def test_an_arm_of_slides_alone_is_said_in_newtons():

@@ -3,29 +3,21 @@
 import base64
 import re
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, HARMONIC, Reader, diagnosed, documented
+from diagnosed import COMPLIANCE, Reader, diagnosed, documented
 from matplotlib.image import imread
-from torque_diagnosed import COULOMB, LITE6, VISCOUS, moved
+from torque_diagnosed import COULOMB, VISCOUS
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
 
-import lite6jax
 from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
-from lite6jax.diagnosis.partial_residuals import finding_curves
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.errors import InputError
 from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, ranking
 from lite6jax.report.diagnosis_figures import NAMES, drawings
 from lite6jax.report.pages import diagnosis_page
-from lite6jax.report.ranking import Files
 
 DOMAINS = ("poses", "torques")
 both_domains = pytest.mark.parametrize("domain", DOMAINS)
@@ -45,10 +37,6 @@ def text_of(html):
     page = Reader(html)
     assert page.open == []
     return " ".join(page.text.split())
-
-
-def paged(found):
-    return text_of(diagnosis_page(found, documented(found), "run.csv", dict(drawings(found, "run.csv"))))
 
 
 def row_of(pattern, text):
@@ -183,42 +171,6 @@ def test_all_that_was_found_is_said(shown):
     assert "0.0200 mm is declared" in text
 
 
-def test_the_same_diagnosis_gives_the_same_page(shown):
-    found, _, html = shown["poses"]
-    again = dict(drawings(found, "run.csv"))
-    assert diagnosis_page(found, documented(found), "folder/run.csv", again) == html
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_physics_without_a_name(recorded):
-    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, "medium", spread=1e-3)
-    text = paged(diagnosed(recorded(HARMONIC)[0], (curve,)))
-    assert "Unnamed: no effect of the catalogue explains the largest effect that was found." in text
-    assert "1. Unnamed effect at joint1 as a function of its position" in text
-    said = (
-        r"explains an effect at joint1 as a function of the position of joint 1: a curve \(\d+ effective parameters\)"
-    )
-    assert re.search(f"{said}, peak to peak", text)
-    assert "coefficient" not in text
-    swing, std = row_of(r"peak to peak ([\d.]+) ± ([\d.]+) µrad", text)
-    assert swing == pytest.approx(800, abs=4 * std)  # twice the amplitude
-    assert std < 100
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_what_was_ruled_out_is_folded_and_commands_stand_on_the_page(shown):
-    found, drawn, _ = shown["poses"]
-    html = diagnosis_page(found, documented(found), "run.csv", drawn, Files(Path("my run.csv"), Path("d.json")))
-    folded = html[html.index("<details>") : html.index("</details>")]
-    assert "Effects not tested" in folded
-    assert "Effects not tested" not in html.replace(folded, "")
-    text = text_of(html)
-    assert "lite6jax compensate d.json 'my run.csv' --out 'my run_compensated.csv'" in text
-    assert text.index("Joint 2 gives way to gravity: ") < text.index("Explained: ")
-    widths = [float(width) for width in re.findall(r'class="bar"><span style="width: ([\d.]+)%"', html)]
-    assert widths[0] == 100 > widths[1]
-
-
 # ------------------------------------------------------------------ torques
 
 
@@ -242,50 +194,3 @@ def test_the_cause_comes_first_and_all_that_was_found_is_said(shown):
     assert "Rows 7, 9." in text
     assert "0.06, 0.08, 0.05, 0.02, 0.02, 0.015 Nm are declared" in text
     assert "Friction temperature at joint1–6" in text  # not tested: no temperatures
-
-
-@pytest.mark.usefixtures("unpainted")
-@pytest.mark.parametrize("signed", [False, True])
-def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
-    _, q, dq, _ = moved()
-    bump = 0.8 * np.exp(-(((q[1] - q[1].mean()) / 0.25) ** 2))
-    extra = np.zeros_like(q)
-    extra[1] = bump * np.sign(dq[1]) if signed else bump
-    signs = " and direction of motion of joint 2" if signed else ""
-    kernel, further = ("medium*line", (-1.0, 1.0)) if signed else ("medium", ())
-    ends = float(q[1].min()), float(q[1].max())
-    process = UnnamedTorque(2, f"position of joint 2{signs}", *ends, kernel, further, spread=1.0)
-    found = torques_diagnosed(torques_recorded(friction=False, extra=extra), (process,))
-    (curve,) = finding_curves(found, 0)
-    assert curve.scattered == signed
-    if not signed:
-        planted = 0.8 * np.exp(-(((curve.at - q[1].mean()) / 0.25) ** 2))
-        assert np.sqrt(np.mean((curve.curve - planted) ** 2)) < 0.05
-        near = np.interp(curve.driver, curve.at, curve.curve)
-        assert np.corrcoef(near, curve.partial)[0, 1] > 0.9
-    text = paged(found)
-    also = " and the direction of motion of joint 2" if signed else ""
-    of = f"a torque at joint2 that is a function of the position of joint 2{also}"
-    assert "Joint 2 has a torque that no effect of the catalogue names: " in text
-    assert f"No effect of the catalogue explains {of}: it contributes " in text
-    assert not re.search(r"coefficient|level|step\d", text)
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_without_declared_noise():
-    text = paged(torques_diagnosed(torques_recorded(declared=False), (ViscousFriction(2), CoulombFriction(2))))
-    assert "the sidecar declares no torque_noise_Nm" in text
-    assert "none is declared" in text
-
-
-def test_a_summary_is_sentences(motors):
-    text = motors.summary()
-    assert text.startswith("Joint 2 rubs ")
-    assert re.search(r"viscous 2\.0\d* ± 0\.\d+ Nm·s/rad", text)
-    assert text.endswith(".")
-    assert not re.search(r"https?:|src=|href=|style|script", motors._repr_html_())
-
-
-def test_poses_and_torques_have_functions_of_their_own():
-    with pytest.raises(InputError, match=r"has torques and no poses; call lite6jax\.diagnose_torques$"):
-        lite6jax.diagnose(torques_recorded(), LITE6)

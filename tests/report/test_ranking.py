@@ -11,8 +11,7 @@ from lite6jax.effects import catalogue
 from lite6jax.effects.dynamic import catalogue as dynamic
 from lite6jax.report import ranking
 from lite6jax.report.ranking import Files, steps
-from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
-from lite6jax.report.words import quantity
+from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of
 
 
 def ranked(document):
@@ -35,21 +34,6 @@ def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
         assert remedy.action[0].isupper(), name
 
 
-def test_an_effect_of_ones_own_has_a_general_one():
-    entry = {"effect": "cable_drag", "site": "joint3", "parameters": {}}
-    assert cause_of(entry) == "joint 3 has cable drag"
-    assert "effect of your own" in remedy_of(entry).action
-
-
-def test_all_links_together_are_the_arm():
-    assert cause_of({"effect": "link_thermal_expansion", "site": "links"}) == "the arm grows as it warms"
-
-
-def test_the_source_of_a_coupling_is_named():
-    entry = {"effect": "joint_coupling", "site": "joint3", "parameters": {"source_joint": {"value": 2.0, "std": 0.0}}}
-    assert cause_of(entry) == "the motion of joint 2 turns joint 3 as well"
-
-
 def test_a_payload_is_said_by_its_mass_and_its_centre():
     numbers = {"mass_kg": 0.6197, "x_m": 0.0309, "y_m": 0.0, "z_m": 0.07}
     entry = {"effect": "payload", "site": "payload", "parameters": {k: {"value": v} for k, v in numbers.items()}}
@@ -69,18 +53,6 @@ def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
         assert moves.position == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
 
 
-def test_findings_are_ranked_by_what_they_move(found):
-    document = documented(found)
-    sizes = [finding["moves_rms_m"] for finding in ranked(document)]
-    assert sizes == sorted(sizes, reverse=True)
-    assert sizes[0] > 1.05 * sizes[1]
-    bars = ranking.bars(document)
-    assert len(bars) == 2
-    assert bars[0].share == 1
-    assert bars[1].share == pytest.approx(sizes[1] / sizes[0])
-    assert float(bars[0].size) == pytest.approx(1e3 * sizes[0], rel=0.05)
-
-
 def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
     document = documented(compliant)
     moved = 1e3 * document["findings"][0]["moves_rms_m"]
@@ -94,18 +66,6 @@ def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
     assert "; with it in the model, " in ranking.headline(scaled)
     larger = {**document, "findings": [{**document["findings"][0], "moves_rms_m": 1.0}]}
     assert "1000 mm, which others partly cancel" in ranking.headline(larger)
-
-
-def test_effects_that_only_turn_the_tool_are_ranked_in_degrees(found):
-    document = documented(found)
-    turning = [
-        {**finding, "moves_rms_m": 1e-9, "moves_rms_rad": 1e-3 * k} for k, finding in enumerate(document["findings"], 1)
-    ]
-    errors = {stage: {**document[stage], "heldout_orientation_rms_rad": 2e-3} for stage in ("before", "after")}
-    turned = {**document, "findings": turning, **errors}
-    assert ranking.unit_of(turned) == "deg"
-    assert ranked(turned)[0] == turning[1]
-    assert "0.11 of 0.11 deg" in ranking.headline(turned)
 
 
 @pytest.mark.parametrize(
@@ -165,20 +125,6 @@ def test_of_torques_the_worth_is_that_at_the_joint(motors):
     assert said.startswith("Joint 2 rubs")
 
 
-def test_a_compliance_is_a_stiffness_too_and_a_rate_a_drift_per_day():
-    soft = quantity("compliance_rad_per_Nm", {"value": 1e-4, "std": 1e-6})
-    assert soft.also == "stiffness 10000 ± 100 Nm/rad"
-    assert str(soft) == "compliance 100.0 ± 1.0 µrad/Nm (stiffness 10000 ± 100 Nm/rad)"
-    assert quantity("compliance_rad_per_Nm", {"value": 1e-6, "std": 1e-6}).also == ""
-    assert quantity("vx_m_per_s", {"value": 1e-8, "std": 1e-9}).also == "0.864 ± 0.086 mm a day"
-    assert quantity("velocity_rad_per_s", {"value": 0.1, "std": 0.01}).also == ""
-
-
-def test_each_remedy_is_said_once_with_the_findings_that_it_is_for(motors, found):
-    assert [ranks for ranks, _ in ranking.actions(documented(motors))] == [[1, 2]]
-    assert sorted(rank for ranks, _ in ranking.actions(documented(found)) for rank in ranks) == [1, 2]
-
-
 def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     recording, diagnosis, other = tmp_path / "my run.csv", tmp_path / "d.json", tmp_path / "other" / "d.json"
     document = documented(found)
@@ -194,16 +140,3 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     assert [line[0] for line in words_of(own, recording, diagnosis)] == ["report"]
     mine = tmp_path / "mine.py"
     assert words_of(own, recording, diagnosis, mine)[0][-4:-2] == ["--effects", str(mine)]
-
-
-def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
-    recording, diagnosis, mine = (tmp_path / name for name in ("run.csv", "d.json", "mine.py"))
-    document = documented(motors)
-    own = {**document, "findings": [{**document["findings"][0], "effect": "air_drag"}, *document["findings"][1:]]}
-    # without the file of the effect, no command reads the model
-    assert [line[0] for line in words_of(own, recording, diagnosis)] == ["report"]
-    lines = words_of(own, recording, None, mine)
-    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "view", "report"]
-    for line in lines[:4]:
-        assert line[line.index("--effects") + 1] == str(mine)
-    assert "--effects" not in lines[4]

@@ -1,18 +1,13 @@
 """What a view of a diagnosis shows, as arrays, against an oracle of the chain."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from diagnosed import LITE6, documented
 
-from lite6jax.diagnosis.document import model_from_document, torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document
 from lite6jax.domains.pose.predict import predict
-from lite6jax.model import ArmModel
-from lite6jax.report import viewer
-from lite6jax.report.viewer import MEDIAN_ARROW, MOST_ARROWS, WITH, WITHOUT, PoseErrors, pose_scene, torque_scene
+from lite6jax.report.viewer import MEDIAN_ARROW, WITH, WITHOUT, pose_scene
 from tests.oracles.chains import joint_frames, six_parameter_poses
-from tests.oracles.transforms import origin_transform
 
 
 @pytest.fixture(scope="module")
@@ -55,86 +50,3 @@ def test_arrows_lead_from_predicted_to_measured_points(scene, poses):
         usual = np.linalg.norm(np.diff(errors.arrows(errors.scale), axis=1)[:, 0], axis=1)
         assert np.median(usual) == pytest.approx(MEDIAN_ARROW, rel=0.06)  # a scale of two digits
     assert found.median < 0.5 * rigid.median
-
-
-def test_a_sensor_elsewhere_shows_the_same_scene(scene, poses):
-    document, model, recording = poses
-    T = origin_transform([1.0, -2.0, 0.5, 0.3, -1.0, 2.0])
-    moved = replace(
-        model, model=ArmModel(model.model.geometry, T @ model.model.T_sensor_base, model.model.T_flange_tool)
-    )
-    seen = recording.made_anew(position=recording.position @ T[:3, :3].T + T[:3, 3], quaternion=None)
-    other = pose_scene(document, moved, seen)
-    for one, two in zip(scene.poses, other.poses, strict=True):
-        np.testing.assert_allclose(two.predicted, one.predicted, atol=1e-9)
-        np.testing.assert_allclose(two.error, one.error, atol=1e-9)
-
-
-def test_findings_have_their_place_their_size_and_plain_words(scene, poses):
-    document, _, _ = poses
-    first, second = scene.findings
-    assert (first.number, first.title, first.parts) == (1, "Joint compliance at joint2", ("joint2",))
-    assert second.parts == ("joint1",)
-    moved = next(entry for entry in document["findings"] if entry["site"] == "joint2")["moves_rms_m"]
-    assert float(first.size.removesuffix(" mm")) == pytest.approx(1e3 * moved, rel=0.05)
-    assert first.statement.startswith("Joint compliance at joint2")
-    assert scene.marked() == {"joint2": [1], "joint1": [2]}
-    assert scene.headline.startswith("Joint 2 gives way to gravity")
-
-
-@pytest.mark.parametrize(
-    ("site", "parts"),
-    [
-        ("joint4", ("joint4",)),
-        ("link2", ("link2",)),
-        ("link4", ("joint4",)),  # has no length to be drawn
-        ("links", ("link1", "link2")),
-        ("base", ("link0",)),
-        ("tool", ("tool",)),
-        ("payload", ("tool",)),
-        ("sensor", ()),
-        ("clock", ()),
-    ],
-)
-def test_every_site_has_its_part_of_the_arm(site, parts):
-    assert viewer._parts(site, [0, 1, 2]) == parts
-
-
-def test_a_long_recording_has_arrows_at_even_distances():
-    error = np.full((5 * MOST_ARROWS, 3), 1e-4)
-    error[::2] = np.nan
-    errors = PoseErrors(WITH, np.broadcast_to(np.eye(4), (len(error), 4, 4)), error)
-    assert len(errors.shown) == MOST_ARROWS
-    assert np.isfinite(errors.arrows(1.0)).all()
-    assert set(np.diff(errors.shown)) <= {4, 6}
-    nothing = PoseErrors(WITH, errors.predicted, np.full_like(error, np.nan))
-    assert (nothing.scale, nothing.arrows(1.0).shape) == (1.0, (0, 2, 3))
-
-
-def test_joints_are_coloured_by_the_errors_of_their_torques(motors):
-    document, recording = documented(motors), motors.problem.data.recording
-    shown = torque_scene(document, torque_model_from_document(document), recording)
-    found, rigid = shown.torques
-    assert (found.caption, rigid.caption) == (WITH, WITHOUT)
-    assert found.over_noise.shape == (recording.samples, 6)
-    middle = slice(100, -100)
-    assert np.median(found.over_noise[middle]) == pytest.approx(1.0, abs=0.25)  # noise alone is left
-    assert np.median(rigid.over_noise[middle, 1]) > 10
-    np.testing.assert_allclose(rigid.over_noise[middle, [0]], found.over_noise[middle, [0]])
-    sample = 100 + int(rigid.over_noise[middle, 1].argmax())
-    colours = rigid.colours(sample, rigid.limit).astype(int)
-    assert colours[1].sum() > colours[[0, 2, 3, 4, 5]].sum(1).max()  # brighter, as eyes without colours see it
-    assert shown.marked() == {"joint2": [1, 2]}
-    assert shown.moving
-    assert shown.step == pytest.approx(0.01)
-
-
-def test_faults_of_the_data_are_said(poses):
-    document, model, recording = poses
-    faulty = {**document, "data_faults": [{"fault": "outliers", "rows": [3], "numbers": {}, "statement": ""}]}
-    assert pose_scene(faulty, model, recording).remarks == (
-        "The file is shown as it is. For the diagnosis these were corrected or weighted: outliers.",
-    )
-    bare = recording.made_anew(position=None, quaternion=None)
-    only = pose_scene(document, model, bare)
-    assert (only.poses, only.remarks) == ((), ("The recording has no measured poses: only the motion is shown.",))

@@ -28,13 +28,3 @@ def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch,
             time.sleep(0.01)
             heard += capsys.readouterr().err
     assert "testing names, without block 1 of 4: 0:00 so far" in heard
-
-
-def test_a_short_computation_says_nothing(capsys):
-    with screen.stages() as follow:
-        follow(Stage("naming", 1, 5))
-    assert capsys.readouterr().err == ""
-
-
-def test_every_code_has_words():
-    assert set(screen._STAGES) == set(screen.Code.__args__)

@@ -2,21 +2,19 @@
 
 import json
 import re
-import textwrap
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosed import LITE6, Reader, diagnosed, documented, gear, of_waves, with_rivals
+from diagnosed import LITE6, Reader, diagnosed, documented, gear, with_rivals
 from rich.console import Console
 from rich.text import Text
 
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings import RecordingSettings
@@ -25,7 +23,6 @@ from lite6jax.report import diagnosis_figures, ranking, remedies, statements, wo
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
-from lite6jax.report.words import listed, quantity, rounded
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -125,30 +122,6 @@ def test_faults_come_before_the_findings(compliant, drawn):
     assert start < said.index("1. Joint compliance at joint2, a function") < said.index(short[0]) < said.index(short[1])
 
 
-def test_one_row_is_an_outlier(compliant):
-    wild = np.zeros(compliant.problem.samples, bool)
-    wild[11] = True
-    (fault,) = documented(replace(compliant, outliers=wild))["data_faults"]
-    assert fault["statement"] == fault_statement(DataFault("outliers", (12,)))
-    assert documented(compliant)["data_faults"] == []
-
-
-def test_rows_are_listed_in_short():
-    assert listed([3, 5, 6, 9, 10, 11, 12]) == "3, 5, 6, 9–12"
-    assert listed(range(1, 100, 2)) == "1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23 and 38 more"
-    assert listed([]) == ""
-
-
-def test_sites_are_listed_in_short():
-    sites = dict(remedies.by_site({"effect": effect.name, "site": effect.site} for effect in catalogue(7)))
-    assert sites["joint lag"] == "joint1–7"
-    assert sites["joint coupling"] == "joint1–7"  # each once, of 42
-    assert sites["link thermal expansion"] == "links, link1–6"
-    assert sites["time offset"] == "clock"
-    some = [{"effect": "joint_lag", "site": f"joint{joint}"} for joint in (1, 3, 4, 6)]
-    assert remedies.by_site(some) == [("joint lag", "joint1, 3, 4, 6")]
-
-
 def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
     document = documented(compliant)
     groups = statements.untested(document)
@@ -170,43 +143,18 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 # ------------------------------------------------------------------ physics without a name
 
 
-def test_the_spectrum_of_a_gear_is_said_without_its_orders(wavy, drawn):
-    text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
-    assert max(map(len, shown.splitlines())) <= 60
-    for rank, place in enumerate(ranking.order(documented(wavy)), 1):
-        joint = place + 1
-        title = f"Unnamed effect at joint{joint} as a function of its position"
-        assert text.count(f"{rank}. {title}") == 2  # in the ranking and above its figure
-        start = f"an effect at joint{joint} as a function of the position of joint {joint}: waves of many orders"
-        assert re.search(rf"{start}, as of a gear \(\d+ effective parameters\), peak to peak", said)
-    for shown_text in (text, said):
-        assert "sine" not in shown_text
-        assert "coefficient" not in shown_text
-    q = np.asarray(wavy.problem.motion.joint_position[0])
-    inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
-    swing, std = wavy.peak_to_peak(0)
-    assert 0 < std < 8e-5
-    assert swing == pytest.approx(np.ptp(of_waves(inside)), abs=5 * std)
-    value, spread = rounded(1e6 * swing, 1e6 * std)
-    assert f"peak to peak {value} ± {spread} µrad; it moves the measured point by " in said
-    assert f"peak to peak {value} ± {spread} µrad" in text
-
-
 @pytest.mark.parametrize(
     ("effect", "title", "shape"),
     [
         (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0),
          "joint2 as a function of its gravity torque", "a smooth curve"),
-        (Unnamed("base", "time", 0.0, 1.0, "rough", "rx"), "base (rx) as a function of the time", "steps or kinks"),
-        (Unnamed("link3", "position of joint 1", 0.0, 1.0, "line", "z"),
-         "link3 (z) as a function of the position of joint 1", "a line"),
+
+
         (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, "play"),
          "joint2 as a function of its gravity torque", "a hysteresis loop"),
-        (Unnamed("sensor", "measured position's distance", 0.0, 1.0, "cubic", "scale"),
-         "sensor (scale) as a function of the measured position's distance", "a smooth curve"),
+
         (gear(1), "joint1 as a function of its position", "waves of many orders, as of a gear"),
-        (Unnamed("joint3", "position of joint 3 and position of joint 5", 0.0, 1.0, "line*line", further=(0.0, 1.0)),
-         "joint3 as a function of the position of joints 3 and 5", "a surface"),
+
         (Unnamed("joint3", "position of joint 3 and direction of motion of joint 3", 0.0, 1.0, "rough*line",
                  further=(-1.0, 1.0)),
          "joint3 as a function of the position of joint 3 and the direction of motion of joint 3",
@@ -221,66 +169,6 @@ def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, t
     entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
     assert remedies.effect_title(entry) == f"unnamed effect at {title}"
     assert remedies.shape(where) == shape
-
-
-def alike(site, driver, gap, **more):
-    return {
-        "effect": "unnamed",
-        "site": site,
-        "driver": driver,
-        "log_likelihood_gap": gap,
-        "status": "undecided",
-        **more,
-    }
-
-
-def test_an_unnamed_effect_is_said_by_its_sites_and_drivers():
-    """What depends on a further driver contains the effect itself, and says nothing of another cause."""
-    rivals = [
-        alike("link3", "time", 2.0, component="ry"),
-        alike("link3", "position of joint 1 and time", 3.0, component="ry"),
-        alike("joint3", "position of joint 3 and payload", 0.5),
-        {
-            "effect": "joint_offset",
-            "site": "joint4",
-            "driver": "none",
-            "log_likelihood_gap": 4.0,
-            "status": "undecided",
-        },
-    ]
-    finding = alike("joint3", "position of joint 3", 0.0, confusable_with=rivals)
-    assert statements.rivals(finding) == [
-        "unnamed effect at link3 (ry) as a function of the time (log evidence -2.0)",
-        "joint offset at joint4 (log evidence -4.0)",
-    ]
-    cause = "joint 3, link 3 or joint 4 has an error that no effect of the catalogue names"
-    assert remedies.cause_of(finding) == cause
-    assert remedies.cause_of({**finding, "confusable_with": []}) == cause.replace(", link 3 or joint 4", "")
-
-
-def test_numbers_have_the_digits_that_they_are_known_to():
-    assert rounded(1.52689, 0.0123) == ("1.527", "0.012")
-    assert rounded(21654.3, 4320.0) == ("21654", "4320")
-    assert rounded(1.0, np.inf) == ("1", "unknown")
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "std", "text"),
-    [
-        ("compliance_rad_per_Nm", 9.012e-5, 3.5e-7, "compliance 90.12 ± 0.35 µrad/Nm (stiffness 11096 ± 43 Nm/rad)"),
-        ("compliance_x_rad_per_Nm", 9e-5, 3e-6, "compliance x 90.0 ± 3.0 µrad/Nm (stiffness 11111 ± 370 Nm/rad)"),
-        ("phase_rad", 0.5, 0.02, "phase 28.6 ± 1.1 deg"),
-        ("amplitude_rad", 4e-4, 1e-5, "amplitude 0.400 ± 0.010 mrad"),
-        ("vx_m_per_s", 1e-6, 1e-7, "vx 1.00 ± 0.10 µm/s (86.4 ± 8.6 mm a day)"),
-        ("expansion_per_K", 2.3e-5, 1e-6, "expansion 23.0 ± 1.0 ppm/K"),
-        ("offset_s", 0.02, 1e-4, "offset 20.00 ± 0.10 ms"),
-        ("scale", 1.6e-4, 2e-6, "scale 160.0 ± 2.0 ppm"),
-        ("mass_kg", 0.4, 0.02, "mass 0.400 ± 0.020 kg"),
-        ("order", 2.0, 0.0, "order 2"),
-    ],
-)
-def test_numbers_are_read_in_the_units_of_the_screen(name, value, std, text):
-    assert str(quantity(name, {"value": value, "std": std})) == text
 
 
 # ------------------------------------------------------------------ the reference
@@ -301,12 +189,6 @@ def test_the_reference_comes_first(compliant, drawn, against):
     same = replace(against, reproduced=True, matched=200, differences=(), notes=())
     said = "Reference gazebo.csv, 200 rows: the model reproduces it, with position errors of 3.5355 mm RMS and 4.0000"
     assert f"{said} mm at most. gazebo" in page(compliant, drawn, same)
-
-
-def test_both_sides_agree(clean, drawn, against):
-    for shown_text in (page(clean, drawn, against), screen(clean, against)[1]):
-        assert "beyond the differences above, the two recordings differ by noise" in shown_text
-        assert "the sensor's noise explain the recording" not in shown_text
 
 
 # ------------------------------------------------------------------ what to record next
@@ -350,47 +232,6 @@ def test_what_to_record_next(undecided, drawn):
     assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
 
 
-def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
-    assert not any("Poses that separate" in said for said in (page(compliant, drawn), screen(compliant)[1]))
-
-
-def test_the_status_of_each_rival_is_in_the_document(undecided):
-    (finding,) = documented(undecided)["findings"]
-    found = {(rival["effect"], rival["site"]): rival["status"] for rival in finding["confusable_with"]}
-    assert found == {
-        ("joint_lag", "joint2"): "undecided",
-        ("link_compliance", "link1"): "separable",
-        ("joint_harmonic", "joint2"): "rejected",
-        ("joint_compliance", "joint2"): "found",
-    }
-
-
-def test_orders_that_are_one_wave_are_told_apart_by_other_positions(compliant):
-    orders = [f"joint_harmonic:joint=2,order={order},amplitude_rad=1e-4,phase_rad=0" for order in (2, 178, 182.5)]
-    effect, *others = (parse_effect(order)[0] for order in orders)
-    (finding,) = compliant.findings
-    found = replace(compliant, findings=(replace(finding, effect=effect, values=np.zeros(2), covariance=np.eye(2)),))
-    document = documented(with_rivals(found, (others[0], 0.0), (others[1], 0.3)))
-    assert [rival["status"] for rival in document["findings"][0]["confusable_with"]] == ["undecided"] * 2
-    assert statements.what_to_record(document)[0] == (
-        "To separate joint harmonic of order 2 at joint2 from order 178 or 182.5, record positions of joint2 that are "
-        "no multiples of one angle."
-    )
-
-
-def test_most_of_a_deviation_may_be_from_the_payload(compliant):
-    (finding,) = compliant.findings
-    said = {}
-    for share in (0.4, 0.6):
-        document = documented(replace(compliant, findings=(replace(finding, input_share=share),)))
-        assert document["findings"][0]["payload_share"] == share
-        said[share] = statements.what_to_record(document)
-    assert [line for line in said[0.6] if line not in said[0.4]] == [
-        "To narrow the ± of joint compliance at joint2, record poses with another payload, or with none, as well: most "
-        "of its variance is that the payload may be wrong by too little to be found."
-    ]
-
-
 def test_what_is_confounded_is_to_be_declared(compliant):
     start = "To test for effects that are confounded or not observed, "
     last = statements.what_to_record(documented(compliant))[-1]
@@ -431,15 +272,6 @@ def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_se
     assert as_declared.verdict == "consistent"
 
 
-def test_of_a_noise_that_is_not_declared_no_size_is_claimed(tmp_path):
-    document = documented(of_six_numbers(tmp_path, 2e-3))
-    assert statements.verdict_statement(document) == (
-        "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
-        "sidecar declares no position_noise_m and no orientation_noise_rad."
-    )
-    assert ranking.headline(document).startswith("No effect is significant, and the error of ")
-
-
 def test_poses_of_the_controller_test_the_table_alone(compliant):
     document = documented(compliant)
     none = {**document, "findings": [], "pose_source": "controller_fk"}
@@ -450,16 +282,6 @@ def test_poses_of_the_controller_test_the_table_alone(compliant):
     assert statements.cautions(none)[0].startswith("The poses are the controller's own computation from the joints")
     assert "To diagnose the arm itself, record the poses with a sensor." in reported(none)[1]
     assert statements.COMPUTED not in reported(document)[1]
-
-
-def test_a_finding_without_a_test_of_its_own_has_no_p_value(compliant):
-    document = documented(compliant)
-    document["findings"][0]["p_value"] = 1.0
-    (finding,) = statements.findings_of(document)
-    said = finding["statement"] + " " + statements.p_value_statement(finding)
-    assert "significant: " not in said
-    assert said.endswith("It is part of the likeliest model, and is not significant beside the other findings alone.")
-    assert "p-value" not in reported(document)[1]
 
 
 def test_the_verdict_says_what_the_numbers_say(compliant):
@@ -510,19 +332,6 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
     }
     again = json.loads(json.dumps(plain, allow_nan=False))
     assert statements.with_statements(again) == json.loads(json.dumps(stated))
-
-
-def test_a_summary_is_sentences_of_a_few_lines(compliant):
-    text = compliant.summary()
-    assert len(textwrap.wrap(text, 80)) < 15
-    (finding,) = documented(compliant)["findings"]
-    size = ", ".join(str(quantity(name, estimate)) for name, estimate in finding["parameters"].items())
-    assert f"is significant: {size}; it moves" in text
-    rms = 1e3 * np.sqrt(np.mean(compliant.after**2))
-    assert f"The held-out position error is {rms:.4f} mm RMS with these effects" in text
-    html = compliant._repr_html_()
-    assert f"is significant: {size}; it moves" in html
-    assert "<script" not in html
 
 
 def test_a_number_that_is_not_finite_is_unknown():

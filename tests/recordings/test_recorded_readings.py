@@ -50,13 +50,6 @@ def test_settings_of_readings_read_back(tmp_path):
     assert again.settings == recording.settings
 
 
-def test_a_sidecar_of_poses_says_nothing_of_readings(tmp_path):
-    recording = simulate("lite6", samples=3)
-    write_recording(recording, tmp_path / "run.csv")
-    text = (tmp_path / "run.yaml").read_text()
-    assert not any(key in text for key in ("contact", "anchor", "axis", "camera", "board"))
-
-
 @pytest.mark.parametrize(
     ("name", "columns", "rows", "settings", "said"),
     [
@@ -78,29 +71,6 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path, name, columns, rows, 
         read_recording(file)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_joints_of_an_image_agree(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_text(f"{JOINTS},image,corner,u_px,v_px\n0,0,0,0,0,0,0,0,1,2\n0,0.1,0,0,0,0,0,1,3,4\n")
-    with pytest.raises(InputError, match="row 2: its joint positions differ"):
-        read_recording(file)
-
-
-def test_rows_without_a_label_are_dropped(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_text(f"{JOINTS},contact\n" + "".join(f"0,0,0,0,0,0,{label}\n" for label in ("a", "", "b")))
-    (tmp_path / "run.yaml").write_text("recording:\n  arm: lite6\n  motion: static\n")
-    found = read_recording(file)
-    assert found.samples == 2
-    assert any("dropped 1 row" in note for note in found.notes)
-
-
-def test_each_block_that_is_held_out_leaves_rows_of_every_place(recordings):
-    recording = recordings["plane"]
-    for fold in recording.contiguous_folds(3):
-        left = recording.select(~fold).readings.group
-        assert set(left) == set(recording.readings.group)
 
 
 def test_several_files_have_places_of_their_own(tmp_path, recordings):
