@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -206,7 +207,7 @@ def drawn(name: str, rng: np.random.Generator, s: Scene, noise: Array) -> tuple[
     joint = int(rng.integers(1, dof + 1))
     fixed: dict[str, float] = {}
     q, load = s.q[:, joint - 1], np.abs(s.load)
-    found: dict[str, Callable[[], float]] = {
+    found: dict[str, Callable[[], Any]] = {
         **dict.fromkeys(("centre", "at", "rest"), lambda: np.percentile(q, rng.uniform(25, 75))),
         "width": lambda: rng.uniform(0.1, 0.25) * np.ptp(q),
         "order": lambda: rng.integers(3, 13),
