@@ -23,7 +23,7 @@ from lite6jax.calibration.quality import Result
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.errors import InputError
-from lite6jax.fleet import fit
+from lite6jax.fleet import folder
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses
@@ -526,11 +526,11 @@ def test_fleet_refuses_what_is_no_folder(capsys, tmp_path, calibration):
 
 
 def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path, calibration):
-    def stumble(path):
+    def stumble(path, nominal):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(fit, "_read", stumble)
-    (row,) = fit.fit_files([calibration], None)
+    monkeypatch.setattr(folder, "_read_calibration", stumble)
+    (row,) = folder.fit_files([calibration], None)
     assert row.result == Result.UNREADABLE
     assert row.message == (
         f"{calibration}: unexpected ZeroDivisionError: division by zero; please report it with this file"

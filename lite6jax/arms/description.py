@@ -297,11 +297,7 @@ def bundled_of(joints: int) -> list[Arm]:
 
 @cache
 def load_bundled(name: str) -> Arm:
-    """A bundled arm by its name.
-
-    Raises:
-        InputError: no such arm; the message lists the names.
-    """
+    """A bundled arm by its name; refuses another one with a list of the names."""
     if name not in bundled_arms():
         raise InputError(f"no bundled arm {name!r}; {entries.suggestion(name, bundled_arms())}")
     return read_description(_DATA / f"{name}.yaml")

@@ -448,11 +448,8 @@ def bodies_near(parameters: npt.ArrayLike) -> Numbers:
 
 
 def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
-    """The arm with the masses, centres of mass and inertia tensors of these links, (joint, 10).
-
-    Raises:
-        InputError: links that are no bodies.
-    """
+    """The arm with the masses, centres of mass and inertia tensors of these links, (joint, 10); refuses what is no
+    body."""
     parameters = np.asarray(parameters, float)
     if parameters.shape != (arm.dof, 10) or not is_consistent(parameters):
         raise InputError(f"arm {arm.name!r}: these links are no bodies; take such as consistent_links gives")

@@ -132,7 +132,6 @@ def fit_recording(
     """
     problem = recording_problem(recording, nominal, geometry)
     form, chain = problem.form, problem.form.chain
-    everything = np.arange(recording.samples)
     few = np.unique(np.linspace(0, recording.samples - 1, min(MOST_SPREAD, recording.samples)).astype(int))
     spread = few if len(few) < recording.samples else slice(None)
     information = _information(problem.select(few), recording.source)
@@ -155,11 +154,9 @@ def fit_recording(
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
         weight[k, fold] = 0.0
     start = {"start": first.model, "solver": solver}
-    begun = None
-    if len(few) < len(everything) and solver == "gauss_newton":
-        on_few = estimate(some, free, **start)
-        start["start"], begun = on_few.model, (on_few, len(everything) / len(few))
-    final = estimate(problem, free, begun=begun, **start)
+    if len(few) < recording.samples:
+        start["start"] = estimate(some, free, **start).model
+    final = estimate(problem, free, **start)
     folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], **start), list(weight))
     frames_only = free & (np.arange(form.size) >= chain.size)
     nominal_fit = estimate(some, frames_only)

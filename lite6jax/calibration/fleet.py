@@ -127,7 +127,7 @@ def fit_fleet(
 
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, np.ones(form.size), max_steps, progress)
+    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
     solved = summary.solved
     numbers = POSE * summary.samples
     result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)

@@ -2,10 +2,7 @@
 good.
 
 The gradient is exact at every step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the
-path. A step of 1e-4 rad leaves it good to four digits. Where samples are many, the first step is that of one in four of
-them: it ends within their noise, twice the final standard deviation, and an error of second order as that of all would.
-Where these are below 1e-4, a fit from nominal needs the curvature of all samples once, and every other step costs only
-two walks of the chain.
+path. A step of 1e-4 rad leaves it good to four digits, so that later steps cost only two walks of the chain.
 """
 
 from collections.abc import Callable
@@ -23,8 +20,6 @@ from lite6jax import threads
 from lite6jax.calibration.compiled import SINGLE_THREADED
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.calibration.residual import (
-    POSE,
-    POSITION,
     Observations,
     differences,
     evaluate,
@@ -48,14 +43,6 @@ SINGULAR_ABOVE = 1e11
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
 _SLOW = 0.03
-_STRIDE = 4
-"""The first step is that of every so many samples, …"""
-_NUMBERS_EACH = 8
-"""… where these have this many numbers for each parameter, …"""
-_DETERMINED = 1e6
-"""… and determine each parameter: its variance is at most this many times what it would be if the others were known."""
-_BY_CHANCE = 10.0
-"""… and where that lowers their cost by this many times what it would from the solution of all, by noise alone."""
 DECREMENT = 1e-17
 """Converged when the step after the next is to gain less than this part of the cost, …"""
 ROUNDING = 2e-16
@@ -69,7 +56,7 @@ class Solved(NamedTuple):
 
     Attributes:
         model: the models, a leading arm axis on each leaf.
-        curvature: `(arm, size, size)`, the information of the data, to about four digits; identity where held.
+        curvature: `(arm, size, size)`, the information of the data, to about four digits.
         cost: `(arm,)`.
         status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
         steps: `(arm,)`.
@@ -100,7 +87,6 @@ def fit_chunks(
     pose: np.ndarray,
     weight: np.ndarray,
     whitener: np.ndarray,
-    free: np.ndarray,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
 ) -> Summary:
@@ -113,7 +99,6 @@ def fit_chunks(
         pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
         weight: `(arm, sample)`.
         whitener: `(2,)`, one for all.
-        free: `(size,)`, one where the fit may move, zero where it may not.
         max_steps: most steps an arm may take.
         progress: called with the number of arms done since the last call.
 
@@ -134,7 +119,7 @@ def fit_chunks(
     def solve(first: int) -> Summary:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
         data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
-        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), np.asarray(free, float), max_steps)
+        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
 
     firsts, parts = range(0, arms, chunk), []
@@ -146,7 +131,8 @@ def fit_chunks(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def _solve_and_measure(
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=SINGLE_THREADED)
+def _fit_chunk(
     form: ModelForm,
     block: int,
     start: ArmModel,
@@ -154,7 +140,6 @@ def _solve_and_measure(
     pose: Array,
     weight: Array,
     whitener: Array,
-    free: Array,
     max_steps: ArrayLike,
 ) -> Summary:
     prepare = jax.vmap(
@@ -162,11 +147,11 @@ def _solve_and_measure(
     )
     observed = prepare(joint_position, pose, weight, whitener)
     start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
-    solved = solve_chunk(form, start, observed, free, max_steps)
-    covariance = jax.vmap(inverse)(solved.curvature) * (free[:, None] * free)
+    solved = solve_chunk(form, start, observed, max_steps)
+    covariance = jax.vmap(inverse)(solved.curvature)
     # how much its correlation with the others inflates a parameter's variance
     inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
-    regular = jnp.all((free == 0) | ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)), 1)
+    regular = jnp.all((inflation > 0.5) & (inflation < SINGULAR_ABOVE), 1)
     doubtful = (solved.status != NOT_FINITE) & ~regular
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
     solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
@@ -181,9 +166,6 @@ def _solve_and_measure(
     used = jnp.sum(observed.weight > 0, (1, 2))
     rms = [jnp.sqrt(total / jnp.maximum(used, 1)) for total in totals]
     return Summary(solved, covariance, used, rms[0], rms[1])
-
-
-_fit_chunk = jax.jit(_solve_and_measure, static_argnums=(0, 1), compiler_options=SINGLE_THREADED)
 
 
 class _State(NamedTuple):
@@ -201,38 +183,43 @@ class _State(NamedTuple):
     steps: Array
 
 
-def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, free: Array, max_steps: ArrayLike) -> Solved:
+def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike) -> Solved:
     """Fits a chunk of arms by least squares.
 
     Args:
         form: what moves.
         start: where from; a leading arm axis on every leaf.
         observed: arm and block axes lead.
-        free: `(size,)`, one where the fit may move, zero where it may not.
         max_steps: most steps an arm may take; zero only evaluates cost and curvature at the start.
     """
-    arms = start.geometry.shape[0]
-    floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
-    at = partial(_evaluate_arms, form, free)
-    start, begun = _begin(form, start, observed, free, max_steps)
+    arms = observed.weight.shape[0]
+    # what residuals of rounding cost
+    floor = jnp.sum(observed.weight * 3 * jnp.sum(observed.whitener**2, 2)[:, :, None], (1, 2)) * ROUNDING**2
+
+    def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
+        """Cost, gradient and, of `linearise`, curvature of each arm."""
+        return jax.vmap(lambda model, own: over_blocks(partial(function, form, model, robust=None), own))(
+            models, observed
+        )
+
+    def choose(which: Array, new: Any, old: Any) -> Any:
+        """The leaves of one tree or of the other, arm by arm."""
+        return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
 
     def body(state: _State) -> _State:
         renewed = jnp.any(state.renew)
         cost, gradient, H = lax.cond(
             renewed,
-            lambda: at(linearise, state.candidate, observed),
-            lambda: (*at(evaluate, state.candidate, observed), state.curvature),
+            lambda: at(linearise, state.candidate),
+            lambda: (*at(evaluate, state.candidate), state.curvature),
         )
         running = state.status == RUNNING
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
         flat = jnp.abs(state.decrement) <= FLAT * state.cost + floor
         better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
         taken = running & better
-        model, cost, gradient, H = jax.tree.map(
-            _choose(taken),
-            (state.candidate, cost, gradient, H),
-            (state.model, state.cost, state.gradient, state.curvature),
-        )
+        before = state.model, state.cost, state.gradient, state.curvature
+        model, cost, gradient, H = choose(taken, (state.candidate, cost, gradient, H), before)
         relaxed = jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping)
         damping = jnp.where(running, jnp.where(better, relaxed, jnp.maximum(10 * state.damping, 1e-4)), state.damping)
         kept = lax.cond(
@@ -250,10 +237,10 @@ def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, free: 
         status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
         status = jnp.where(running & broken, jnp.where(jnp.isfinite(cost), SINGULAR, NOT_FINITE), status)
         going = status == RUNNING
-        candidate = jax.tree.map(_choose(running & ~broken), jax.vmap(form.retract)(model, step), model)
+        candidate = choose(running & ~broken, jax.vmap(form.retract)(model, step), model)
         # the last step of a converged arm needs no look at where it leads: its own quadratic tells the cost
         arrived = running & (status == CONVERGED)
-        model = jax.tree.map(_choose(arrived), candidate, model)
+        model = choose(arrived, candidate, model)
         cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
         slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
         return _State(
@@ -261,81 +248,12 @@ def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, free: 
             jnp.where(taken, moved, state.moved), status, state.steps + (going | arrived),
         )  # fmt: skip
 
-    nothing = jnp.zeros(arms)
-    state = _State(
-        model=start,
-        candidate=start,
-        cost=jnp.full(arms, jnp.inf),
-        gradient=jnp.zeros((arms, form.size)),
-        curvature=jnp.zeros((arms, form.size, form.size)),
-        inverse=jnp.zeros((arms, form.size, form.size)),
-        renew=jnp.full(arms, True),
-        damping=nothing,
-        decrement=nothing,
-        moved=jnp.full(arms, jnp.inf),
-        status=jnp.full(arms, RUNNING),
-        steps=begun,
-    )
+    row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
+    none, infinite, yes = jnp.zeros(arms), jnp.full(arms, jnp.inf), jnp.full(arms, True)
+    status, steps = jnp.full(arms, RUNNING), jnp.zeros(arms, jnp.int32)
+    state = _State(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
     state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)
     return Solved(state.model, state.curvature, state.cost, state.status, state.steps)
-
-
-def _evaluate_arms(
-    form: ModelForm,
-    free: Array,
-    function: Callable[..., tuple[Array, ...]],
-    model: ArmModel,
-    observed: Observations,
-) -> tuple[Array, ...]:
-    """Cost, gradient and, of `linearise`, curvature of each arm; identity where held."""
-
-    def one(model: ArmModel, observed: Observations) -> tuple[Array, ...]:
-        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=None), observed)
-        held = [jnp.where(free[:, None] * free > 0, H, jnp.diag(1 - free)) for H in curvature]
-        return (cost, gradient * free, *held)
-
-    return jax.vmap(one)(model, observed)
-
-
-def _begin(
-    form: ModelForm, start: ArmModel, observed: Observations, free: Array, max_steps: ArrayLike
-) -> tuple[ArmModel, Array]:
-    """The model after one Gauss–Newton step of every fourth sample, and the steps taken, `(arm,)`.
-
-    An arm stays where it is if these samples are too few, do not determine the step, or gain no more by it than they
-    would by fitting their own noise. Samples of several blocks are left to the solver: they are not fitted by the
-    hundred.
-    """
-    arms, blocks, samples = observed.weight.shape
-    rows = POSITION if observed.rotation.shape[-1] == 0 else POSE
-    none = jnp.zeros(arms, jnp.int32)
-    if blocks > 1 or observed.whitener.ndim > 3 or samples // _STRIDE * rows < _NUMBERS_EACH * form.size:
-        return start, none
-    few = jax.tree.map(lambda leaf: leaf[..., ::_STRIDE], observed._replace(whitener=jnp.zeros(0)))
-    few = few._replace(whitener=observed.whitener)
-    at = partial(_evaluate_arms, form, free)
-    before, gradient, H = at(linearise, start, few)
-    inverted = jax.vmap(inverse)(H)
-    step = -jnp.einsum("aij,aj->ai", inverted, gradient)
-    model = jax.vmap(form.retract)(start, step)
-    inflation = jnp.diagonal(inverted, axis1=1, axis2=2) * jnp.diagonal(H, axis1=1, axis2=2)
-    determined = jnp.all((inflation > 0.5) & (inflation < _DETERMINED), 1)
-    numbers = jnp.sum(few.weight > 0, (1, 2)) * rows
-    after = at(evaluate, model, few)[0]
-    far = before - after > _BY_CHANCE * form.size / numbers * after
-    enough = numbers >= _NUMBERS_EACH * form.size
-    taken = (jnp.asarray(max_steps) > 0) & determined & enough & far & jnp.all(jnp.isfinite(step), 1)
-    return jax.tree.map(_choose(taken), model, start), none + taken
-
-
-def _choose(which: Array) -> Callable[[Array, Array], Array]:
-    return lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-
-def _rounding_floor(observed: Observations) -> Array:
-    squares = observed.whitener**2
-    per_sample = 3 * jnp.sum(squares) if observed.whitener.ndim == 1 else jnp.sum(squares, (0, 1))
-    return jnp.sum(observed.weight * per_sample) * ROUNDING**2
 
 
 def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:

@@ -85,7 +85,6 @@ def solve(
     freedom: float | None = None,
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
-    begun: tuple[Estimate, float] | None = None,
 ) -> Estimate:
     """The parameters that a problem's samples and its prior make likeliest, and the scale of the noise.
 
@@ -97,8 +96,6 @@ def solve(
         freedom: degrees of freedom of Student's t; None is least squares.
         solver: which; see `fit`.
         max_steps: most steps; zero only evaluates residuals and information at the start.
-        begun: an estimate from some of the samples, and how many times as many there are: its curvature serves for the
-            steps until it leads no further.
     """
     free = problem.movable if free is None else free
     samples = _Samples(problem, np.ones(len(problem.pose)) if weight is None else weight, freedom)
@@ -106,7 +103,7 @@ def solve(
     if solver == "levenberg_marquardt" and max_steps:
         end, scale, result, steps = _solve_by_record(samples, free, first, max_steps)
     else:
-        end, scale, result, steps = _solve_by_gauss_newton(samples, free, first, max_steps, begun)
+        end, scale, result, steps = _solve_by_gauss_newton(samples, free, first, max_steps)
     seen = samples.look(*end, scale, curved=True)
     curvature = seen.curvature + np.diag(problem.precision)
     information = np.where(np.outer(free, free), curvature, np.diag(1.0 - free))
@@ -231,24 +228,17 @@ _totals, _totals_of_few = (
 
 
 def _solve_by_gauss_newton(
-    samples: _Samples,
-    free: NDArray[np.bool_],
-    start: ArmModel,
-    max_steps: int,
-    begun: tuple[Estimate, float] | None,
+    samples: _Samples, free: NDArray[np.bool_], start: ArmModel, max_steps: int
 ) -> tuple[tuple[ArmModel, Array], float, Result, int]:
     """A model and the last step from there, the scale of the noise, how it ended, and the number of steps."""
     precision, inside, still = samples.problem.precision, np.ix_(free, free), np.zeros(free.size)
     prior, squares = np.diag(precision[free]), samples.whitener**2
     per_sample = 3 * np.sum(squares) if squares.ndim == 1 else np.sum(squares, (1, 2))
     floor = float(np.sum(samples.weight * per_sample)) * ROUNDING**2
-    if begun is None:
-        kept, scale = None, samples.first_scale(start)
-    else:
-        kept, scale = begun[1] * (begun[0].information - np.diag(precision))[inside], begun[0].scale
+    scale = samples.first_scale(start)
     at, model, step, steps, damping, decrement = None, start, still, 0, 0.0, 0.0
     while True:
-        seen = samples.look(model, step, scale, curved=kept is None)
+        seen = samples.look(model, step, scale, curved=True)
         cost, now = samples.cost(seen, scale), np.inf if at is None else samples.cost(at, scale)
         if at is None and not np.isfinite(cost):
             return (start, still), scale, Result.NOT_FINITE, steps
@@ -258,14 +248,11 @@ def _solve_by_gauss_newton(
         at = seen if better or at is None else at
         before, scale = scale, samples.scale(at.squares) if better and samples.freedom is not None else scale
         # Student's loss curves less than its weighted squares, by a share that the residuals show
-        H = samples.curved_share(at.squares, scale) * (at.curvature[inside] if kept is None else kept) + prior
+        H = samples.curved_share(at.squares, scale) * at.curvature[inside] + prior
         step = still.copy()
         step[free] = -_damped_solve(H, at.gradient[free], damping)
         last, decrement = decrement, float(-step @ at.gradient)
         model = at.model
-        if kept is not None and not (better and decrement <= (last / 2 or np.inf)):
-            kept, step, decrement = None, still, 0.0  # the curvature of some samples leads no further
-            continue
         if not np.isfinite(step).all():
             return (model, still), scale, Result.SINGULAR, steps
         if steps >= max_steps:

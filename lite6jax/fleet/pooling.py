@@ -92,11 +92,8 @@ class Weighed:
         return float(min(np.exp(-self.sure), 1.0))
 
     def likelihoods(self, typical: Sequence[float]) -> ArmLikelihoods:
-        """What the arms say, for a hierarchical model; nothing where there is no evidence.
-
-        Args:
-            typical: sizes of its numbers.
-        """
+        """What the arms say, for a hierarchical model of numbers of `typical` sizes; nothing where there is no
+        evidence."""
         size, arms = len(typical), len(self.evidence)
         score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
         for i, one in enumerate(self.evidence):
@@ -111,13 +108,10 @@ def weigh(
     confounded: float,
     cost: float = 0.0,
 ) -> Weighed:
-    """The evidence of a term, over all ways.
+    """The evidence of a term over all ways, of what each arm says, None of one that does not show it.
 
-    Args:
-        term: which.
-        evidence: of each arm; None of an arm that does not show it.
-        confounded: eigenvalue over the largest below which a direction is in the model's span.
-        cost: −ln of its prior probability.
+    `cost` is −ln of its prior probability. Eigenvalues over the largest that are below `confounded` are in the model's
+    span.
     """
     shown = [one for one in evidence if one is not None]
     if len(shown) < 2:  # which a hierarchical model takes
@@ -154,11 +148,7 @@ def weigh(
 def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:
     """The evidence of numbers without a prior at the likeliest ratio of prior to information.
 
-    Args:
-        statistic: χ², of any shape.
-        size: directions, likewise.
-        left: S.
-        freedom: ν.
+    Of χ² statistics T and as many directions K, of any shape, with S left of ν degrees of freedom.
     """
     t, K = np.asarray(statistic) / left, np.asarray(size)
     q = (freedom * t - K) / np.maximum(t * np.maximum(freedom - K, 1.0), 1e-300)
@@ -180,13 +170,9 @@ def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evi
     Of processes that are others in each arm it is approximate: F. Satterthwaite's equal directions (Biometrics Bulletin
     2, 1946).
 
-    Args:
-        scans: of the arms.
-        confounded: eigenvalue over the largest below which a direction is in the model's span.
-
     Returns:
-        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each
-        group `(group,)`.
+        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each group
+        `(group,)`.
     """
     named, total, alone = dict[str, list[Evidence | None]](), dict[str, list[Array]](), dict[str, Array]()
     arms, S, v = 0, 0.0, 0.0
@@ -226,13 +212,7 @@ class Reduced:
     """
 
     def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
-        """Computes nothing.
-
-        Args:
-            stored: paths of files of `ReducedArm.to_bytes`.
-            options: thresholds.
-            workers: that compute, started.
-        """
+        """The files of `ReducedArm.to_bytes`, thresholds, and workers that are started; computes nothing."""
         self._stored, self.options, self._workers = tuple(stored), options, workers
 
     def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:

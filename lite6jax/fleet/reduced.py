@@ -41,17 +41,8 @@ _ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
 def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
-    """Columns of a recording as those of all its readings: whitened; zero at samples that are not fitted.
-
-    Args:
-        columns: `(…, row, sample)`, of unit noise.
-        noise: the filter that makes them white.
-        training: `(sample,)`, which samples are fitted.
-        number: of readings; those of the prior come after all samples.
-
-    Returns:
-        `(…, number)`.
-    """
+    """Columns `(…, row, sample)`, of unit noise, as those of all `number` readings: white, zero at samples that are not
+    fitted. Readings of the prior come after all samples."""
     white = noise.whitened(columns) * training
     *which, rows, samples = white.shape
     found = np.zeros((*which, number))

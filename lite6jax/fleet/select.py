@@ -33,13 +33,7 @@ class Search:
         tried: Tried,
         progress: Callable[[int], object] = lambda effects: None,
     ) -> None:
-        """Computes nothing.
-
-        Args:
-            reduced: the recordings.
-            tried: all that they are tested for.
-            progress: called with the number of effects at each round.
-        """
+        """Computes nothing; `progress` is called with the number of effects at each round."""
         self._reduced, self._tried, self._progress = reduced, tried, progress
         self._options, self._least = reduced.options, -float(np.log(reduced.options.engine.level))
         self._known: dict[frozenset[Tested], list[Weighed]] = {}

@@ -179,3 +179,19 @@ def test_broadcasting_of_transforms():
 def test_types_are_checked_at_run_time():
     with pytest.raises(jaxtyping.TypeCheckError):
         se3.skew("a string")
+
+
+@pytest.mark.parametrize("sliding", [(), (0, 3)])
+def test_a_chain_is_the_product_of_its_transforms_whatever_the_block(monkeypatch, sliding):
+    rng = np.random.default_rng(3)
+    links = np.stack([frames.transform_from_row(row) for row in rng.uniform(-1, 1, (6, 6))])
+    q = rng.uniform(-2, 2, (3, 11, 6))
+    motions = frames.joint_motions(q, sliding)
+    expected = np.eye(4)
+    for i in range(6):
+        expected = expected @ links[i] @ motions[..., i, :, :]
+    for block in (4, 4096):
+        monkeypatch.setattr(frames, "BLOCK", block)
+        found = frames.chain(links, q, sliding)
+        assert found.shape == (3, 11, 4, 4)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)

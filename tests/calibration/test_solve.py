@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration import fit, solution, solve
 from lite6jax.calibration.problem import recording_problem
@@ -17,22 +16,6 @@ from lite6jax.domains.pose.screening import rows
 from lite6jax.estimation.robust import t_scale
 from lite6jax.sensors import pose
 from lite6jax.simulation import simulate
-
-
-@pytest.mark.parametrize("sliding", [(), (0, 3)])
-def test_a_chain_is_the_product_of_its_transforms_whatever_the_block(monkeypatch, sliding):
-    rng = np.random.default_rng(3)
-    links = np.stack([frames.transform_from_row(row) for row in rng.uniform(-1, 1, (6, 6))])
-    q = rng.uniform(-2, 2, (3, 11, 6))
-    motions = frames.joint_motions(q, sliding)
-    expected = np.eye(4)
-    for i in range(6):
-        expected = expected @ links[i] @ motions[..., i, :, :]
-    for block in (4, 4096):
-        monkeypatch.setattr(frames, "BLOCK", block)
-        found = frames.chain(links, q, sliding)
-        assert found.shape == (3, 11, 4, 4)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
 def test_rotation_vectors_are_scipys_at_every_angle():
@@ -133,18 +116,10 @@ def test_what_determines_nothing_is_not_called_a_solution(outlying):
 
 def test_a_fit_begun_on_spread_rows_is_that_of_all_rows(monkeypatch, outlying):
     whole = fit.fit_recording(outlying, load_bundled("lite6"))
-    begun = []
-
-    def counted(*arguments, **options):
-        begun.append(options.get("begun"))
-        return solve.solve(*arguments, **options)
-
-    monkeypatch.setattr(fit, "solve", counted)
     monkeypatch.setattr(fit, "MOST_SPREAD", 200)
     monkeypatch.setattr(solve, "SLICE", solve.BLOCK)
     monkeypatch.setattr(solution, "_AT_ONCE", 150)
     spread = fit.fit_recording(outlying, load_bundled("lite6"))
-    assert [times for _, times in filter(None, begun)] == [2.0]
     assert spread.result == whole.result
     deviation = np.sqrt(np.diagonal(whole.covariance))
     n = len(whole.parameters)
@@ -157,15 +132,6 @@ def test_a_fit_begun_on_spread_rows_is_that_of_all_rows(monkeypatch, outlying):
     assert np.corrcoef(spread.checked.position, whole.checked.position)[0, 1] > 0.95
     assert spread.quality.verdict == whole.quality.verdict
     np.testing.assert_allclose(spread.quality.explained, whole.quality.explained)
-
-
-def test_a_beginning_that_leads_nowhere_costs_steps_only(outlying):
-    problem = recording_problem(outlying, load_bundled("lite6"), "declared")
-    plain = solve.solve(problem, freedom=15.0)
-    for times in (1e-3, 1e3):  # the curvature is of other samples
-        again = solve.solve(problem, freedom=15.0, begun=(plain, times), start=problem.start)
-        assert again.result == plain.result
-        np.testing.assert_allclose(again.model.T_sensor_base, plain.model.T_sensor_base, rtol=0, atol=1e-10)
 
 
 def test_sums_over_slices_depend_neither_on_threads_nor_on_padding(monkeypatch, outlying):
