@@ -54,10 +54,8 @@ def joint_sizes(value: float, unit: str, slides: ArrayLike | bool) -> NDArray[np
 def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
     """Values `(joint, …)` of joints divided by what one `unit` of a revolute joint is of each, for a common threshold.
 
-    Args:
-        values: in `unit` of revolute joints, and in its counterpart of those that slide.
-        unit: such as `rad/s`.
-        slides: `(joint,)`, or one bool for all.
+    They are in `unit`, such as `rad/s`, of revolute joints, and in its counterpart of those that slide; `slides` is
+    `(joint,)`, or one bool for all.
     """
     values = np.asarray(values, float)
     sizes = joint_sizes(1.0, unit, slides)
@@ -67,16 +65,9 @@ def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArr
 def by_kind(
     name: str, values: NDArray[np.floating], slides: ArrayLike, statistic: Callable[[NDArray[np.floating]], float]
 ) -> dict[str, float]:
-    """A statistic of the values of revolute joints, and of those of prismatic joints: the two have no common unit.
+    """A statistic of the values `(joint, …)` of revolute joints, and of those of prismatic joints, by its name.
 
-    Args:
-        name: of the number, with the unit of a revolute joint, such as `moves_rms_Nm`.
-        values: `(joint, …)`.
-        slides: `(joint,)`.
-        statistic: of the values of all joints of one kind.
-
-    Returns:
-        the number of each kind that is there, by its name.
+    The two have no common unit: `name` has that of a revolute joint, such as `moves_rms_Nm`.
     """
     of_slide = np.asarray(slides, bool)
     return {

@@ -209,16 +209,12 @@ class FittedCalibrations(NamedTuple):
 
 
 def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> FittedCalibrations:
-    """The Hayati models that reproduce calibrations, as `fit_calibration` finds that of one.
+    """The Hayati models that reproduce calibrations of one type of arm, as `fit_calibration` finds that of one.
 
     A calibration has no noise: a model that reproduces it to `EXACT` at all joint positions is the least-squares fit,
     and took no step. Only those of which the closed form does not are fitted: joint axes that are nearly parallel, a
-    table with a transform after its last joint, or prismatic joints.
-
-    Args:
-        kinematics: `(arm, joint, 6)` m and rad.
-        T_joint_flange: `(arm, 4, 4)` from the frame after the last joint to the flange.
-        arm: the type of all.
+    table with a transform after its last joint, or prismatic joints. `kinematics` are `(arm, joint, 6)` m and rad, and
+    `T_joint_flange` `(arm, 4, 4)`.
     """
     count = len(kinematics)
     # filled up to whole chunks, so that batches of any size share compiled code

@@ -52,10 +52,10 @@ FLAT = 1e-10
 
 
 class Solved(NamedTuple):
-    """What a solver returns of a chunk of arms.
+    """What a solver returns of a chunk of arms, a leading arm axis on each leaf.
 
     Attributes:
-        model: the models, a leading arm axis on each leaf.
+        model: the models.
         curvature: `(arm, size, size)`, the information of the data, to about four digits.
         cost: `(arm,)`.
         status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
@@ -184,13 +184,9 @@ class _State(NamedTuple):
 
 
 def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike) -> Solved:
-    """Fits a chunk of arms by least squares.
+    """Fits a chunk of arms by least squares; the arm, and of what is observed then the block, are leading axes.
 
-    Args:
-        form: what moves.
-        start: where from; a leading arm axis on every leaf.
-        observed: arm and block axes lead.
-        max_steps: most steps an arm may take; zero only evaluates cost and curvature at the start.
+    With no steps only cost and curvature at the start are evaluated.
     """
     arms = observed.weight.shape[0]
     # what residuals of rounding cost

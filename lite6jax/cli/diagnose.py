@@ -140,13 +140,9 @@ class Diagnose:
         return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
 
     def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
-        """Reads what is to be diagnosed.
+        """The recording, what of it is diagnosed, and the search, which takes `progress`.
 
-        Args:
-            both: whether poses and torques of one recording are diagnosed together.
-
-        Returns:
-            the recording, what of it is diagnosed, and the search, which takes `progress`.
+        Of a recording that has both, poses and torques are diagnosed together where `both` says so.
         """
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
         arm = source.load_nominal(self.arm)
@@ -189,14 +185,7 @@ class Diagnose:
             command.check_figures(self.figures, names, self.force)
 
     def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
-        """Writes the figures and the page where there are places for them.
-
-        Args:
-            found: the diagnosis.
-            domain: of what it is.
-            document: as in the JSON file, with statements.
-            files: for commands to copy.
-        """
+        """Writes the figures and the page where there are places for them."""
         against = self.reference if domain == "both" else found.against and found.against.file
         sides = f"{self.source} against {against}" if against else str(self.source)
         written, drawn, most = [], {}, len(diagnosis_figures.NAMES[domain])
@@ -293,10 +282,7 @@ def _is_folder(source: Path) -> bool:
 def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
     """The rows of some recordings of a folder, with their documents and of a fleet with their reduced recordings.
 
-    Args:
-        names: of the recordings.
-        place: the folder.
-        asked: the command as it was given, but for its source.
+    `asked` is the command as it was given, but for its source.
     """
     rows = []
     for name in names:

@@ -288,11 +288,8 @@ def _ask(question: str, choices: Sequence[str], usual: str) -> str:
 
 
 def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, str], overwrite: bool) -> _Table | None:
-    """One table of two files, or of one with three or more points on one body; None where one file is as it is to be.
-
-    Raises:
-        InputError: no file or more than two, what neither holds, no arm for two, or the table exists already.
-    """
+    """One table of two files, or of one with three or more points on one body; None where one file is as it is to
+    be."""
     if not 1 <= len(sources) <= 2:
         raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
     if len(sources) == 1:
