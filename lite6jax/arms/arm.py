@@ -224,8 +224,7 @@ class Arm:
             wrong = defect(tensor)
             self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
         self._require(
-            self.dh is None or not self.sliding,
-            "a DH table is of revolute joints, and it has others; leave dh out",
+            self.dh is None or not self.sliding, "a DH table is of revolute joints, and it has others; leave dh out"
         )
         self._require(
             self._dh_distance <= _DH_AGREES,

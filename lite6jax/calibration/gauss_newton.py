@@ -205,9 +205,7 @@ def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, max_st
     def body(state: _State) -> _State:
         renewed = jnp.any(state.renew)
         cost, gradient, H = lax.cond(
-            renewed,
-            lambda: at(linearise, state.candidate),
-            lambda: (*at(evaluate, state.candidate), state.curvature),
+            renewed, lambda: at(linearise, state.candidate), lambda: (*at(evaluate, state.candidate), state.curvature)
         )
         running = state.status == RUNNING
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word

@@ -196,10 +196,7 @@ def refuse_damage(diagnosis: Path) -> Iterator[None]:
 
 
 def check_outputs(
-    outputs: Sequence[Path | None],
-    inputs: Iterable[str | Path | None],
-    overwrite: bool,
-    suffixes: Sequence[str] = (),
+    outputs: Sequence[Path | None], inputs: Iterable[str | Path | None], overwrite: bool, suffixes: Sequence[str] = ()
 ) -> None:
     """Refuses outputs before long work; one that is an input is not replaced, which --force does not ask for.
 

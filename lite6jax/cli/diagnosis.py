@@ -23,17 +23,7 @@ with import_lazily():
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.recordings import files as recording_files
-    from lite6jax.report import (
-        compensation,
-        documents,
-        fleets,
-        pages,
-        ranking,
-        screen,
-        sections,
-        statements,
-        viewer,
-    )
+    from lite6jax.report import compensation, documents, fleets, pages, ranking, screen, sections, statements, viewer
 
 _REFRESH_S = 1 / 30
 
@@ -78,11 +68,7 @@ class Report:
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
                 if self.certificate:
-                    itself = {
-                        "role": "diagnosis",
-                        "file": self.diagnosis.name,
-                        "sha256": file_sha256(self.diagnosis),
-                    }
+                    itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
                     said["inputs"] = [*said.get("inputs", ()), itself]
                     written.append(pages.write_certificate(said, self.certificate, self.force))
         if self.json:

@@ -102,12 +102,7 @@ class Weighed:
         return ArmLikelihoods(score, information, np.array(typical, float), self.variance)
 
 
-def weigh(
-    term: Tested,
-    evidence: Sequence[Evidence | None],
-    confounded: float,
-    cost: float = 0.0,
-) -> Weighed:
+def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, cost: float = 0.0) -> Weighed:
     """The evidence of a term over all ways, of what each arm says, None of one that does not show it.
 
     `cost` is −ln of its prior probability. Eigenvalues over the largest that are below `confounded` are in the model's

@@ -28,10 +28,7 @@ class Search:
     """Which effects the arms of a type have."""
 
     def __init__(
-        self,
-        reduced: Reduced,
-        tried: Tried,
-        progress: Callable[[int], object] = lambda effects: None,
+        self, reduced: Reduced, tried: Tried, progress: Callable[[int], object] = lambda effects: None
     ) -> None:
         """Computes nothing; `progress` is called with the number of effects at each round."""
         self._reduced, self._tried, self._progress = reduced, tried, progress

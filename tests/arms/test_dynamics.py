@@ -144,8 +144,7 @@ def test_a_measured_chain_shows_how_its_first_axis_is_tilted():
 
 
 @pytest.mark.parametrize(
-    ("fields", "lacks"),
-    [({}, "masses"), ({"mass": np.ones(2), "center_of_mass": np.zeros((2, 3))}, "inertia tensors")],
+    ("fields", "lacks"), [({}, "masses"), ({"mass": np.ones(2), "center_of_mass": np.zeros((2, 3))}, "inertia tensors")]
 )
 def test_torques_need_inertia(fields, lacks):
     arm = Arm("bare", random_kinematics(np.random.default_rng(0), 2), **fields)
@@ -252,16 +251,6 @@ def test_impossible_base_parameters_are_changed_as_little_as_positivity_allows()
     start = np.tile([0.5, -2, -2, -2, 0, 0, 0, 0, 0, 0.0], 2)
     best = minimize(chi_square, start, method="BFGS", options={"maxiter": 400}).fun
     assert 0.98 * best <= found.chi_square <= 1.01 * best
-
-
-def test_the_chi_square_of_a_negative_moment_of_inertia_is_its_square():
-    base = dynamics.base_parameters(np.zeros((1, 6)), UPRIGHT)
-    assert base.independent.tolist() == [6]
-    reference = parameters_of(random_bodies(np.random.default_rng(1), 1))
-    found = dynamics.consistent_links(base, [-0.02], reference, [[0.004**2]])
-    assert not found.exact
-    np.testing.assert_allclose(found.chi_square, 25, rtol=1e-3)
-    assert dynamics.is_consistent(found.parameters)
 
 
 def test_links_that_are_no_bodies_become_such_nearby():

@@ -133,15 +133,6 @@ def test_data_that_is_not_finite_is_said_and_disturbs_nobody(measured, solved):
     np.testing.assert_allclose(found.model.geometry[others], solved.model.geometry[others], atol=1e-14)
 
 
-def test_a_slow_arm_does_not_hold_the_others_back(measured, solved):
-    starts = np.tile(NOMINAL, (ARMS, 1))
-    starts[2, [4, 11, 15, 19]] += [0.3, -0.3, 0.3, -0.3]
-    found = fit(measured, start=starts)
-    np.testing.assert_array_equal(found.status, CONVERGED)
-    assert found.steps[2] > np.max(np.delete(found.steps, 2))
-    np.testing.assert_allclose(found.model.geometry, solved.model.geometry, atol=1e-12)
-
-
 def test_too_few_steps_are_said(measured):
     found = fit(measured, max_steps=1)
     np.testing.assert_array_equal(found.status, STEPS_EXHAUSTED)
