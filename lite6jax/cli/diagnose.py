@@ -131,25 +131,28 @@ class Diagnose:
         read = [self.source, *self.more, self.reference, self.arm, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         self._check_figures("poses")
+        recording, domain, found = self.search()
+        document = self.document(found)
+        written = self.write(found, domain, document)
+        if self.json:
+            print(diagnosis_file.document_text(document))
+        else:
+            files = ranking.Files(self.source, self.out, self.effects)
+            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
+            screen.show(screen.notes(recording.notes))
+            screen.written(written)
+        poses = found.poses if domain == "both" else found
+        return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
+
+    def search(self) -> "tuple[recordings.Recording, Domain, Any]":
+        """The recording, what of it is diagnosed, and the diagnosis."""
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
             recording, domain, search = self._prepare(both=True)
             if domain != "poses":
                 self._check_figures(domain)
             with screen.stages() as follow:
-                found: Any = search(progress=follow)
-        document, files = self._document(found), ranking.Files(self.source, self.out, self.effects)
-        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
-        if self.report or self.figures:
-            written += self._draw(found, domain, document, files)
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
-            screen.show(screen.notes(recording.notes))
-            screen.written(written)
-        poses = found.poses if domain == "both" else found
-        return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
+                return recording, domain, search(progress=follow)
 
     def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
         """The recording, what of it is diagnosed, and the search, which takes `progress`.
@@ -184,7 +187,7 @@ class Diagnose:
         }[domain]
         return recording, domain, partial(search, recording, arm, effects=own, **given)
 
-    def _document(self, found: Any) -> dict[str, Any]:
+    def document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
         inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
         for file in self.more:
@@ -196,11 +199,12 @@ class Diagnose:
             names = [f"{self.source.stem}_{name}" for name in diagnosis_figures.NAMES[domain]]
             command.check_figures(self.figures, names, self.force)
 
-    def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
-        """Writes the figures and the page where there are places for them."""
-        against = self.reference if domain == "both" else found.against and found.against.file
-        sides = f"{self.source} against {against}" if against else str(self.source)
-        written, drawn, most = [], {}, len(diagnosis_figures.NAMES[domain])
+    def write(self, found: Any, domain: Domain, document: Any) -> list[Path]:
+        """Writes the document, the figures and the page where there are places for them."""
+        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
+        if not (self.report or self.figures):
+            return written
+        drawn, most = {}, len(diagnosis_figures.NAMES[domain])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -210,6 +214,9 @@ class Diagnose:
                 written += canvas.save(named, self.figures, self.force)
             advance(most)
             if self.report:
+                against = self.reference if domain == "both" else found.against and found.against.file
+                sides = f"{self.source} against {against}" if against else str(self.source)
+                files = ranking.Files(self.source, self.out, self.effects)
                 html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))
         return written
@@ -278,7 +285,7 @@ class Diagnose:
         """
         _, _, search = self._prepare(both=not self.fleet)
         found = search()
-        text = diagnosis_file.document_text(self._document(found))
+        text = diagnosis_file.document_text(self.document(found))
         if not self.fleet:
             return text, None
         return text, reduction.reduced(found).to_bytes()
