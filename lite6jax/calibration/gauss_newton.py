@@ -1,5 +1,4 @@
-"""The fast solver of fleets: damped Gauss–Newton for chunks of arms at once, with a curvature that is kept while it is
-good.
+"""The fast solver: damped Gauss–Newton for chunks of arms at once, with a curvature that is kept while it is good.
 
 The gradient is exact at every step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the
 path. A step of 1e-4 rad leaves it good to four digits, so that later steps cost only two walks of the chain.
@@ -21,6 +20,7 @@ from lite6jax.calibration.compiled import SINGLE_THREADED
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.calibration.residual import (
     Observations,
+    Robust,
     differences,
     evaluate,
     linearise,
@@ -49,6 +49,24 @@ ROUNDING = 2e-16
 """… or less than residuals of this size, in m and rad, have by rounding."""
 FLAT = 1e-10
 """Part of the cost, below which rounding may decide which of two costs is lower, and a step is taken all the same."""
+
+
+class Known(NamedTuple):
+    """What a fit has besides its samples.
+
+    Attributes:
+        free: `(size,)`, one where it may move, zero where it may not.
+        center: `(geometry,)`, the mean of the prior.
+        precision: `(size,)` of the prior; zero is none.
+        robust: the loss; None for least squares.
+        share: the curvature of that loss over that of its weighted squares.
+    """
+
+    free: ArrayLike
+    center: ArrayLike
+    precision: ArrayLike
+    robust: Robust | None = None
+    share: ArrayLike = 1.0
 
 
 class Solved(NamedTuple):
@@ -89,6 +107,7 @@ def fit_chunks(
     whitener: np.ndarray,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
+    known: Known | None = None,
 ) -> Summary:
     """Fits arms by least squares, chunk by chunk and on every core.
 
@@ -101,6 +120,7 @@ def fit_chunks(
         whitener: `(2,)`, one for all.
         max_steps: most steps an arm may take.
         progress: called with the number of arms done since the last call.
+        known: besides the samples, of all; None for least squares without a prior.
 
     Returns:
         NumPy arrays, a row an arm.
@@ -119,7 +139,7 @@ def fit_chunks(
     def solve(first: int) -> Summary:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
         data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
-        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps)
+        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, known)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
 
     firsts, parts = range(0, arms, chunk), []
@@ -141,13 +161,14 @@ def _fit_chunk(
     weight: Array,
     whitener: Array,
     max_steps: ArrayLike,
+    known: Known | None,
 ) -> Summary:
     prepare = jax.vmap(
         partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
     )
     observed = prepare(joint_position, pose, weight, whitener)
     start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
-    solved = solve_chunk(form, start, observed, max_steps)
+    solved = solve_chunk(form, start, observed, max_steps, known)
     covariance = jax.vmap(inverse)(solved.curvature)
     # how much its correlation with the others inflates a parameter's variance
     inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
@@ -183,20 +204,36 @@ class _State(NamedTuple):
     steps: Array
 
 
-def solve_chunk(form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike) -> Solved:
-    """Fits a chunk of arms by least squares; the arm, and of what is observed then the block, are leading axes.
+def solve_chunk(
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, known: Known | None = None
+) -> Solved:
+    """Fits a chunk of arms; the arm, and of what is observed then the block, are leading axes.
 
-    With no steps only cost and curvature at the start are evaluated.
+    With no steps only cost and curvature at the start are evaluated. The curvature contains that of the prior, and is
+    the identity where nothing moves.
     """
-    arms = observed.weight.shape[0]
-    # what residuals of rounding cost
-    floor = jnp.sum(observed.weight * 3 * jnp.sum(observed.whitener**2, 2)[:, :, None], (1, 2)) * ROUNDING**2
+    arms, squares = observed.weight.shape[0], observed.whitener**2
+    per_sample = 3 * jnp.sum(squares, 2)[..., None] if squares.ndim == 3 else jnp.sum(squares, (2, 3))
+    floor = jnp.sum(observed.weight * per_sample, (1, 2)) * ROUNDING**2  # what residuals of rounding cost
+
+    def evaluated(function: Callable[..., tuple[Array, ...]], model: ArmModel, own: Observations) -> tuple[Array, ...]:
+        """Cost, gradient and, of `linearise`, curvature of one arm."""
+        robust = None if known is None else known.robust
+        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), own)
+        if known is None:
+            return cost, gradient, *curvature
+        free, precision, size = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
+        away = model.geometry - known.center
+        cost += 0.5 * jnp.sum(precision[:size] * away**2)
+        gradient = gradient.at[:size].add(precision[:size] * away) * free
+        curvature = [
+            jnp.where(free[:, None] * free > 0, known.share * H + jnp.diag(precision), jnp.diag(1 - free))
+            for H in curvature
+        ]
+        return cost, gradient, *curvature
 
     def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
-        """Cost, gradient and, of `linearise`, curvature of each arm."""
-        return jax.vmap(lambda model, own: over_blocks(partial(function, form, model, robust=None), own))(
-            models, observed
-        )
+        return jax.vmap(partial(evaluated, function))(models, observed)
 
     def choose(which: Array, new: Any, old: Any) -> Any:
         """The leaves of one tree or of the other, arm by arm."""

@@ -1,4 +1,4 @@
-"""One arm's solver: the likeliest model, the same whatever the slices, blocks and threads and wherever it begins."""
+"""One arm's solver: the likeliest model, wherever it begins."""
 
 from dataclasses import replace
 
@@ -117,7 +117,6 @@ def test_what_determines_nothing_is_not_called_a_solution(outlying):
 def test_a_fit_begun_on_spread_rows_is_that_of_all_rows(monkeypatch, outlying):
     whole = fit.fit_recording(outlying, load_bundled("lite6"))
     monkeypatch.setattr(fit, "MOST_SPREAD", 200)
-    monkeypatch.setattr(solve, "SLICE", solve.BLOCK)
     monkeypatch.setattr(solution, "_AT_ONCE", 150)
     spread = fit.fit_recording(outlying, load_bundled("lite6"))
     assert spread.result == whole.result
@@ -132,20 +131,3 @@ def test_a_fit_begun_on_spread_rows_is_that_of_all_rows(monkeypatch, outlying):
     assert np.corrcoef(spread.checked.position, whole.checked.position)[0, 1] > 0.95
     assert spread.quality.verdict == whole.quality.verdict
     np.testing.assert_allclose(spread.quality.explained, whole.quality.explained)
-
-
-def test_sums_over_slices_depend_neither_on_threads_nor_on_padding(monkeypatch, outlying):
-    problem = recording_problem(outlying, load_bundled("lite6"), "declared")
-    many = problem.select(np.tile(np.arange(outlying.samples), 20))
-    found = []
-    monkeypatch.setattr(solve, "SLICE", solve.BLOCK)
-    for threads in (1, 3):
-        monkeypatch.setattr("lite6jax.threads.available", lambda count=threads: count)
-        found.append(solve.solve(many, max_steps=0))
-    np.testing.assert_array_equal(found[0].information, found[1].information)
-    np.testing.assert_array_equal(found[0].squares, found[1].squares)
-    once = solve.solve(problem, max_steps=0)
-    free = np.ix_(problem.movable, problem.movable)
-    scale = np.abs(once.information[free]).max()
-    np.testing.assert_allclose(found[0].information[free], 20 * once.information[free], rtol=1e-9, atol=1e-6 * scale)
-    np.testing.assert_allclose(found[0].squares, np.tile(once.squares, 20), rtol=1e-9)
