@@ -80,30 +80,35 @@ def suggestion(word: str, accepted: Iterable[str]) -> str:
     return (f"did you mean {near[0]!r}? " if near else "") + f"accepted are {', '.join(accepted)}"
 
 
+def row(value: Any, where: str, keys: Sequence[str], optional: Sequence[str] = ()) -> list[float]:
+    """The numbers under these keys of a mapping that has them, and may have others."""
+    entry = mapping(value, where, keys, optional)
+    return [number(entry[key], f"{where}: {key}") for key in keys]
+
+
 def six_numbers(value: Any, where: str) -> list[float]:
     """x y z roll pitch yaw, m and rad, of a mapping with exactly these keys.
 
     Refuses angles beyond a full turn (degrees?) and lengths of over 10 m (millimetres?).
     """
-    row = _six(value, where)
-    _require_short(row, where)
-    return row
+    six = _six(value, where)
+    _require_short(six, where)
+    return six
 
 
 def _six(value: Any, where: str, optional: Sequence[str] = ()) -> list[float]:
-    entry = mapping(value, where, SIX, optional)
-    row = [number(entry[key], f"{where}: {key}") for key in SIX]
-    for key, angle in zip(SIX[3:], row[3:], strict=True):
+    six = row(value, where, SIX, optional)
+    for key, angle in zip(SIX[3:], six[3:], strict=True):
         if abs(angle) > ANGLE_LIMIT:
             raise InputError(
                 f"{where}: {key} is {angle:g}, more than a full turn, so it seems to be in degrees;"
                 f" write radians ({math.radians(angle):.6g})"
             )
-    return row
+    return six
 
 
-def _require_short(row: Sequence[float], where: str) -> None:
-    for key, length in zip(SIX[:3], row[:3], strict=True):
+def _require_short(six: Sequence[float], where: str) -> None:
+    for key, length in zip(SIX[:3], six[:3], strict=True):
         if abs(length) > LENGTH_LIMIT:
             raise InputError(
                 f"{where}: {key} is {length:g}, longer than any arm's link, so it seems to be in millimetres;"
