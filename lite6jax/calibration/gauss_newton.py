@@ -62,11 +62,11 @@ class Known(NamedTuple):
         share: the curvature of that loss over that of its weighted squares.
     """
 
-    free: ArrayLike
-    center: ArrayLike
-    precision: ArrayLike
+    free: Any
+    center: Any
+    precision: Any
     robust: Robust | None = None
-    share: ArrayLike = 1.0
+    share: Any = 1.0
 
 
 class Solved(NamedTuple):
@@ -222,15 +222,12 @@ def solve_chunk(
         cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), own)
         if known is None:
             return cost, gradient, *curvature
-        free, precision, size = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
+        free, precision, n = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
         away = model.geometry - known.center
-        cost += 0.5 * jnp.sum(precision[:size] * away**2)
-        gradient = gradient.at[:size].add(precision[:size] * away) * free
-        curvature = [
-            jnp.where(free[:, None] * free > 0, known.share * H + jnp.diag(precision), jnp.diag(1 - free))
-            for H in curvature
-        ]
-        return cost, gradient, *curvature
+        cost += 0.5 * jnp.sum(precision[:n] * away**2)
+        gradient = gradient.at[:n].add(precision[:n] * away) * free
+        inside, held, prior = free[:, None] * free > 0, jnp.diag(1 - free), jnp.diag(precision)
+        return cost, gradient, *(jnp.where(inside, known.share * H + prior, held) for H in curvature)
 
     def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
         return jax.vmap(partial(evaluated, function))(models, observed)
