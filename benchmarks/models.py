@@ -20,9 +20,9 @@ from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
-from lite6jax.calibration.gauss_newton import Known, Solved, fit_chunks
 from lite6jax.calibration.quality import CONVERGED
 from lite6jax.calibration.residual import Observations, observe, residuals
+from lite6jax.calibration.solve import Known, Solved, fit_chunks
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses

@@ -14,7 +14,6 @@ from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
-from lite6jax.calibration.gauss_newton import MAX_STEPS
 from lite6jax.calibration.problem import (
     TOLERANCE,
     UNDECLARED_NOISE,
@@ -26,7 +25,7 @@ from lite6jax.calibration.problem import (
 from lite6jax.calibration.quality import NOISES, Result, spread_of
 from lite6jax.calibration.residual import POSE, POSITION
 from lite6jax.calibration.solution import Errors, Held, Noise, Solution, prediction_errors
-from lite6jax.calibration.solve import Estimate, Solver, inverse, solve
+from lite6jax.calibration.solve import MAX_STEPS, Estimate, Solver, invert, solve
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
@@ -141,7 +140,7 @@ def fit_recording(
     tolerance[~problem.movable | (problem.precision != 0)] = 0.0
     problem = replace(problem, precision=problem.precision + tolerance)
     # the parameters that the data determine: each less the share of the prior's variance that is left to it
-    from_prior = np.diagonal(inverse((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
+    from_prior = np.diagonal(invert((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
     fitted = float(free.sum() - from_prior.sum())
     _require_samples(recording, problem.rows, round(fitted))
 
@@ -312,5 +311,5 @@ def _covariance(
     else:
         factor = variance_factor(estimate.squares / estimate.scale**2, problem.rows, freedom, fitted)
     covariance = np.zeros_like(estimate.information)
-    covariance[inside] = inverse((estimate.information[inside] - prior) / factor + prior)
+    covariance[inside] = invert((estimate.information[inside] - prior) / factor + prior)
     return covariance

@@ -18,9 +18,9 @@ from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
 from lite6jax.arms.dh import closed_form
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
 from lite6jax.calibration.compiled import SINGLE_THREADED
-from lite6jax.calibration.gauss_newton import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.residual import POSE
+from lite6jax.calibration.solve import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import LEVER, ArmModel, ModelForm

@@ -1,26 +1,35 @@
-"""One arm's fit under Student's t, by the fast solver or by that of record, optimistix' Levenberg–Marquardt.
+"""Least squares of chains: the fast solver, of chunks of arms, the solver of record, and one arm's fit by either.
 
-Each solves at one scale of the noise after the other, until the scale that the residuals show stays the same.
+The fast solver is damped Gauss–Newton with a curvature that is kept while it is good. The gradient is exact at every
+step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the path. A step of 1e-4 rad
+leaves it good to four digits, so that later steps cost only two walks of the chain. The solver of record is optimistix'
+Levenberg–Marquardt. One arm is fitted under Student's t, at one scale of the noise after the other, until the scale
+that the residuals show stays the same.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
+from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from lite6jax import threads
 from lite6jax.calibration.compiled import SINGLE_THREADED
-from lite6jax.calibration.gauss_newton import MAX_STEPS, SINGULAR_ABOVE, Known, Solved, solve_chunk
-from lite6jax.calibration.problem import Problem
-from lite6jax.calibration.quality import Result
+from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED, Result
 from lite6jax.calibration.residual import (
     Observations,
     Robust,
     differences,
+    evaluate,
+    linearise,
     observe,
+    over_blocks,
     pad,
     padded_size,
     predict_frames,
@@ -30,8 +39,29 @@ from lite6jax.calibration.residual import (
 from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.model import ArmModel, ModelForm
 
-Array = NDArray[np.floating]
+if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
+    from lite6jax.calibration.problem import Problem
+
+Numbers = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
+
+CHUNK = 16
+"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's cache."""
+ON_ACCELERATOR = 1024
+"""The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
+MAX_STEPS = 100
+SINGULAR_ABOVE = 1e11
+"""Inflation of a variance by correlation beyond which rounding decides the parameter."""
+
+_REFRESH_ABOVE = 1e-4
+"""A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
+_SLOW = 0.03
+DECREMENT = 1e-17
+"""Converged when the step after the next is to gain less than this part of the cost, …"""
+ROUNDING = 2e-16
+"""… or less than residuals of this size, in m and rad, have by rounding."""
+FLAT = 1e-10
+"""Part of the cost, below which rounding may decide which of two costs is lower, and a step is taken all the same."""
 
 _GAUSSIAN = 1e15
 """Degrees of freedom at which Student's t is least squares to rounding: another loss would be compiled for seconds."""
@@ -47,6 +77,262 @@ _RECORD = 1e-12, 1e-13
 """Relative and absolute tolerance of the solver of record."""
 
 
+class Known(NamedTuple):
+    """What a fit has besides its samples.
+
+    Attributes:
+        free: `(size,)`, one where it may move, zero where it may not.
+        center: `(geometry,)`, the mean of the prior.
+        precision: `(size,)` of the prior; zero is none.
+        robust: the loss; None for least squares.
+        share: the curvature of that loss over that of its weighted squares.
+    """
+
+    free: Any
+    center: Any
+    precision: Any
+    robust: Robust | None = None
+    share: Any = 1.0
+
+
+class Solved(NamedTuple):
+    """What a solver returns of a chunk of arms, a leading arm axis on each leaf.
+
+    Attributes:
+        model: the models.
+        curvature: `(arm, size, size)`, the information of the data, to about four digits.
+        cost: `(arm,)`.
+        status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
+        steps: `(arm,)`.
+    """
+
+    model: ArmModel
+    curvature: Array
+    cost: Array
+    status: Array
+    steps: Array
+
+
+class Summary(NamedTuple):
+    """What is kept of a chunk, one row an arm: the solver's answer, covariance, the number of samples that were used,
+    and root-mean-square errors, m and rad."""
+
+    solved: Solved
+    covariance: Array
+    samples: Array
+    position_rms: Array
+    orientation_rms: Array
+
+
+def fit_chunks(
+    form: ModelForm,
+    start: ArmModel,
+    joint_position: np.ndarray,
+    pose: np.ndarray,
+    weight: np.ndarray,
+    whitener: np.ndarray,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[int], object] | None = None,
+    known: Known | None = None,
+) -> Summary:
+    """Fits arms by least squares, chunk by chunk and on every core.
+
+    Args:
+        form: what moves.
+        start: where from, one for all.
+        joint_position: `(arm, sample, joint)`, or `(sample, joint)` shared.
+        pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
+        weight: `(arm, sample)`.
+        whitener: `(2,)`, one for all.
+        max_steps: most steps an arm may take.
+        progress: called with the number of arms done since the last call.
+        known: besides the samples, of all; None for least squares without a prior.
+
+    Returns:
+        NumPy arrays, a row an arm.
+    """
+    arms, samples = weight.shape
+    device: Any = getattr(jax.config, "jax_default_device", None)
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    chunk = min(CHUNK if platform == "cpu" else ON_ACCELERATOR, arms)
+    size, block = padded_size(samples)
+
+    def part(array: np.ndarray, first: int) -> np.ndarray:
+        """A chunk's arms of an array; the last chunk is filled up with its last arm."""
+        arms = array[first : first + chunk]
+        return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
+
+    def solve(first: int) -> Summary:
+        q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
+        data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
+        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, known)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
+
+    firsts, parts = range(0, arms, chunk), []
+    with ThreadPoolExecutor(threads.available()) as pool:
+        for found in map(solve, firsts) if threads.available() == 1 else pool.map(solve, firsts):
+            parts.append(found)
+            if progress:
+                progress(len(found.samples))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=SINGLE_THREADED)
+def _fit_chunk(
+    form: ModelForm,
+    block: int,
+    start: ArmModel,
+    joint_position: Array,
+    pose: Array,
+    weight: Array,
+    whitener: Array,
+    max_steps: ArrayLike,
+    known: Known | None,
+) -> Summary:
+    prepare = jax.vmap(
+        partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
+    )
+    observed = prepare(joint_position, pose, weight, whitener)
+    start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
+    solved = solve_chunk(form, start, observed, max_steps, known)
+    covariance = jax.vmap(inverse)(solved.curvature)
+    # how much its correlation with the others inflates a parameter's variance
+    inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
+    regular = jnp.all((inflation > 0.5) & (inflation < SINGULAR_ABOVE), 1)
+    doubtful = (solved.status != NOT_FINITE) & ~regular
+    covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
+    solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
+
+    def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
+        """Of all distances and angles, zero where missing."""
+        raw = differences(block, predict_frames(form, model, block.joint)[1])
+        there = block.weight > 0
+        return tuple(jnp.sum(jnp.where(there, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
+
+    totals = jax.vmap(lambda model, observed: over_blocks(partial(squares, model), observed))(solved.model, observed)
+    used = jnp.sum(observed.weight > 0, (1, 2))
+    rms = [jnp.sqrt(total / jnp.maximum(used, 1)) for total in totals]
+    return Summary(solved, covariance, used, rms[0], rms[1])
+
+
+class _State(NamedTuple):
+    model: ArmModel
+    candidate: ArmModel
+    cost: Array
+    gradient: Array
+    curvature: Array
+    inverse: Array
+    renew: Array
+    damping: Array
+    decrement: Array
+    moved: Array
+    status: Array
+    steps: Array
+
+
+def solve_chunk(
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, known: Known | None = None
+) -> Solved:
+    """Fits a chunk of arms; the arm, and of what is observed then the block, are leading axes.
+
+    With no steps only cost and curvature at the start are evaluated. The curvature contains that of the prior, and is
+    the identity where nothing moves.
+    """
+    arms, squares = observed.weight.shape[0], observed.whitener**2
+    per_sample = 3 * jnp.sum(squares, 2)[..., None] if squares.ndim == 3 else jnp.sum(squares, (2, 3))
+    floor = jnp.sum(observed.weight * per_sample, (1, 2)) * ROUNDING**2  # what residuals of rounding cost
+
+    def evaluated(function: Callable[..., tuple[Array, ...]], model: ArmModel, own: Observations) -> tuple[Array, ...]:
+        """Cost, gradient and, of `linearise`, curvature of one arm."""
+        robust = None if known is None else known.robust
+        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), own)
+        if known is None:
+            return cost, gradient, *curvature
+        free, precision, n = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
+        away = model.geometry - known.center
+        cost += 0.5 * jnp.sum(precision[:n] * away**2)
+        gradient = gradient.at[:n].add(precision[:n] * away) * free
+        inside, held, prior = free[:, None] * free > 0, jnp.diag(1 - free), jnp.diag(precision)
+        return cost, gradient, *(jnp.where(inside, known.share * H + prior, held) for H in curvature)
+
+    def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
+        return jax.vmap(partial(evaluated, function))(models, observed)
+
+    def choose(which: Array, new: Any, old: Any) -> Any:
+        """The leaves of one tree or of the other, arm by arm."""
+        return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+
+    def body(state: _State) -> _State:
+        renewed = jnp.any(state.renew)
+        cost, gradient, H = lax.cond(
+            renewed, lambda: at(linearise, state.candidate), lambda: (*at(evaluate, state.candidate), state.curvature)
+        )
+        running = state.status == RUNNING
+        # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
+        flat = jnp.abs(state.decrement) <= FLAT * state.cost + floor
+        better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
+        taken = running & better
+        before = state.model, state.cost, state.gradient, state.curvature
+        model, cost, gradient, H = choose(taken, (state.candidate, cost, gradient, H), before)
+        relaxed = jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping)
+        damping = jnp.where(running, jnp.where(better, relaxed, jnp.maximum(10 * state.damping, 1e-4)), state.damping)
+        kept = lax.cond(
+            renewed | jnp.any(damping != state.damping), lambda: jax.vmap(inverse)(H, damping), lambda: state.inverse
+        )
+        step = -jnp.einsum("aij,aj->ai", kept, gradient)
+        decrement = -jnp.sum(step * gradient, 1)
+        moved = jnp.max(jnp.abs(step), 1)
+        # what the step after this one would gain, if steps go on shrinking as they last did
+        shrinking = jnp.minimum(decrement / jnp.maximum(state.decrement, jnp.finfo(cost.dtype).tiny), 1.0)
+        small = jnp.abs(decrement * shrinking) <= jnp.maximum(DECREMENT * cost, floor)
+        singular = ~jnp.all(jnp.isfinite(step), 1)
+        broken = ~jnp.isfinite(cost) | singular
+        status = jnp.where(running & small, CONVERGED, state.status)
+        status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
+        status = jnp.where(running & broken, jnp.where(jnp.isfinite(cost), SINGULAR, NOT_FINITE), status)
+        going = status == RUNNING
+        candidate = choose(running & ~broken, jax.vmap(form.retract)(model, step), model)
+        # the last step of a converged arm needs no look at where it leads: its own quadratic tells the cost
+        arrived = running & (status == CONVERGED)
+        model = choose(arrived, candidate, model)
+        cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
+        slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
+        return _State(
+            model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,
+            jnp.where(taken, moved, state.moved), status, state.steps + (going | arrived),
+        )  # fmt: skip
+
+    row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
+    none, infinite, yes = jnp.zeros(arms), jnp.full(arms, jnp.inf), jnp.full(arms, True)
+    status, steps = jnp.full(arms, RUNNING), jnp.zeros(arms, jnp.int32)
+    state = _State(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
+    state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)
+    return Solved(state.model, state.curvature, state.cost, state.status, state.steps)
+
+
+def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
+    """The inverse of H + damping diag(H), by Gauss–Jordan elimination with rows and columns scaled to unit diagonal.
+
+    Plain array code on purpose: XLA's batched LAPACK calls share a thread pool with the computation that waits for
+    them, and two chunks solved from two threads then wait for each other for ever (seen with jax 0.10 on 2 cores).
+    """
+    scale = lax.rsqrt(jnp.maximum(jnp.diagonal(H), jnp.finfo(H.dtype).tiny))
+    scaled = H * scale[:, None] * scale + damping * jnp.eye(H.shape[0])
+    places = jnp.arange(H.shape[0])
+
+    def eliminate(k: Array, A: Array) -> Array:
+        """One pass over the matrix; updates of a row and a column after it would copy it twice."""
+        here, pivot = places == k, 1 / A[k, k]
+        row, column = jnp.where(here, pivot, A[k] * pivot), jnp.where(here, 0.0, A[:, k])
+        rest = jnp.where(here | here[:, None], 0.0, A) - column[:, None] * row
+        return rest + jnp.where(here[:, None], row, 0.0)
+
+    return lax.fori_loop(0, H.shape[0], eliminate, scaled) * scale[:, None] * scale
+
+
+# ------------------------------------------------------------------ one arm
+
+
 class Estimate(NamedTuple):
     """The solution of one problem.
 
@@ -60,19 +346,19 @@ class Estimate(NamedTuple):
     """
 
     model: ArmModel
-    information: Array
-    squares: Array
+    information: Numbers
+    squares: Numbers
     scale: float
     result: Result
     steps: int
 
 
 def solve(
-    problem: Problem,
+    problem: "Problem",
     free: NDArray[np.bool_] | None = None,
     *,
     start: ArmModel | None = None,
-    weight: Array | None = None,
+    weight: Numbers | None = None,
     freedom: float | None = None,
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
@@ -98,11 +384,11 @@ def solve(
     data = [pad(leaf, 0, size) for leaf in leaves]
     observed = _observe(form, *data[:3], data[3] if len(data) > 3 else problem.whitener, block)
 
-    def measure(model: ArmModel) -> Array:
+    def measure(model: ArmModel) -> Numbers:
         """`(sample,)`, squared whitened residuals."""
         return np.asarray(_squares(form, model, observed)).reshape(-1)[:count]
 
-    def scale_of(squares: Array) -> float:
+    def scale_of(squares: Numbers) -> float:
         return t_scale(squares[weight > 0], problem.rows, freedom)
 
     model: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
@@ -134,13 +420,13 @@ def solve(
     information = np.asarray(at_end.curvature)
     if result != Result.NOT_FINITE:
         # how much its correlation with the others inflates a parameter's variance
-        inflation = (np.diagonal(inverse(information)) * np.diagonal(information))[free]
+        inflation = (np.diagonal(invert(information)) * np.diagonal(information))[free]
         if not ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)).all():
             result = Result.SINGULAR
     return Estimate(model, information, squares, scale_of(squares), result, steps)
 
 
-def inverse(H: Array) -> Array:
+def invert(H: Numbers) -> Numbers:
     """The inverse of a symmetric matrix, taken after scaling to unit diagonal; NaN where there is none."""
     with np.errstate(all="ignore"):
         root = np.sqrt(np.diagonal(H))
@@ -167,10 +453,10 @@ _solve_one, _solve_one_of_few = (
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
-def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> jax.Array:
+def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
     """`(block, sample)`, squared whitened residuals, zero of a sample of weight zero."""
 
-    def of_block(block: Observations) -> jax.Array:
+    def of_block(block: Observations) -> Array:
         rows = whiten(block.whitener, differences(block, predict_frames(form, model, block.joint)[1]))
         return jnp.where(block.weight > 0, jnp.sum(rows**2, 0), 0.0)
 
@@ -180,7 +466,7 @@ def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> jax.Ar
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve_of_record(
     form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, known: Known
-) -> tuple[ArmModel, jax.Array, jax.Array, jax.Array]:
+) -> tuple[ArmModel, Array, Array, Array]:
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s
 
@@ -188,7 +474,7 @@ def _solve_of_record(
     assert robust is not None
     free, precision = jnp.asarray(known.free), jnp.asarray(known.precision)
 
-    def robust_residuals(model: ArmModel, block: Observations) -> jax.Array:
+    def robust_residuals(model: ArmModel, block: Observations) -> Array:
         """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
         rows = residuals(form, model, block)
         there = block.weight > 0
@@ -199,7 +485,7 @@ def _solve_of_record(
         ratio = jnp.where(small, 1 - u / 2 + u * u / 3 - u**3 / 4, jnp.log1p(safe) / safe)
         return jnp.sqrt((robust.freedom + rows.shape[0]) / robust.freedom * ratio) / robust.scale * rows
 
-    def every_residual(step: jax.Array, _: None) -> jax.Array:
+    def every_residual(step: Array, _: None) -> Array:
         model = form.retract(start, step * free)
         rows = lax.map(partial(robust_residuals, model), observed)
         pull = jnp.sqrt(precision[:n]) * (model.geometry - known.center)

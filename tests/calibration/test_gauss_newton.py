@@ -11,9 +11,9 @@ from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.se3 import turn
-from lite6jax.calibration.gauss_newton import solve_chunk
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.calibration.residual import Observations, residuals
+from lite6jax.calibration.solve import solve_chunk
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.arms import LITE6_DH, parameters_of_table, random_positions, table_of_parameters
 from tests.oracles.chains import hayati_poses
