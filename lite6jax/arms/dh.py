@@ -232,13 +232,10 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     ```
 
     `units` are mm or m, and deg or rad. `dh` has one row per joint, and `beta_jointK` is of a joint that is nominally
-    parallel to the next, whose d is zero. With `"convention": "modified"` the rows are Craig's, and there is no beta.
-    Of the base, zero where not given, nothing is along and about `first_axis`, z where not given. A row of a prismatic
-    joint has `"type": "prismatic"`, and rows then have `b`. A table of a fit may have `fit` with the keys `FIT`.
-
-    Args:
-        path: the file.
-        convention: in which it is read where it says none itself; standard where not given.
+    parallel to the next, whose d is zero. With `"convention": "modified"` the rows are Craig's, and there is no beta; a
+    table that says no convention is read in the one that is given, or as standard. Of the base, zero where not given,
+    nothing is along and about `first_axis`, z where not given. A row of a prismatic joint has `"type": "prismatic"`,
+    and rows then have `b`. A table of a fit may have `fit` with the keys `FIT`.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.

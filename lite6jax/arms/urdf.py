@@ -275,23 +275,15 @@ def write_into_urdf(
     """Writes a URDF in which the joints of a chain have the origins, inertia and drives of an arm.
 
     Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
-    does not know. What follows the last joint changes in the last fixed joint. Where the arm has inertia, that of each
-    link contains the links fixed to it, whose own is removed.
-
-    Args:
-        arm: the arm.
-        robot: the file to read.
-        path: the file to write.
-        base, tip: as of `read_urdf`.
-        overwrite: whether the target may be replaced.
-        with_flange: whether what follows the last joint changes.
+    does not know. What follows the last joint changes in the last fixed joint, if it is to change. Where the arm has
+    inertia, that of each link contains the links fixed to it, whose own is removed.
 
     Returns:
         what the file has no place for, a phrase each.
 
     Raises:
-        InputError: as `read_urdf`; another number of joints; joint frames that stand elsewhere by design, to which the
-            meshes would not fit; or as `storage.write_atomically`.
+        InputError: as `read_urdf` of `robot`; another number of joints; joint frames that stand elsewhere by design, to
+            which the meshes would not fit; or as `storage.write_atomically`.
     """
     old, tree, root = _read(robot, base, tip)
     if (old.dof, old.sliding) != (arm.dof, arm.sliding):

@@ -187,11 +187,7 @@ class ReducedArm:
 
     @classmethod
     def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
-        """What `to_bytes` wrote.
-
-        Raises:
-            InputError: the bytes are no such file; the message begins with `place`.
-        """
+        """What `to_bytes` wrote; the message on other bytes begins with `place`."""
         with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
             models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
             smoothing = None
@@ -386,11 +382,7 @@ def _equations(functions: Array, weight: Array | float, measured: Array, confoun
 
 
 def read_heading(path: Path) -> Heading:
-    """The heading of a file, without its arrays.
-
-    Raises:
-        InputError: as `from_bytes`.
-    """
+    """The heading of a file, without its arrays."""
     with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
         return _heading(file["heading"])
 
