@@ -6,36 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration import fit, solution, solve
 from lite6jax.calibration.problem import recording_problem
 from lite6jax.calibration.residual import observe, residuals
-from lite6jax.domains.pose.screening import rows
 from lite6jax.estimation.robust import t_scale
-from lite6jax.sensors import pose
 from lite6jax.simulation import simulate
-
-
-def test_rotation_vectors_are_scipys_at_every_angle():
-    rng = np.random.default_rng(4)
-    axis = rng.standard_normal((400, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.concatenate([np.geomspace(1e-12, 1, 200), np.linspace(1, np.pi - 1e-9, 200)])
-    angle[0] = 0.0
-    vector = axis * angle[:, None]
-    R = Rotation.from_rotvec(vector).as_matrix()
-    found = pose._rotation_vector(np.moveaxis(R, 0, -1))
-    np.testing.assert_allclose(found.T, vector, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.T[:200], vector[:200], rtol=0, atol=1e-15)
-
-
-def test_rows_are_distinct_as_numpy_says():
-    rng = np.random.default_rng(5)
-    q = rng.integers(-2, 3, (500, 4)) * 0.1
-    q[0], q[1] = 0.0, -0.0
-    assert rows._distinct(q) == len(np.unique(q, axis=0)) < 500
 
 
 @pytest.fixture(scope="module")
