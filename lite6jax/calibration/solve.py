@@ -413,7 +413,7 @@ def solve(
         if freedom is None or result == Result.NOT_FINITE:
             break
         before, scale = scale, scale_of(squares)
-        if abs(scale / before - 1) < _SCALE_TOLERANCE:
+        if abs(scale / before - 1) < _SCALE_TOLERANCE or more <= 1:  # the scale of rounding errors never settles
             break
     robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
     at_end = solve_one(form, model, observed, 0, known._replace(robust=robust, share=1.0))
