@@ -19,8 +19,8 @@ from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE, measured
 from benchmarks.seed_way import sample_joints
 from lite6jax.arms.description import load_bundled
-from lite6jax.calibration.gauss_newton import inverse
 from lite6jax.calibration.residual import Observations, evaluate, linearise, observe, over_blocks
+from lite6jax.calibration.solve import inverse
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.sensor import Sensor
 from lite6jax.errors import InputError

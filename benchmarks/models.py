@@ -16,8 +16,8 @@ from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
-from lite6jax.calibration.gauss_newton import MAX_STEPS, Solved, fit_chunks
 from lite6jax.calibration.quality import CONVERGED
+from lite6jax.calibration.solve import Known, Solved, fit_chunks
 from lite6jax.model import ModelForm, arm_model
 from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
@@ -101,7 +101,8 @@ def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarr
     form = ModelForm(chain)
     movable = np.isin(np.arange(form.size), free).astype(float)
     scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
-    return fit_chunks(form, arm_model(start), q, pose, weight, scale, movable, MAX_STEPS).solved
+    known = Known(movable, start, np.zeros(form.size))
+    return fit_chunks(form, arm_model(start), q, pose, weight, scale, known=known).solved
 
 
 def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:

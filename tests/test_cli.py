@@ -1,7 +1,6 @@
 """The commands as a person meets them: what is printed, what is written, what is refused and how."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -23,7 +22,7 @@ from lite6jax.calibration.quality import Result
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.errors import InputError
-from lite6jax.fleet import fit
+from lite6jax.fleet import folder
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses
@@ -145,18 +144,6 @@ def test_the_cache_stands_in_the_users_folder(monkeypatch, tmp_path):
     assert compiled.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
 
 
-def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
-    (tmp_path / "lite6jax").write_text("a file where the folder would be")
-    environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
-    environment["XDG_CACHE_HOME"] = str(tmp_path)
-    code = (
-        "import jax; from lite6jax.calibration.compiled import keep_compiled_code; keep_compiled_code();"
-        "assert jax.config.jax_compilation_cache_dir is None; print(jax.jit(lambda x: x + 1)(1))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("2\n", "")
-
-
 # ------------------------------------------------------------------ fit: a calibration
 
 
@@ -235,15 +222,6 @@ def test_files_are_not_replaced_unasked(capsys, tmp_path, calibration):
     assert "this folder cannot be created" in refused(capsys, "fit", calibration, "--figures", out / "below")
 
 
-def test_fit_draws(capsys, tmp_path, calibration):
-    code, said, _ = run(capsys, "fit", calibration, "--figures", tmp_path / "new" / "figures")
-    assert code == 0
-    for suffix in (".png", ".svg"):
-        path = tmp_path / "new" / "figures" / f"arm_error_by_joint{suffix}"
-        assert path.stat().st_size > 10_000
-        assert f"Wrote {path}\n" in said
-
-
 def stop(*given, **named):
     raise InputError("stopped")
 
@@ -296,28 +274,6 @@ def damaged(path, edit):
     edit(content["kinematics"])
     path.write_text(yaml.safe_dump(content))
     return path
-
-
-@pytest.mark.parametrize(
-    ("edit", "parts"),
-    [
-        (lambda k: k.pop("joint4"), ("joint4 is missing from kinematics", "add its x, y, z")),
-        (lambda k: k["joint3"].update(yaw=float("nan")), ("joint3: yaw is nan", "read the file from its source again")),
-        (lambda k: k["joint2"].update(roll=90.0), ("joint2: roll is 90", "degrees", "write radians (1.5708)")),
-        (lambda k: k["joint1"].update(z=243.3), ("joint1: z is 243.3", "millimetres", "write metres (0.2433)")),
-        (lambda k: k["joint5"].pop("y"), ("joint5 lacks the key 'y'", "add it")),
-        (lambda k: k.update(joint9=k["joint1"]), ("is missing from kinematics", "joint7")),
-        (
-            lambda k: k["joint3"].update(yaw=k["joint3"]["yaw"] + np.pi),
-            ("joint3 is turned by 180° about z", "read the calibration from the arm again"),
-        ),
-    ],
-)
-def test_a_damaged_calibration_is_one_line(capsys, calibration, edit, parts):
-    line = refused(capsys, "fit", damaged(calibration, edit))
-    assert line.startswith(str(calibration))
-    for part in parts:
-        assert part in line
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", "missing.csv", "missing.json"])
@@ -526,11 +482,11 @@ def test_fleet_refuses_what_is_no_folder(capsys, tmp_path, calibration):
 
 
 def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path, calibration):
-    def stumble(path):
+    def stumble(path, nominal):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(fit, "_read", stumble)
-    (row,) = fit.fit_files([calibration], None)
+    monkeypatch.setattr(folder, "_read_calibration", stumble)
+    (row,) = folder.fit_files([calibration], None)
     assert row.result == Result.UNREADABLE
     assert row.message == (
         f"{calibration}: unexpected ZeroDivisionError: division by zero; please report it with this file"
@@ -646,39 +602,6 @@ def test_the_distance_from_nominal_is_one_number_in_every_command(capsys, calibr
 
 def needs(path):
     return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is not here")
-
-
-@needs(REAL / "vendor")
-@pytest.mark.parametrize(
-    ("name", "arm", "worst"), [("lite6_default_kinematics", "lite6", 1.41), ("xarm7_one_real_arm", "xarm7", 19.6)]
-)
-def test_the_vendors_files(capsys, name, arm, worst):
-    code, said, err = run(capsys, "fit", REAL / "vendor" / f"{name}.yaml")
-    assert (code, err) == (0, "")
-    assert f"of a {arm}." in said
-    most = re.search(r"the nominal one is up to (\S+) mm off", flat(said))
-    assert float(most[1]) == pytest.approx(worst, abs=0.05)
-    checked = re.search(r"^1000 fresh samples +mm +(.+)\n +deg +(.+)$", said, re.MULTILINE)
-    assert max(float(v) for group in checked.groups() for v in group.split()) <= 1e-10
-
-
-@pytest.mark.long
-@needs(REAL / "ur_factory")
-def test_every_factory_file_of_universal_robots(capsys, tmp_path):
-    out = tmp_path / "fleet.parquet"
-    code, said, err = run(capsys, "fleet", REAL / "ur_factory", "--out", out)
-    assert (code, err) == (0, "")
-    rows = pyarrow.parquet.read_table(out).to_pylist()
-    good = [row for row in rows if row["result"] == Result.CONVERGED]
-    assert (len(rows), len(good)) == (49, 47)
-    for row in good:
-        assert row["file"].startswith(f"{row['arm']}__")
-        assert row["checked_position_max_m"] <= 1e-13
-        assert row["checked_orientation_max_rad"] <= 1e-12
-    bad = [row for row in rows if row not in good]
-    assert sorted(row["file"].split("+")[0] for row in bad) == ["ur5__GerardHarkemaAvans", "ur5e__brenhertel"]
-    assert all("is turned by 180° about z" in row["message"] for row in bad)
-    assert "2 of 49 files have no usable fit:" in said
 
 
 @pytest.mark.long

@@ -72,8 +72,7 @@ def schema_of(moved: str, kinds: dict[str, pa.DataType]) -> pa.Schema:
 def diagnose_and_predict(given: Path) -> None:
     """As the command line does, in the folder of a trial's files: the diagnosis, and what it predicts of `unseen`."""
     from lite6jax.calibration.compiled import keep_compiled_code
-    from lite6jax.cli.diagnose import Diagnose
-    from lite6jax.cli.diagnosis import Predict
+    from lite6jax.cli.diagnose import Diagnose, Predict
 
     keep_compiled_code()
     diagnosis = given / "diagnosis.json"

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms import chains, frames
 from lite6jax.arms.dh import six_parameter_to_hayati
-from lite6jax.arms.frames import defect
 from lite6jax.arms.frames import sample_joints as sample_joints
 from lite6jax.errors import InputError
 
@@ -54,10 +53,8 @@ def joint_sizes(value: float, unit: str, slides: ArrayLike | bool) -> NDArray[np
 def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
     """Values `(joint, …)` of joints divided by what one `unit` of a revolute joint is of each, for a common threshold.
 
-    Args:
-        values: in `unit` of revolute joints, and in its counterpart of those that slide.
-        unit: such as `rad/s`.
-        slides: `(joint,)`, or one bool for all.
+    They are in `unit`, such as `rad/s`, of revolute joints, and in its counterpart of those that slide; `slides` is
+    `(joint,)`, or one bool for all.
     """
     values = np.asarray(values, float)
     sizes = joint_sizes(1.0, unit, slides)
@@ -67,16 +64,9 @@ def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArr
 def by_kind(
     name: str, values: NDArray[np.floating], slides: ArrayLike, statistic: Callable[[NDArray[np.floating]], float]
 ) -> dict[str, float]:
-    """A statistic of the values of revolute joints, and of those of prismatic joints: the two have no common unit.
+    """A statistic of the values `(joint, …)` of revolute joints, and of those of prismatic joints, by its name.
 
-    Args:
-        name: of the number, with the unit of a revolute joint, such as `moves_rms_Nm`.
-        values: `(joint, …)`.
-        slides: `(joint,)`.
-        statistic: of the values of all joints of one kind.
-
-    Returns:
-        the number of each kind that is there, by its name.
+    The two have no common unit: `name` has that of a revolute joint, such as `moves_rms_Nm`.
     """
     of_slide = np.asarray(slides, bool)
     return {
@@ -170,28 +160,20 @@ class Arm:
             f"sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}",
         )
         object.__setattr__(self, "sliding", tuple(self.sliding))
-        self._require(
-            set(self.endless) <= set(range(joints)) - set(self.sliding),
-            f"endless is {self.endless}; give revolute joints, counted from 0",
-        )
-        self._require(
-            len(self.joint_names) in (0, joints),
-            f"has {len(self.joint_names)} joint_names for {joints} joints; name each",
-        )
-        if self.joint_limits is None:
-            widest = np.where(self.slides, 1.0, 2 * np.pi)
-            object.__setattr__(self, "joint_limits", np.column_stack([-widest, widest]))
-        if self.T_joint_flange is None:
-            object.__setattr__(self, "T_joint_flange", np.eye(4))
-        together = "belong together; give both or neither"
-        self._require((self.mass is None) == (self.center_of_mass is None), f"mass and center_of_mass {together}")
+        revolute = set(range(joints)) - set(self.sliding)
+        self._require(set(self.endless) <= revolute, f"endless is {self.endless}; give revolute joints, counted from 0")
+        named = len(self.joint_names)
+        self._require(named in (0, joints), f"has {named} joint_names for {joints} joints; name each")
+        widest = np.where(self.slides, 1.0, 2 * np.pi)
+        for field, usual in (("joint_limits", np.column_stack([-widest, widest])), ("T_joint_flange", np.eye(4))):
+            if getattr(self, field) is None:
+                object.__setattr__(self, field, usual)
+        for one, other in (("mass", "center_of_mass"), ("spring_stiffness", "spring_rest")):
+            both = (getattr(self, one) is None) == (getattr(self, other) is None)
+            self._require(both, f"{one} and {other} belong together; give both or neither")
         self._require(
             self.inertia is None or self.mass is not None,
             "inertia needs the links' masses; give mass and center_of_mass too",
-        )
-        self._require(
-            (self.spring_stiffness is None) == (self.spring_rest is None),
-            f"spring_stiffness and spring_rest {together}",
         )
         shapes: dict[str, tuple[int, ...]] = {"joint_limits": (2,), "center_of_mass": (3,), "dh": (4,)}
         shapes |= {"inertia": (3, 3), "mass": ()} | dict.fromkeys(DRIVE_FIELDS, ())
@@ -199,7 +181,29 @@ class Arm:
         for field, shape in shapes.items():
             if getattr(self, field) is not None:
                 self._store(field, (joints, *shape))
-        self._check_numbers()
+        for i, ((lower, upper), unit) in enumerate(zip(self.joint_limits, self.joint_units, strict=True), 1):
+            limits = f"joint{i}'s limits {lower:g} … {upper:g} {unit}"
+            self._require(lower < upper, f"{limits} are empty; write lower, upper")
+        T = self.T_joint_flange
+        self._require(
+            frames.is_rotation(T[:3, :3]), "T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
+        )
+        self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
+        for field, what in ({"mass": "mass"} | JOINT_TERMS).items():
+            values, part = getattr(self, field), "link" if field == "mass" else "joint"
+            for i in [] if values is None else np.flatnonzero(values < 0)[:1]:
+                self._require(False, f"{part}{i + 1}'s {what} is negative; correct it")
+        for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):
+            wrong = frames.defect(tensor)
+            self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
+        self._require(
+            self.dh is None or not self.sliding, "a DH table is of revolute joints, and it has others; leave dh out"
+        )
+        self._require(
+            self._dh_distance <= _DH_AGREES,
+            f"its DH table is another chain than its kinematics (they differ by {self._dh_distance:.2g} m or rad);"
+            " correct one or leave dh out",
+        )
 
     def _require(self, fine: object, message: str) -> None:
         if not fine:
@@ -214,33 +218,6 @@ class Arm:
         self._require(np.isfinite(value).all(), f"{field} has a number that is not finite; correct it")
         value.flags.writeable = False
         object.__setattr__(self, field, value)
-
-    def _check_numbers(self) -> None:
-        for i, ((lower, upper), unit) in enumerate(zip(self.joint_limits, self.joint_units, strict=True), 1):
-            limits = f"joint{i}'s limits {lower:g} … {upper:g} {unit}"
-            self._require(lower < upper, f"{limits} are empty; write lower, upper")
-        T = self.T_joint_flange
-        self._require(
-            frames.is_rotation(T[:3, :3]), "T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
-        )
-        self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
-        for field, what in ({"mass": "mass"} | JOINT_TERMS).items():
-            values = getattr(self, field)
-            if values is not None and (values < 0).any():
-                part = "link" if field == "mass" else "joint"
-                self._require(False, f"{part}{int(np.argmax(values < 0)) + 1}'s {what} is negative; correct it")
-        for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):
-            wrong = defect(tensor)
-            self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
-        self._require(
-            self.dh is None or not self.sliding,
-            "a DH table is of revolute joints, and it has others; leave dh out",
-        )
-        self._require(
-            self._dh_distance <= _DH_AGREES,
-            f"its DH table is another chain than its kinematics (they differ by {self._dh_distance:.2g} m or rad);"
-            " correct one or leave dh out",
-        )
 
     @property
     def possible_positions(self) -> Array:

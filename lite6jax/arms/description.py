@@ -180,13 +180,9 @@ def _dynamics(value: Any, where: str, joints: int, sliding: tuple[int, ...]) -> 
 
 
 def _dh(value: Any, where: str, joints: int) -> Array:
-    table = entries.mapping(value, f"{where}: dh", [f"joint{i + 1}" for i in range(joints)])
-    rows = []
-    for i in range(joints):
-        place = f"{where}: dh: joint{i + 1}"
-        row = entries.mapping(table[f"joint{i + 1}"], place, DH)
-        rows.append([entries.number(row[key], f"{place}: {key}") for key in DH])
-    return np.array(rows)
+    names = [f"joint{i + 1}" for i in range(joints)]
+    table = entries.mapping(value, f"{where}: dh", names)
+    return np.array([entries.row(table[name], f"{where}: dh: {name}", DH) for name in names])
 
 
 def _chain_of_table(value: Any, convention: str, where: str) -> tuple[Array, dict[str, Any]]:
@@ -297,11 +293,7 @@ def bundled_of(joints: int) -> list[Arm]:
 
 @cache
 def load_bundled(name: str) -> Arm:
-    """A bundled arm by its name.
-
-    Raises:
-        InputError: no such arm; the message lists the names.
-    """
+    """A bundled arm by its name; refuses another one with a list of the names."""
     if name not in bundled_arms():
         raise InputError(f"no bundled arm {name!r}; {entries.suggestion(name, bundled_arms())}")
     return read_description(_DATA / f"{name}.yaml")

@@ -232,13 +232,10 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     ```
 
     `units` are mm or m, and deg or rad. `dh` has one row per joint, and `beta_jointK` is of a joint that is nominally
-    parallel to the next, whose d is zero. With `"convention": "modified"` the rows are Craig's, and there is no beta.
-    Of the base, zero where not given, nothing is along and about `first_axis`, z where not given. A row of a prismatic
-    joint has `"type": "prismatic"`, and rows then have `b`. A table of a fit may have `fit` with the keys `FIT`.
-
-    Args:
-        path: the file.
-        convention: in which it is read where it says none itself; standard where not given.
+    parallel to the next, whose d is zero. With `"convention": "modified"` the rows are Craig's, and there is no beta; a
+    table that says no convention is read in the one that is given, or as standard. Of the base, zero where not given,
+    nothing is along and about `first_axis`, z where not given. A row of a prismatic joint has `"type": "prismatic"`,
+    and rows then have `b`. A table of a fit may have `fit` with the keys `FIT`.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.
@@ -329,14 +326,9 @@ def write_table(
     overwrite: bool = False,
     fit: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Writes Hayati parameters as a table; `read_table` returns every float exactly.
+    """Writes Hayati parameters `(size,)`, m and rad, as a table; `read_table` returns every float exactly.
 
-    Args:
-        form: the parameterisation.
-        parameters: (size,) m and rad.
-        path: the file to write.
-        overwrite: whether the file may be replaced.
-        fit: what is to be said of the fit that they are from, under the keys `FIT`.
+    `fit` is what is to be said of the fit that they are from, under the keys `FIT`.
 
     Raises:
         InputError: parameters of the wrong size or not finite, or as `storage.write_atomically`.
@@ -368,13 +360,9 @@ def write_table(
 def _json_entries(numbers: Mapping[str, float]) -> str:
     """Entries of JSON, in mm and degrees, that are read as exactly these floats of m and rad."""
     return ", ".join(
-        f'"{name}": {_plain(_millimetres(value) if name in _LENGTHS else _degrees(value))}'
+        f'"{name}": {_plain(Decimal(repr(float(value))).scaleb(3, _EXACT) if name in _LENGTHS else _degrees(value))}'
         for name, value in numbers.items()
     )
-
-
-def _millimetres(length: float) -> Decimal:
-    return Decimal(repr(float(length))).scaleb(3, _EXACT)
 
 
 def _degrees(angle: float) -> Decimal:
@@ -392,34 +380,22 @@ def _plain(value: Decimal) -> str:
     return f"{mantissa}e{power}" if power else mantissa
 
 
-class _RepeatedKeyError(ValueError):
-    """A key that an object has twice; the argument is the key."""
-
-
-def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    """The `object_pairs_hook` of `json.loads` that refuses an object with a key twice, of which it would drop one.
-
-    Raises:
-        _RepeatedKeyError: as said.
-    """
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise _RepeatedKeyError(key)
-        found[key] = value
-    return found
-
-
 def _parse(text: str, path: str | Path) -> dict[str, Any]:
+    def unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+        """An object, of which `json` would drop the first of two equal keys."""
+        keys = [key for key, _ in pairs]
+        if len(set(keys)) < len(keys):
+            twice = next(key for i, key in enumerate(keys) if key in keys[:i])
+            raise InputError(f"{path}: the key {twice!r} is given twice; keep one")
+        return dict(pairs)
+
     try:
         content = json.loads(
-            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=_unique_keys
+            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=unique
         )
-    except _RepeatedKeyError as error:
-        raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: line {error.lineno}: not valid JSON ({error.msg}); correct the file") from error
-    except (RecursionError, ValueError, ArithmeticError) as error:
+    except (RecursionError, ArithmeticError) as error:
         raise InputError(
             f"{path}: not valid JSON (nested too deeply or a malformed number); correct the file"
         ) from error

@@ -370,73 +370,40 @@ so that the chi-square is nearly the smallest possible; not zero, which flat or 
 _STEPS = 200
 
 
-@dataclass(frozen=True, eq=False)
-class ConsistentLinks:
-    """Links that real bodies can be.
+def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Numbers, bool]:
+    """The links (joint, 10) that are bodies, have the given base parameters and are nearest to reference links.
 
-    Attributes:
-        parameters: (joint, 10) `PARAMETERS` of each link.
-        exact: whether they have the base parameters that were asked for, to rounding; otherwise no bodies have.
-        change: (base,) by how much their base parameters differ from those.
-        chi_square: of that change, by the base parameters' covariance; 0 where exact.
-    """
-
-    parameters: Numbers
-    exact: bool
-    change: Numbers
-    chi_square: float
-
-
-def consistent_links(
-    base: BaseParameters, values: npt.ArrayLike, reference: npt.ArrayLike, covariance: npt.ArrayLike | None = None
-) -> ConsistentLinks:
-    """The physically consistent links that have the given base parameters and are nearest to reference links.
-
-    Where no bodies have these base parameters, those of the links are as near to them as positivity allows.
+    Where no bodies have these base parameters, those of the links are as near to them as positivity allows, relative to
+    what the reference links make of each combination.
 
     Args:
         base: of the arm's chain.
         values: (base,) the base parameters.
         reference: (joint, 10) inertial parameters of links that are bodies, such as `bodies_near` gives.
-        covariance: (base, base) of `values`, positive definite; None for one in which every combination is determined
-            equally well, relative to what the reference links make of it.
+
+    Returns:
+        the links, and whether they have the base parameters that were asked for, to rounding.
 
     Raises:
-        InputError: a shape that does not fit, or reference links that are no bodies.
+        InputError: reference links that are no bodies.
     """
     values, reference = np.asarray(values, float), np.asarray(reference, float)
-    joints = base.grouping.shape[1] // 10
-    if values.shape != (base.size,) or reference.shape != (joints, 10):
-        raise InputError(
-            f"base parameters {values.shape} and reference links {reference.shape} do not fit a chain of {joints} links"
-            f" with {base.size} base parameters; give ({base.size},) and ({joints}, 10)"
-        )
     if not is_consistent(reference):
         raise InputError("the reference links are no bodies; give such as bodies_near gives")
     # in coordinates in which every reference link's pseudo-inertia is the identity
     roots = np.linalg.cholesky(pseudo_inertia(reference))
     to_parameters = _block_diagonal(np.stack([_parameters_of(root @ _SYMMETRIC @ root.T).T for root in roots]))
     G = base.grouping @ to_parameters
-    if covariance is None:
-        whitened = np.linalg.inv(np.linalg.cholesky(G @ G.T))
-    else:
-        covariance = np.asarray(covariance, float)
-        if covariance.shape != (base.size, base.size):
-            raise InputError(f"the covariance has the shape {covariance.shape}; it must be {(base.size, base.size)}")
-        whitened = np.linalg.inv(np.linalg.cholesky(covariance))
     Q, R = np.linalg.qr(G.T)
     C, d = Q.T, np.linalg.solve(R.T, values)
-
-    start = np.tile(_coordinates(np.eye(4)), joints)
+    start = np.tile(_coordinates(np.eye(4)), len(reference))
     y, exact = _constrained(start, C, d), True
     if y is None:
+        whitened = np.linalg.inv(np.linalg.cholesky(G @ G.T))
         nearest = _penalised(start, whitened @ G, whitened @ values)
         y = _constrained(nearest, C, d)
         y, exact = (nearest, False) if y is None else (y, True)
-    parameters = (to_parameters @ y).reshape(joints, 10)
-    change = base.values(parameters) - values
-    chi_square = 0.0 if exact else float(np.sum((whitened @ change) ** 2))
-    return ConsistentLinks(parameters, exact, change, chi_square)
+    return (to_parameters @ y).reshape(-1, 10), exact
 
 
 def bodies_near(parameters: npt.ArrayLike) -> Numbers:
@@ -448,11 +415,7 @@ def bodies_near(parameters: npt.ArrayLike) -> Numbers:
 
 
 def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
-    """The arm with the masses, centres of mass and inertia tensors of these links, (joint, 10).
-
-    Raises:
-        InputError: links that are no bodies.
-    """
+    """The arm with the masses, centres of mass and inertia tensors of links (joint, 10), which must be bodies."""
     parameters = np.asarray(parameters, float)
     if parameters.shape != (arm.dof, 10) or not is_consistent(parameters):
         raise InputError(f"arm {arm.name!r}: these links are no bodies; take such as consistent_links gives")

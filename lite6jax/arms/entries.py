@@ -37,11 +37,7 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def number(value: Any, where: str) -> float:
-    """The value as a float.
-
-    Raises:
-        InputError: it is not a number (a boolean is not), or not finite.
-    """
+    """The value as a float; refuses a boolean, what is not finite and what is no number."""
     if isinstance(value, str) and _NUMBER.fullmatch(value):
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -57,22 +53,14 @@ def number(value: Any, where: str) -> float:
 
 
 def numbers(value: Any, where: str, count: int) -> list[float]:
-    """A list of `count` floats.
-
-    Raises:
-        InputError: not a list of that length, or as `number`.
-    """
+    """A list of `count` floats; refuses another length, or as `number`."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
         raise InputError(f"{where} must be a list of {count} numbers; write [{', '.join(['0.0'] * count)}]")
     return [number(entry, f"{where} number {i + 1}") for i, entry in enumerate(value)]
 
 
 def mapping(value: Any, where: str, required: Sequence[str], optional: Sequence[str] = ()) -> Mapping[str, Any]:
-    """The value as a mapping with these keys and no others.
-
-    Raises:
-        InputError: not a mapping, a missing key or an unknown key.
-    """
+    """The value as a mapping with these keys; refuses one that is missing or unknown."""
     if not isinstance(value, Mapping):
         raise InputError(f"{where} must be a mapping with the keys {', '.join(required or optional)}")
     accepted = [*required, *optional]
@@ -92,32 +80,35 @@ def suggestion(word: str, accepted: Iterable[str]) -> str:
     return (f"did you mean {near[0]!r}? " if near else "") + f"accepted are {', '.join(accepted)}"
 
 
-def six_numbers(value: Any, where: str) -> list[float]:
-    """x y z roll pitch yaw of a mapping with exactly these keys, in m and rad.
+def row(value: Any, where: str, keys: Sequence[str], optional: Sequence[str] = ()) -> list[float]:
+    """The numbers under these keys of a mapping that has them, and may have others."""
+    entry = mapping(value, where, keys, optional)
+    return [number(entry[key], f"{where}: {key}") for key in keys]
 
-    Raises:
-        InputError: as `mapping` and `number`; an angle beyond a full turn (degrees?), a length of over 10 m
-            (millimetres?).
+
+def six_numbers(value: Any, where: str) -> list[float]:
+    """x y z roll pitch yaw, m and rad, of a mapping with exactly these keys.
+
+    Refuses angles beyond a full turn (degrees?) and lengths of over 10 m (millimetres?).
     """
-    row = _six(value, where)
-    _require_short(row, where)
-    return row
+    six = _six(value, where)
+    _require_short(six, where)
+    return six
 
 
 def _six(value: Any, where: str, optional: Sequence[str] = ()) -> list[float]:
-    entry = mapping(value, where, SIX, optional)
-    row = [number(entry[key], f"{where}: {key}") for key in SIX]
-    for key, angle in zip(SIX[3:], row[3:], strict=True):
+    six = row(value, where, SIX, optional)
+    for key, angle in zip(SIX[3:], six[3:], strict=True):
         if abs(angle) > ANGLE_LIMIT:
             raise InputError(
                 f"{where}: {key} is {angle:g}, more than a full turn, so it seems to be in degrees;"
                 f" write radians ({math.radians(angle):.6g})"
             )
-    return row
+    return six
 
 
-def _require_short(row: Sequence[float], where: str) -> None:
-    for key, length in zip(SIX[:3], row[:3], strict=True):
+def _require_short(six: Sequence[float], where: str) -> None:
+    for key, length in zip(SIX[:3], six[:3], strict=True):
         if abs(length) > LENGTH_LIMIT:
             raise InputError(
                 f"{where}: {key} is {length:g}, longer than any arm's link, so it seems to be in millimetres;"
@@ -136,11 +127,7 @@ def is_reachable(links: Array, limit: float = LENGTH_LIMIT) -> bool:
 
 
 def convention(value: Any, where: str) -> str | None:
-    """The convention of a DH table, `STANDARD` or `MODIFIED` by any of its names; None where none is given.
-
-    Raises:
-        InputError: another word.
-    """
+    """The convention of a DH table, `STANDARD` or `MODIFIED` by any of its names; None where none is given."""
     if value is None:
         return None
     if str(value).lower() not in _CONVENTIONS:
@@ -151,17 +138,11 @@ def convention(value: Any, where: str) -> str | None:
 def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tuple[str, ...], tuple[int, ...]]:
     """The six-parameter table below a file's key `kinematics`, in the vendor's form or in Universal Robots'.
 
-    Args:
-        value: the table.
-        where: the beginning of messages.
-        typed: whether a row may have a `type`, one of `TYPES`.
+    Rows may have a `type`, one of `TYPES`, where they are `typed`.
 
     Returns:
         (joint, 6) x y z roll pitch yaw in m and rad, the joints' names for messages, and the prismatic joints, counted
         from 0.
-
-    Raises:
-        InputError: a joint missing or unknown, another type, or as `six_numbers`; the line names the joint.
     """
     if not isinstance(value, Mapping) or not value:
         raise InputError(
@@ -194,16 +175,9 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
 
 
 def write_yaml(content: Any, path: str | Path, overwrite: bool, flow: bool | None = False) -> Path:
-    """Writes content of which every reader of YAML reads exactly these floats.
+    """Writes mappings, lists, text and numbers, of which every reader of YAML reads exactly these floats.
 
-    Args:
-        content: mappings, lists, text and numbers.
-        path: the file to write.
-        overwrite: whether it may be replaced.
-        flow: None writes the innermost mappings and lists on one line, False one entry a line.
-
-    Raises:
-        InputError: as `storage.write_atomically`.
+    With `flow` None the innermost mappings and lists are on one line, with False there is one entry a line.
     """
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
     text = yaml.dump(

@@ -4,9 +4,9 @@ import configparser
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,30 +83,16 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     if suffix == DEVIATIONS:
         return _of_deviations(path, arm)
     if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
-        return factory_from(content, path, arm)
+        content = entries.mapping(content, f"{path}:", ("kinematics",))
+        kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
+        found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+        return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
     table = read_table(path)
     kinematics, after = hayati_to_six_parameter(table.form, table.parameters)
     if table.convention is None:
         _require_standard(kinematics, after, path, arm)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
     return _align(_recognise(kinematics, names, after, table.form.sliding, path, arm))
-
-
-def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
-    """The factory calibration that a YAML file holds.
-
-    Args:
-        content: as `storage.read_yaml` gives it.
-        path: the file, for messages.
-        arm: as of `read_factory`.
-
-    Raises:
-        InputError: as `read_factory`.
-    """
-    content = entries.mapping(content, f"{path}:", ("kinematics",))
-    kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
-    found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-    return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:
@@ -316,14 +302,11 @@ def _published_dh(arm: Arm) -> Array | None:
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
-    """Writes a six-parameter table as a factory file; `read_factory` returns every number exactly.
+    """Writes a six-parameter table `(joint, 6)`, m and rad, as a factory file; `read_factory` returns every number
+    exactly.
 
-    Args:
-        kinematics: `(joint, 6)` x y z roll pitch yaw, m and rad.
-        path: the file to write.
-        form: `vendor` (`joint1`, …; any number of joints, of whose types it says nothing) or `ur` (`shoulder`, …; 6
-            joints).
-        overwrite: whether the file may be replaced.
+    The `form` is `vendor` (`joint1`, …; any number of joints, of whose types it says nothing) or `ur` (`shoulder`, …; 6
+    joints).
 
     Raises:
         InputError: another form or number of joints, a number that is not finite, or as `storage.write_atomically`.
@@ -348,14 +331,11 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
 def recognise(
     kinematics: Array, names: Sequence[str], where: str, arm: Arm | None, T_joint_flange: ArrayLike | None = None
 ) -> Arm:
-    """The nominal arm of a six-parameter table: `arm` if given, else the bundled one whose flange is nearest.
+    """The nominal arm of a six-parameter table (joint, 6): `arm` if given, else the bundled one whose flange is
+    nearest.
 
-    Args:
-        kinematics: (joint, 6), m and rad.
-        names: the joints' names, for messages.
-        where: the file, for messages.
-        arm: the nominal arm, or None.
-        T_joint_flange: (4, 4) the transform after the last joint in the file; None for the identity.
+    The joints' `names` and the file, `where`, are for messages. `T_joint_flange` (4, 4) follows the last joint in the
+    file.
 
     Raises:
         InputError: a joint is rotated by 180 deg relative to the nearest arm; or no `arm` is given and none is near.
@@ -386,35 +366,26 @@ def recognise(
     )
 
 
-def nearest_arms(kinematics: Array, arms: Sequence[Arm]) -> list[Arm | None]:
-    """The nearest arm of each of many chains; None where none is near enough, of which `recognise` says why.
-
-    Args:
-        kinematics: `(chain, joint, 6)` m and rad, of revolute joints.
-        arms: with as many of them.
-    """
-    distance = _distances(frames.transform_from_row(kinematics), np.eye(4), arms)
-    best = np.argmin(np.where(np.isfinite(distance), distance, np.inf), 1)
-    return [arms[i] if row[i] <= RECOGNISED_WITHIN else None for row, i in zip(distance, best, strict=True)]
-
-
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are far from every arm
 def _distances(links: Array, after: Array, arms: Sequence[Arm]) -> Array:
-    """(..., arm) m, the RMS distance over joint positions between the flanges of chains and of arms.
+    """(..., arm) m, the RMS distance over joint positions between the flanges of chains and of arms of the same joints.
 
-    Args:
-        links: (..., joint, 4, 4).
-        after: (4, 4), what follows the last joint before the flange of the first arm.
-        arms: of the same joints.
+    Links are (..., joint, 4, 4), and `after` (4, 4) follows the last joint before the flange of the first arm.
     """
-    q = frames.sample_joints(links.shape[-3])
+    own = _points(links, after @ arms[0].T_joint_flange, arms[0].sliding)
+    apart = (own - _nominal_points(arm) for arm in arms)
+    return np.stack([np.sqrt(np.sum(each**2, (-3, -2, -1)) / (3 * own.shape[-3])) for each in apart], -1)
 
-    def points(links: Array, T_joint_flange: Array) -> Array:
-        return (frames.chain(links, q, arms[0].sliding) @ (T_joint_flange @ _PROBES))[..., :3, :]
 
-    own = points(links, after @ arms[0].T_joint_flange)
-    apart = (own - points(arm.links, arm.T_joint_flange) for arm in arms)
-    return np.stack([np.sqrt(np.sum(each**2, (-3, -2, -1)) / (3 * len(q))) for each in apart], -1)
+def _points(links: Array, T_joint_flange: Array, sliding: tuple[int, ...]) -> Array:
+    """(..., sample, 3, probe) m, where chains have the points of their flange."""
+    flange = frames.chain(links, frames.sample_joints(links.shape[-3]), sliding)
+    return (flange @ (T_joint_flange @ _PROBES))[..., :3, :]
+
+
+@lru_cache(64)
+def _nominal_points(arm: Arm) -> Array:
+    return _points(arm.links, arm.T_joint_flange, arm.sliding)
 
 
 _HALF_TURNS = {"x": np.diag([1.0, -1, -1, 1]), "y": np.diag([-1.0, 1, -1, 1]), "z": np.diag([-1.0, -1, 1, 1])}

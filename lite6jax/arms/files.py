@@ -96,8 +96,7 @@ def base_and_tip(name: str) -> tuple[str, str | None, str | None]:
 def name_chain(name: str, base: str | None, tip: str | None) -> str:
     """The name of an arm's file with the base and the tip in it, as `base_and_tip` takes it apart.
 
-    Raises:
-        InputError: of a file that is no tree, or that names them already.
+    Refuses a file that is no tree, or that names them already.
     """
     if base is None and tip is None:
         return name
@@ -142,14 +141,14 @@ def convert_file(
     Args:
         source: an arm; a calibration or table, a URDF, MJCF, a description, or the name of a bundled arm.
         target: the file to write.
-        form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
-            the description of any other arm.
+        form: None derives it from the suffix, `.yaml` being the vendor's form of a calibration and the description of
+            any other arm.
         nominal: the nominal arm of a calibration, by whose axes a table is parameterised; None for the recognised one,
             or for that of `into`. Without one an arm cannot be written in a form of its chain alone.
         overwrite: whether the target may be replaced.
         left_out: what the arm itself has no place for, a phrase each.
-        into: a URDF with the names, meshes and limits of what is written, as `write_into_urdf` has it; its chain is
-            named as in `read_arm`. What follows its last joint stays where the source is an arm.
+        into: a URDF with the names, meshes and limits of what is written, as `write_into_urdf` has it. What follows its
+            last joint stays where the source is an arm.
 
     Raises:
         InputError: as the readers and writers; a suffix of another form; a flange that the form cannot represent.
@@ -216,11 +215,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
 
 
 def is_calibration(path: str | Path) -> bool:
-    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model.
-
-    Raises:
-        InputError: as `storage.read_yaml`.
-    """
+    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model."""
     suffix = Path(path).suffix.lower()
     if suffix not in (".yaml", ".yml"):
         return suffix in (".json", DEVIATIONS)
@@ -229,11 +224,7 @@ def is_calibration(path: str | Path) -> bool:
 
 
 def form_of(target: Path, calibrated: bool) -> FileForm:
-    """The form of a file by its suffix, of a calibration or of another arm.
-
-    Raises:
-        InputError: a suffix of no form.
-    """
+    """The form of a file by its suffix, of a calibration or of another arm; refuses a suffix of no form."""
     suffix = target.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return "vendor" if calibrated else "description"

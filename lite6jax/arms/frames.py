@@ -113,15 +113,10 @@ def joint_motions(position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
 
 
 def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
-    """The flange of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
+    """`T_base_flange` of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
 
-    Args:
-        links: (joint, 4, 4), or with leading axes of many chains.
-        joint_position: (..., joint) rad, and m of prismatic joints.
-        sliding: the prismatic joints, counted from 0, which move along their z.
-
-    Returns:
-        `T_base_flange`, the axes of many chains followed by those of the positions and (4, 4).
+    Links are (joint, 4, 4), or with leading axes of many chains; positions are (..., joint) rad, or m of the joints in
+    `sliding`, counted from 0, which move along their z. The axes of many chains come before those of the positions.
     """
     position = np.asarray(joint_position, float)
     each = position.reshape(-1, position.shape[-1])
@@ -146,19 +141,12 @@ def sample_joints(dof: int, count: int = 64) -> Array:
 def walk(
     links: Iterable[Array], joint_position: Array, sliding: tuple[int, ...] = (), start: Array | None = None
 ) -> Iterator[Array]:
-    """The frames of a chain one after the other: the base, and the frame after each joint's motion.
+    """The frames of a chain one after the other: the base, and the frame after each joint's motion, `(..., sample, 4,
+    4)`.
 
     A link is one product of two matrices for all samples, and a joint combines two columns: products of small matrices
-    take several times as long.
-
-    Args:
-        links: `(..., 4, 4)` each, leading axes being those of many chains.
-        joint_position: `(sample, joint)` rad, and m of prismatic joints.
-        sliding: the prismatic joints, counted from 0.
-        start: `(4, 4)`, the base in the frame that is wanted; its own where not given.
-
-    Yields:
-        `(..., sample, 4, 4)`.
+    take several times as long. Links are `(..., 4, 4)` each, leading axes being those of many chains, and positions
+    `(sample, joint)` rad, or m of the joints in `sliding`. The base is at `start` `(4, 4)` in the frame that is wanted.
     """
     samples = len(joint_position)
     T = np.broadcast_to(np.eye(4) if start is None else start, (samples, 4, 4))
@@ -175,17 +163,12 @@ def walk(
 
 
 def links_from_dh(dh: ArrayLike, convention: str = "standard") -> tuple[Array, Array]:
-    """The links of `chain` for a DH table.
+    """The links of `chain` `(joint, 4, 4)` for a DH table `(joint, 4)`, and the transform after the last joint `(4,
+    4)`.
 
-    Standard: `A_i = Rz(q + theta_off) Tz(d) Tx(a) Rx(alpha)`. Modified (J. Craig, Introduction to Robotics, 1986):
-    `A_i = Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d)`, whose alpha and a precede the joint.
-
-    Args:
-        dh: (joint, 4) theta_off, d, a, alpha in rad and m.
-        convention: `standard` or `modified`.
-
-    Returns:
-        the links (joint, 4, 4), and the transform after the last joint (4, 4).
+    The table has theta_off, d, a, alpha in rad and m. Standard: `A_i = Rz(q + theta_off) Tz(d) Tx(a) Rx(alpha)`.
+    Modified (J. Craig, Introduction to Robotics, 1986): `A_i = Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d)`, whose alpha
+    and a precede the joint.
     """
     theta, d, a, alpha = np.asarray(dh, float).T
     zero = np.zeros_like(theta)
@@ -199,15 +182,9 @@ def links_from_dh(dh: ArrayLike, convention: str = "standard") -> tuple[Array, A
 def align_frames(links: Array, nominal: Array | None = None) -> Array:
     """The same chain with each joint's frame, but the last one's, moved along and turned about the joint's own axis.
 
-    Where a frame stands on its axis is free. It goes where the nominal chain has it: standard DH of axes that are
-    nearly parallel puts it hundreds of metres away, and other tables elsewhere than a URDF.
-
-    Args:
-        links: (joint, 4, 4).
-        nominal: (joint, 4, 4) of the same joints; None for the point next to the frame before, without a turn.
-
-    Returns:
-        (joint, 4, 4) links of the same flange poses, to rounding of the largest length.
+    Where a frame stands on its axis is free. It goes where the nominal chain `(joint, 4, 4)` has it, or without one
+    next to the frame before, without a turn: standard DH of axes that are nearly parallel puts it hundreds of metres
+    away, and other tables elsewhere than a URDF. Flange poses stay the same, to rounding of the largest length.
     """
     T = N = before = np.eye(4)
     moved = []

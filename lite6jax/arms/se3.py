@@ -145,12 +145,8 @@ def turn(angle: ArrayLike) -> Turn:
 
 
 def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
-    """The motions of joints about and along their axes.
-
-    Args:
-        position: `(..., joint, sample)` rad, or m of a prismatic joint.
-        sliding: the prismatic joints, counted from 0.
-    """
+    """The motions of joints about and along their axes at positions `(..., joint, sample)` rad, or m of those in
+    `sliding`."""
     if not sliding:
         return turn(position)
     slides = np.isin(np.arange(position.shape[-2]), sliding)[:, None]

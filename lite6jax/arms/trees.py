@@ -90,13 +90,8 @@ def find_chain(
 ) -> Tree:
     """The chain from `base` to `tip` of a tree; None for the only root or the only end.
 
-    Args:
-        path: the file, for messages.
-        joints: all of them, each with another child.
-        links: what the file says of each link, by name.
-        base, tip: the names of links, or None.
-        what: one link in the words of the file, and several.
-        beside: further names that a tip may have.
+    Each of the joints has another child. `what` is one link in the words of the file, and several; `beside` are further
+    names that a tip may have.
 
     Raises:
         InputError: no such link, no joint that moves, several roots or ends.
@@ -162,12 +157,8 @@ def _ends(
 ) -> str:
     """Where the chain could end, and what to write for the likeliest: an arm before its gripper, or the longest.
 
-    Args:
-        file: the name of the file.
-        base: the link at which chains begin.
-        chains: of each link that could be the end, the joints that move.
-        above: of each link the joint that moves it.
-        beside: further names.
+    Of each link that could be the end `chains` has the joints that move, and of each link `above` the joint that moves
+    it.
     """
     # for each joint, "" for the base, the joints that move next, and how many move from each of them on
     onwards: dict[str, dict[str, int]] = {}
@@ -260,27 +251,20 @@ def arm_of_chain(
     body_of: Callable[[str], frames.Body | None],
     drives: Mapping[str, Array],
 ) -> Arm:
-    """The arm that a chain is.
+    """The arm that a chain is; it has the name of the file where `name` is empty.
 
     Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
     `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every position of
     a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia. Links on
-    moving joints beside the chain are omitted. Inertia that is zero throughout is unknown.
-
-    Args:
-        path: the file.
-        tree: the chain.
-        name: of the arm; the file's where it is empty.
-        form: of the file, for the source.
-        body_of: what a link is, in its frame; None where the file does not say.
-        drives: fields of `Arm` that say what its joints' drives are.
+    moving joints beside the chain are omitted. Inertia that is zero throughout is unknown. Of links, `body_of` says
+    what they are in their frames, and `drives` are fields of `Arm`.
 
     Raises:
         InputError: no joint that moves, or one that no arm here has; or as `Arm`.
 
     Warns:
-        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or
-            a tip that was not named seems to be a jaw's.
+        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or a
+            tip that was not named seems to be a jaw's.
     """
     if not tree.tip_named and (remark := jaw(path, tree)[1]):
         warnings.warn(remark, InputWarning, stacklevel=4)

@@ -66,11 +66,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
 
 
 def tip_before_jaw(path: str | Path) -> str:
-    """The link before the jaw in which the only chain of a file ends; empty where it ends in none.
-
-    Raises:
-        InputError: as `read_urdf`, but for the joints' types.
-    """
+    """The link before the jaw in which the only chain of a file ends; empty where it ends in none."""
     return jaw(path, _tree(path, None, None)[0])[0]
 
 
@@ -202,11 +198,7 @@ def _attribute(element: ET.Element, tag: str, key: str, where: str) -> str:
 
 
 def origin(element: ET.Element, where: str) -> Array:
-    """(6,) x y z roll pitch yaw, m and rad, of an element's <origin>; zeros without one.
-
-    Raises:
-        InputError: not three numbers each; the line begins with `where`.
-    """
+    """(6,) x y z roll pitch yaw, m and rad, of an element's <origin>; zeros without one."""
     entry = element.find("origin")
     if entry is None:
         return np.zeros(6)
@@ -214,11 +206,7 @@ def origin(element: ET.Element, where: str) -> Array:
 
 
 def vector(text: str, where: str) -> Array:
-    """(3,) numbers of an attribute's text.
-
-    Raises:
-        InputError: not three finite numbers; the line begins with `where`.
-    """
+    """(3,) finite numbers of an attribute's text."""
     parts = text.split()
     if len(parts) != 3:
         raise InputError(f"{where} is {text!r}; write three numbers")
@@ -226,11 +214,7 @@ def vector(text: str, where: str) -> Array:
 
 
 def scalar(text: str, where: str) -> float:
-    """The finite number of an attribute's text.
-
-    Raises:
-        InputError: not a finite number; the line begins with `where`.
-    """
+    """The finite number of an attribute's text."""
     try:
         value = float(text)
     except ValueError as error:
@@ -291,23 +275,15 @@ def write_into_urdf(
     """Writes a URDF in which the joints of a chain have the origins, inertia and drives of an arm.
 
     Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
-    does not know. What follows the last joint changes in the last fixed joint. Where the arm has inertia, that of each
-    link contains the links fixed to it, whose own is removed.
-
-    Args:
-        arm: the arm.
-        robot: the file to read.
-        path: the file to write.
-        base, tip: as of `read_urdf`.
-        overwrite: whether the target may be replaced.
-        with_flange: whether what follows the last joint changes.
+    does not know. What follows the last joint changes in the last fixed joint, if it is to change. Where the arm has
+    inertia, that of each link contains the links fixed to it, whose own is removed.
 
     Returns:
         what the file has no place for, a phrase each.
 
     Raises:
-        InputError: as `read_urdf`; another number of joints; joint frames that stand elsewhere by design, to which the
-            meshes would not fit; or as `storage.write_atomically`.
+        InputError: as `read_urdf` of `robot`; another number of joints; joint frames that stand elsewhere by design, to
+            which the meshes would not fit; or as `storage.write_atomically`.
     """
     old, tree, root = _read(robot, base, tip)
     if (old.dof, old.sliding) != (arm.dof, arm.sliding):

@@ -14,7 +14,6 @@ from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
-from lite6jax.calibration.gauss_newton import MAX_STEPS
 from lite6jax.calibration.problem import (
     TOLERANCE,
     UNDECLARED_NOISE,
@@ -26,7 +25,7 @@ from lite6jax.calibration.problem import (
 from lite6jax.calibration.quality import NOISES, Result, spread_of
 from lite6jax.calibration.residual import POSE, POSITION
 from lite6jax.calibration.solution import Errors, Held, Noise, Solution, prediction_errors
-from lite6jax.calibration.solve import Estimate, Solver, inverse, solve
+from lite6jax.calibration.solve import MAX_STEPS, Estimate, Solver, invert, solve
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
@@ -132,7 +131,6 @@ def fit_recording(
     """
     problem = recording_problem(recording, nominal, geometry)
     form, chain = problem.form, problem.form.chain
-    everything = np.arange(recording.samples)
     few = np.unique(np.linspace(0, recording.samples - 1, min(MOST_SPREAD, recording.samples)).astype(int))
     spread = few if len(few) < recording.samples else slice(None)
     information = _information(problem.select(few), recording.source)
@@ -142,7 +140,7 @@ def fit_recording(
     tolerance[~problem.movable | (problem.precision != 0)] = 0.0
     problem = replace(problem, precision=problem.precision + tolerance)
     # the parameters that the data determine: each less the share of the prior's variance that is left to it
-    from_prior = np.diagonal(inverse((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
+    from_prior = np.diagonal(invert((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
     fitted = float(free.sum() - from_prior.sum())
     _require_samples(recording, problem.rows, round(fitted))
 
@@ -155,11 +153,9 @@ def fit_recording(
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
         weight[k, fold] = 0.0
     start = {"start": first.model, "solver": solver}
-    begun = None
-    if len(few) < len(everything) and solver == "gauss_newton":
-        on_few = estimate(some, free, **start)
-        start["start"], begun = on_few.model, (on_few, len(everything) / len(few))
-    final = estimate(problem, free, begun=begun, **start)
+    if len(few) < recording.samples:
+        start["start"] = estimate(some, free, **start).model
+    final = estimate(problem, free, **start)
     folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], **start), list(weight))
     frames_only = free & (np.arange(form.size) >= chain.size)
     nominal_fit = estimate(some, frames_only)
@@ -315,5 +311,5 @@ def _covariance(
     else:
         factor = variance_factor(estimate.squares / estimate.scale**2, problem.rows, freedom, fitted)
     covariance = np.zeros_like(estimate.information)
-    covariance[inside] = inverse((estimate.information[inside] - prior) / factor + prior)
+    covariance[inside] = invert((estimate.information[inside] - prior) / factor + prior)
     return covariance

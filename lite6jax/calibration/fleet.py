@@ -18,9 +18,9 @@ from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
 from lite6jax.arms.dh import closed_form
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
 from lite6jax.calibration.compiled import SINGLE_THREADED
-from lite6jax.calibration.gauss_newton import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.residual import POSE
+from lite6jax.calibration.solve import CHUNK, MAX_STEPS, fit_chunks
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import LEVER, ArmModel, ModelForm
@@ -127,7 +127,7 @@ def fit_fleet(
 
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, np.ones(form.size), max_steps, progress)
+    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
     solved = summary.solved
     numbers = POSE * summary.samples
     result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
@@ -209,16 +209,12 @@ class FittedCalibrations(NamedTuple):
 
 
 def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> FittedCalibrations:
-    """The Hayati models that reproduce calibrations, as `fit_calibration` finds that of one.
+    """The Hayati models that reproduce calibrations of one type of arm, as `fit_calibration` finds that of one.
 
     A calibration has no noise: a model that reproduces it to `EXACT` at all joint positions is the least-squares fit,
     and took no step. Only those of which the closed form does not are fitted: joint axes that are nearly parallel, a
-    table with a transform after its last joint, or prismatic joints.
-
-    Args:
-        kinematics: `(arm, joint, 6)` m and rad.
-        T_joint_flange: `(arm, 4, 4)` from the frame after the last joint to the flange.
-        arm: the type of all.
+    table with a transform after its last joint, or prismatic joints. `kinematics` are `(arm, joint, 6)` m and rad, and
+    `T_joint_flange` `(arm, 4, 4)`.
     """
     count = len(kinematics)
     # filled up to whole chunks, so that batches of any size share compiled code

@@ -147,9 +147,6 @@ def declared_geometry(
     six-parameter chain, each number with its standard deviation), without one it is unknown (`free`: the Hayati chain
     from nominal; of touches the six-parameter chain, near nominal). A `factory` calibration that is given replaces the
     sidecar's, its uncertainty included.
-
-    Raises:
-        InputError: as `recording_problem`.
     """
     settings, folder = recording.settings, Path(recording.source).parent
     arm = arm or arm_of(recording)

@@ -95,8 +95,7 @@ def quality_of_poses(
 
     Args:
         distance: `(sample,)` m, position errors on rows that were not fitted.
-        measured: `(sample, 3)` m.
-        predicted: `(sample, 3)` m.
+        measured, predicted: `(sample, 3)` m.
         reach: of the arm, m.
         declared: the declared noise per axis, m; None where there is none.
         over_noise: residuals over the declared noise; None where there is none.

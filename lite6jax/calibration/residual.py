@@ -223,14 +223,8 @@ def _linearise_isotropic(
 
 
 def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Array]) -> Array:
-    """What `emit` makes of the twist of each entry of a step, before `step_order`.
-
-    Args:
-        form: which entries.
-        model: where.
-        joint: the joints' motions.
-        emit: maps a twist, in sensor coordinates, to an array; all of one shape.
-    """
+    """What `emit` makes of the twist of each entry of a step, in sensor coordinates, before `step_order`: arrays of one
+    shape."""
     return jnp.concatenate(_walk_twists(form, model, joint, emit)[2])
 
 

@@ -1,33 +1,35 @@
-"""One arm's fit under Student's t: damped Gauss–Newton on the host, and the solver of record, optimistix'
-Levenberg–Marquardt.
+"""Least squares of chains: the fast solver, of chunks of arms, the solver of record, and one arm's fit by either.
 
-Samples are looked at slice by slice and on every core. Slices of long recordings are of one size, so that one function
-is compiled, and are added in order, so that sums do not depend on the threads. The scale of the noise follows the
-residuals of every step.
+The fast solver is damped Gauss–Newton with a curvature that is kept while it is good. The gradient is exact at every
+step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the path. A step of 1e-4 rad
+leaves it good to four digits, so that later steps cost only two walks of the chain. The solver of record is optimistix'
+Levenberg–Marquardt. One arm is fitted under Student's t, at one scale of the noise after the other, until the scale
+that the residuals show stays the same.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
+from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.calibration.compiled import SINGLE_THREADED
-from lite6jax.calibration.gauss_newton import DECREMENT, FLAT, MAX_STEPS, ROUNDING, SINGULAR_ABOVE
-from lite6jax.calibration.problem import Problem
-from lite6jax.calibration.quality import Result
+from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED, Result
 from lite6jax.calibration.residual import (
-    BLOCK,
     Observations,
     Robust,
     differences,
     evaluate,
     linearise,
     observe,
+    over_blocks,
     pad,
     padded_size,
     predict_frames,
@@ -37,23 +39,298 @@ from lite6jax.calibration.residual import (
 from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.model import ArmModel, ModelForm
 
-Array = NDArray[np.floating]
+if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
+    from lite6jax.calibration.problem import Problem
+
+Numbers = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 
-SLICE = 10 * BLOCK
-"""Samples of a slice: 3 MB of poses."""
+CHUNK = 16
+"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's cache."""
+ON_ACCELERATOR = 1024
+"""The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
+MAX_STEPS = 100
+SINGULAR_ABOVE = 1e11
+"""Inflation of a variance by correlation beyond which rounding decides the parameter."""
+
+_REFRESH_ABOVE = 1e-4
+"""A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
+_SLOW = 0.03
+DECREMENT = 1e-17
+"""Converged when the step after the next is to gain less than this part of the cost, …"""
+ROUNDING = 2e-16
+"""… or less than residuals of this size, in m and rad, have by rounding."""
+FLAT = 1e-10
+"""Part of the cost, below which rounding may decide which of two costs is lower, and a step is taken all the same."""
+
 _GAUSSIAN = 1e15
 """Degrees of freedom at which Student's t is least squares to rounding: another loss would be compiled for seconds."""
 _SCALE_TOLERANCE = 1e-6
 """Relative change of the noise scale below which it has converged."""
+_MAX_SCALES = 30
+"""Most solves, each at another scale."""
 _FEW = 1500
 """Samples up to which the compiler's optimisation takes longer than it saves, were it a hundred looks."""
-_MAX_SCALES = 30
-"""Most solves of record, each at another scale."""
 _LEAST_CURVED = 0.5
 """Of the curvature of the loss over that of its weighted squares; of few outliers it is 0.9."""
 _RECORD = 1e-12, 1e-13
 """Relative and absolute tolerance of the solver of record."""
+
+
+class Known(NamedTuple):
+    """What a fit has besides its samples.
+
+    Attributes:
+        free: `(size,)`, one where it may move, zero where it may not.
+        center: `(geometry,)`, the mean of the prior.
+        precision: `(size,)` of the prior; zero is none.
+        robust: the loss; None for least squares.
+        share: the curvature of that loss over that of its weighted squares.
+    """
+
+    free: Any
+    center: Any
+    precision: Any
+    robust: Robust | None = None
+    share: Any = 1.0
+
+
+class Solved(NamedTuple):
+    """What a solver returns of a chunk of arms, a leading arm axis on each leaf.
+
+    Attributes:
+        model: the models.
+        curvature: `(arm, size, size)`, the information of the data, to about four digits.
+        cost: `(arm,)`.
+        status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
+        steps: `(arm,)`.
+    """
+
+    model: ArmModel
+    curvature: Array
+    cost: Array
+    status: Array
+    steps: Array
+
+
+class Summary(NamedTuple):
+    """What is kept of a chunk, one row an arm: the solver's answer, covariance, the number of samples that were used,
+    and root-mean-square errors, m and rad."""
+
+    solved: Solved
+    covariance: Array
+    samples: Array
+    position_rms: Array
+    orientation_rms: Array
+
+
+def fit_chunks(
+    form: ModelForm,
+    start: ArmModel,
+    joint_position: np.ndarray,
+    pose: np.ndarray,
+    weight: np.ndarray,
+    whitener: np.ndarray,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[int], object] | None = None,
+    known: Known | None = None,
+) -> Summary:
+    """Fits arms by least squares, chunk by chunk and on every core.
+
+    Args:
+        form: what moves.
+        start: where from, one for all.
+        joint_position: `(arm, sample, joint)`, or `(sample, joint)` shared.
+        pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
+        weight: `(arm, sample)`.
+        whitener: `(2,)`, one for all.
+        max_steps: most steps an arm may take.
+        progress: called with the number of arms done since the last call.
+        known: besides the samples, of all; None for least squares without a prior.
+
+    Returns:
+        NumPy arrays, a row an arm.
+    """
+    arms, samples = weight.shape
+    device: Any = getattr(jax.config, "jax_default_device", None)
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    chunk = min(CHUNK if platform == "cpu" else ON_ACCELERATOR, arms)
+    size, block = padded_size(samples)
+
+    def part(array: np.ndarray, first: int) -> np.ndarray:
+        """A chunk's arms of an array; the last chunk is filled up with its last arm."""
+        arms = array[first : first + chunk]
+        return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
+
+    def solve(first: int) -> Summary:
+        q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
+        data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
+        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, known)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
+
+    firsts, parts = range(0, arms, chunk), []
+    with ThreadPoolExecutor(threads.available()) as pool:
+        for found in map(solve, firsts) if threads.available() == 1 else pool.map(solve, firsts):
+            parts.append(found)
+            if progress:
+                progress(len(found.samples))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+@partial(jax.jit, static_argnums=(0, 1), compiler_options=SINGLE_THREADED)
+def _fit_chunk(
+    form: ModelForm,
+    block: int,
+    start: ArmModel,
+    joint_position: Array,
+    pose: Array,
+    weight: Array,
+    whitener: Array,
+    max_steps: ArrayLike,
+    known: Known | None,
+) -> Summary:
+    prepare = jax.vmap(
+        partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
+    )
+    observed = prepare(joint_position, pose, weight, whitener)
+    start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
+    solved = solve_chunk(form, start, observed, max_steps, known)
+    covariance = jax.vmap(inverse)(solved.curvature)
+    # how much its correlation with the others inflates a parameter's variance
+    inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
+    regular = jnp.all((inflation > 0.5) & (inflation < SINGULAR_ABOVE), 1)
+    doubtful = (solved.status != NOT_FINITE) & ~regular
+    covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
+    solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
+
+    def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
+        """Of all distances and angles, zero where missing."""
+        raw = differences(block, predict_frames(form, model, block.joint)[1])
+        there = block.weight > 0
+        return tuple(jnp.sum(jnp.where(there, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
+
+    totals = jax.vmap(lambda model, observed: over_blocks(partial(squares, model), observed))(solved.model, observed)
+    used = jnp.sum(observed.weight > 0, (1, 2))
+    rms = [jnp.sqrt(total / jnp.maximum(used, 1)) for total in totals]
+    return Summary(solved, covariance, used, rms[0], rms[1])
+
+
+class _State(NamedTuple):
+    model: ArmModel
+    candidate: ArmModel
+    cost: Array
+    gradient: Array
+    curvature: Array
+    inverse: Array
+    renew: Array
+    damping: Array
+    decrement: Array
+    moved: Array
+    status: Array
+    steps: Array
+
+
+def solve_chunk(
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, known: Known | None = None
+) -> Solved:
+    """Fits a chunk of arms; the arm, and of what is observed then the block, are leading axes.
+
+    With no steps only cost and curvature at the start are evaluated. The curvature contains that of the prior, and is
+    the identity where nothing moves.
+    """
+    arms, squares = observed.weight.shape[0], observed.whitener**2
+    per_sample = 3 * jnp.sum(squares, 2)[..., None] if squares.ndim == 3 else jnp.sum(squares, (2, 3))
+    floor = jnp.sum(observed.weight * per_sample, (1, 2)) * ROUNDING**2  # what residuals of rounding cost
+
+    def evaluated(function: Callable[..., tuple[Array, ...]], model: ArmModel, own: Observations) -> tuple[Array, ...]:
+        """Cost, gradient and, of `linearise`, curvature of one arm."""
+        robust = None if known is None else known.robust
+        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), own)
+        if known is None:
+            return cost, gradient, *curvature
+        free, precision, n = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
+        away = model.geometry - known.center
+        cost += 0.5 * jnp.sum(precision[:n] * away**2)
+        gradient = gradient.at[:n].add(precision[:n] * away) * free
+        inside, held, prior = free[:, None] * free > 0, jnp.diag(1 - free), jnp.diag(precision)
+        return cost, gradient, *(jnp.where(inside, known.share * H + prior, held) for H in curvature)
+
+    def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
+        return jax.vmap(partial(evaluated, function))(models, observed)
+
+    def choose(which: Array, new: Any, old: Any) -> Any:
+        """The leaves of one tree or of the other, arm by arm."""
+        return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+
+    def body(state: _State) -> _State:
+        renewed = jnp.any(state.renew)
+        cost, gradient, H = lax.cond(
+            renewed, lambda: at(linearise, state.candidate), lambda: (*at(evaluate, state.candidate), state.curvature)
+        )
+        running = state.status == RUNNING
+        # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
+        flat = jnp.abs(state.decrement) <= FLAT * state.cost + floor
+        better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
+        taken = running & better
+        before = state.model, state.cost, state.gradient, state.curvature
+        model, cost, gradient, H = choose(taken, (state.candidate, cost, gradient, H), before)
+        relaxed = jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping)
+        damping = jnp.where(running, jnp.where(better, relaxed, jnp.maximum(10 * state.damping, 1e-4)), state.damping)
+        kept = lax.cond(
+            renewed | jnp.any(damping != state.damping), lambda: jax.vmap(inverse)(H, damping), lambda: state.inverse
+        )
+        step = -jnp.einsum("aij,aj->ai", kept, gradient)
+        decrement = -jnp.sum(step * gradient, 1)
+        moved = jnp.max(jnp.abs(step), 1)
+        # what the step after this one would gain, if steps go on shrinking as they last did
+        shrinking = jnp.minimum(decrement / jnp.maximum(state.decrement, jnp.finfo(cost.dtype).tiny), 1.0)
+        small = jnp.abs(decrement * shrinking) <= jnp.maximum(DECREMENT * cost, floor)
+        singular = ~jnp.all(jnp.isfinite(step), 1)
+        broken = ~jnp.isfinite(cost) | singular
+        status = jnp.where(running & small, CONVERGED, state.status)
+        status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
+        status = jnp.where(running & broken, jnp.where(jnp.isfinite(cost), SINGULAR, NOT_FINITE), status)
+        going = status == RUNNING
+        candidate = choose(running & ~broken, jax.vmap(form.retract)(model, step), model)
+        # the last step of a converged arm needs no look at where it leads: its own quadratic tells the cost
+        arrived = running & (status == CONVERGED)
+        model = choose(arrived, candidate, model)
+        cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
+        slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
+        return _State(
+            model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,
+            jnp.where(taken, moved, state.moved), status, state.steps + (going | arrived),
+        )  # fmt: skip
+
+    row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
+    none, infinite, yes = jnp.zeros(arms), jnp.full(arms, jnp.inf), jnp.full(arms, True)
+    status, steps = jnp.full(arms, RUNNING), jnp.zeros(arms, jnp.int32)
+    state = _State(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
+    state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)
+    return Solved(state.model, state.curvature, state.cost, state.status, state.steps)
+
+
+def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
+    """The inverse of H + damping diag(H), by Gauss–Jordan elimination with rows and columns scaled to unit diagonal.
+
+    Plain array code on purpose: XLA's batched LAPACK calls share a thread pool with the computation that waits for
+    them, and two chunks solved from two threads then wait for each other for ever (seen with jax 0.10 on 2 cores).
+    """
+    scale = lax.rsqrt(jnp.maximum(jnp.diagonal(H), jnp.finfo(H.dtype).tiny))
+    scaled = H * scale[:, None] * scale + damping * jnp.eye(H.shape[0])
+    places = jnp.arange(H.shape[0])
+
+    def eliminate(k: Array, A: Array) -> Array:
+        """One pass over the matrix; updates of a row and a column after it would copy it twice."""
+        here, pivot = places == k, 1 / A[k, k]
+        row, column = jnp.where(here, pivot, A[k] * pivot), jnp.where(here, 0.0, A[:, k])
+        rest = jnp.where(here | here[:, None], 0.0, A) - column[:, None] * row
+        return rest + jnp.where(here[:, None], row, 0.0)
+
+    return lax.fori_loop(0, H.shape[0], eliminate, scaled) * scale[:, None] * scale
+
+
+# ------------------------------------------------------------------ one arm
 
 
 class Estimate(NamedTuple):
@@ -69,23 +346,22 @@ class Estimate(NamedTuple):
     """
 
     model: ArmModel
-    information: Array
-    squares: Array
+    information: Numbers
+    squares: Numbers
     scale: float
     result: Result
     steps: int
 
 
 def solve(
-    problem: Problem,
+    problem: "Problem",
     free: NDArray[np.bool_] | None = None,
     *,
     start: ArmModel | None = None,
-    weight: Array | None = None,
+    weight: Numbers | None = None,
     freedom: float | None = None,
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
-    begun: tuple[Estimate, float] | None = None,
 ) -> Estimate:
     """The parameters that a problem's samples and its prior make likeliest, and the scale of the noise.
 
@@ -96,29 +372,61 @@ def solve(
         weight: `(sample,)`; zero holds a sample out, of the scale as well.
         freedom: degrees of freedom of Student's t; None is least squares.
         solver: which; see `fit`.
-        max_steps: most steps; zero only evaluates residuals and information at the start.
-        begun: an estimate from some of the samples, and how many times as many there are: its curvature serves for the
-            steps until it leads no further.
+        max_steps: most steps at one scale; zero only evaluates residuals and information at the start.
     """
+    form, count = problem.form, len(problem.pose)
+    solve_one = _solve_one_of_few if count <= _FEW else _solve_one
     free = problem.movable if free is None else free
-    samples = _Samples(problem, np.ones(len(problem.pose)) if weight is None else weight, freedom)
-    first: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
-    if solver == "levenberg_marquardt" and max_steps:
-        end, scale, result, steps = _solve_by_record(samples, free, first, max_steps)
-    else:
-        end, scale, result, steps = _solve_by_gauss_newton(samples, free, first, max_steps, begun)
-    seen = samples.look(*end, scale, curved=True)
-    curvature = seen.curvature + np.diag(problem.precision)
-    information = np.where(np.outer(free, free), curvature, np.diag(1.0 - free))
+    weight = np.ones(count) if weight is None else weight
+    size, block = padded_size(count)
+    leaves = [problem.joint_position, problem.pose, weight]
+    leaves += [problem.whitener] if problem.whitener.ndim > 1 else []
+    data = [pad(leaf, 0, size) for leaf in leaves]
+    observed = _observe(form, *data[:3], data[3] if len(data) > 3 else problem.whitener, block)
+
+    def measure(model: ArmModel) -> Numbers:
+        """`(sample,)`, squared whitened residuals."""
+        return np.asarray(_squares(form, model, observed)).reshape(-1)[:count]
+
+    def scale_of(squares: Numbers) -> float:
+        return t_scale(squares[weight > 0], problem.rows, freedom)
+
+    model: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
+    squares, steps, result = measure(model), 0, Result.STEPS_EXHAUSTED
+    scale = 1.0 if freedom is None else scale_of(squares)
+    known = Known(free.astype(float), np.asarray(problem.start.geometry), problem.precision)
+    for _ in range(_MAX_SCALES):
+        robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
+        # Student's loss curves less than its weighted squares, by a share that the residuals show
+        scaled = squares[weight > 0] / scale**2
+        share = 1.0 if freedom is None else max(curvature_share(scaled, problem.rows, freedom), _LEAST_CURVED)
+        known = known._replace(robust=robust, share=share)
+        if solver == "levenberg_marquardt" and max_steps:
+            found = _solve_of_record(form, max_steps, model, observed, known)
+            model, cost, good, more = jax.tree.map(np.asarray, found)
+            result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
+            result = result if np.isfinite(cost) else Result.NOT_FINITE
+        else:
+            found = jax.tree.map(np.asarray, solve_one(form, model, observed, max_steps, known))
+            model, result, more = found.model, Result(int(found.status)), found.steps
+        squares, steps = measure(model), steps + int(more)
+        if freedom is None or result == Result.NOT_FINITE:
+            break
+        before, scale = scale, scale_of(squares)
+        if abs(scale / before - 1) < _SCALE_TOLERANCE or more <= 1:  # the scale of rounding errors never settles
+            break
+    robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
+    at_end = solve_one(form, model, observed, 0, known._replace(robust=robust, share=1.0))
+    information = np.asarray(at_end.curvature)
     if result != Result.NOT_FINITE:
         # how much its correlation with the others inflates a parameter's variance
-        inflation = (np.diagonal(inverse(information)) * np.diagonal(information))[free]
+        inflation = (np.diagonal(invert(information)) * np.diagonal(information))[free]
         if not ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)).all():
             result = Result.SINGULAR
-    return Estimate(seen.model, information, seen.squares, samples.scale(seen.squares), result, steps)
+    return Estimate(model, information, squares, scale_of(squares), result, steps)
 
 
-def inverse(H: Array) -> Array:
+def invert(H: Numbers) -> Numbers:
     """The inverse of a symmetric matrix, taken after scaling to unit diagonal; NaN where there is none."""
     with np.errstate(all="ignore"):
         root = np.sqrt(np.diagonal(H))
@@ -129,208 +437,46 @@ def inverse(H: Array) -> Array:
             return np.full_like(H, np.nan)
 
 
-class _Look(NamedTuple):
-    """A model, and the gradient, the data's curvature (zero if not wanted) and squared whitened residuals there."""
-
-    model: ArmModel
-    gradient: Array
-    curvature: Array
-    squares: Array
+_observe = jax.jit(observe, static_argnums=(0, 5))
 
 
-class _Samples:
-    """The samples of a problem, their weights `(sample,)` and their loss: Student's t, or least squares."""
-
-    def __init__(self, problem: Problem, weight: Array, freedom: float | None) -> None:
-        self.problem, self.weight, self.freedom = problem, weight, freedom
-        self.center, self.whitener = np.asarray(problem.start.geometry), problem.whitener
-        count = len(weight)
-        size = SLICE if count > SLICE else padded_size(count)[0]
-        self._slices = [self.padded(slice(first, first + size), size) for first in range(0, count, size)]
-
-    def padded(self, some: slice, size: int) -> tuple[Array, ...]:
-        """Joint positions, poses, weights and whitener of some samples, and zeros up to a size."""
-        leaves = [self.problem.joint_position, self.problem.pose, self.weight]
-        whitener = self.whitener if self.whitener.ndim == 1 else pad(self.whitener[some], 0, size)
-        return (*(pad(leaf[some], 0, size) for leaf in leaves), whitener)
-
-    def look(self, model: ArmModel, step: Array, scale: float, curved: bool) -> _Look:
-        """What the samples, and the prior's gradient, say of the model a step away, at noise of a scale."""
-        problem, robust = self.problem, _robust(self.freedom or _GAUSSIAN, scale)
-        totals_of = _totals_of_few if len(self.weight) <= _FEW else _totals
-
-        def part(data: tuple[Array, ...]) -> tuple[ArmModel, tuple[Array, ...], Array]:
-            return jax.tree.map(np.asarray, totals_of(problem.form, curved, model, step, *data, robust))
-
-        models, totals, squares = zip(*threads.by_parts(part, self._slices), strict=True)
-        gradient, *curvature = (np.asarray(sum(each)) for each in zip(*totals, strict=True))
-        pull = problem.precision[: self.center.size] * (models[0].geometry - self.center)
-        gradient = gradient + np.pad(pull, (0, problem.form.size - pull.size))
-        H = curvature[0] if curved else np.zeros((gradient.size, gradient.size))
-        return _Look(models[0], gradient, H, np.concatenate(squares)[: len(self.weight)])
-
-    def cost(self, at: _Look, scale: float) -> float:
-        """Half the negative log-likelihood at noise of a scale, and the prior's, up to a constant."""
-        scaled = at.squares / scale**2
-        if self.freedom is not None:
-            scaled = (self.freedom + self.problem.rows) * np.log1p(scaled / self.freedom)
-        away = at.model.geometry - self.center
-        return 0.5 * float(self.weight @ scaled + self.problem.precision[: away.size] @ away**2)
-
-    def scale(self, squares: Array) -> float:
-        """Of the noise of squared whitened residuals."""
-        return t_scale(squares[self.weight > 0], self.problem.rows, self.freedom)
-
-    def first_scale(self, model: ArmModel) -> float:
-        """What Student's t begins with; one of least squares, which knows no scale."""
-        still = np.zeros(self.problem.form.size)
-        return 1.0 if self.freedom is None else self.scale(self.look(model, still, 1.0, curved=False).squares)
-
-    def curved_share(self, squares: Array, scale: float) -> float:
-        """The curvature of the loss over that of its weighted squares."""
-        if self.freedom is None:
-            return 1.0
-        scaled = squares[self.weight > 0] / scale**2
-        return max(curvature_share(scaled, self.problem.rows, self.freedom), _LEAST_CURVED)
+def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, known: Known) -> Solved:
+    """Of one arm, without the axis of arms."""
+    one = jax.tree.map(lambda leaf: leaf[None], (start, observed))
+    return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, *one, max_steps, known))
 
 
-def _robust(freedom: float, scale: float) -> Robust:
-    return Robust(np.asarray(freedom), np.asarray(scale))  # type: ignore[arg-type]
-
-
-def _slice_totals(
-    form: ModelForm,
-    curved: bool,
-    model: ArmModel,
-    step: jax.Array,
-    joint_position: jax.Array,
-    pose: jax.Array,
-    weight: jax.Array,
-    whitener: jax.Array,
-    robust: Robust,
-) -> tuple[ArmModel, tuple[jax.Array, ...], jax.Array]:
-    """The model a step away, its gradient and, if `curved`, curvature, and each sample's squared whitened residual."""
-    model = form.retract(model, step)
-    observed = observe(form, joint_position, pose, weight, whitener, min(len(weight), BLOCK))
-
-    def one(total: tuple[jax.Array, ...], block: Observations) -> tuple[tuple[jax.Array, ...], jax.Array]:
-        _, *found = linearise(form, model, block, robust) if curved else evaluate(form, model, block, robust)
-        rows = whiten(block.whitener, differences(block, predict_frames(form, model, block.joint)[1]))
-        squares = jnp.where(block.weight > 0, jnp.sum(rows**2, 0), 0.0)
-        return tuple(before + more for before, more in zip(total, found, strict=True)), squares
-
-    zeros = (jnp.zeros(form.size), jnp.zeros((form.size, form.size)))
-    totals, squares = lax.scan(one, zeros if curved else zeros[:1], observed)
-    return model, totals, squares.reshape(-1)
-
-
-_totals, _totals_of_few = (
-    jax.jit(_slice_totals, static_argnums=(0, 1), compiler_options=SINGLE_THREADED | options)
+_solve_one, _solve_one_of_few = (
+    jax.jit(_solve_arm, static_argnums=0, compiler_options=SINGLE_THREADED | options)
     for options in ({}, {"xla_backend_optimization_level": 0})
 )
 
 
-def _solve_by_gauss_newton(
-    samples: _Samples,
-    free: NDArray[np.bool_],
-    start: ArmModel,
-    max_steps: int,
-    begun: tuple[Estimate, float] | None,
-) -> tuple[tuple[ArmModel, Array], float, Result, int]:
-    """A model and the last step from there, the scale of the noise, how it ended, and the number of steps."""
-    precision, inside, still = samples.problem.precision, np.ix_(free, free), np.zeros(free.size)
-    prior, squares = np.diag(precision[free]), samples.whitener**2
-    per_sample = 3 * np.sum(squares) if squares.ndim == 1 else np.sum(squares, (1, 2))
-    floor = float(np.sum(samples.weight * per_sample)) * ROUNDING**2
-    if begun is None:
-        kept, scale = None, samples.first_scale(start)
-    else:
-        kept, scale = begun[1] * (begun[0].information - np.diag(precision))[inside], begun[0].scale
-    at, model, step, steps, damping, decrement = None, start, still, 0, 0.0, 0.0
-    while True:
-        seen = samples.look(model, step, scale, curved=kept is None)
-        cost, now = samples.cost(seen, scale), np.inf if at is None else samples.cost(at, scale)
-        if at is None and not np.isfinite(cost):
-            return (start, still), scale, Result.NOT_FINITE, steps
-        # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
-        better = np.isfinite(cost) and (cost <= now or abs(decrement) <= FLAT * now + floor)
-        damping = (damping / 10 if damping >= 1e-9 else 0.0) if better else max(10 * damping, 1e-4)
-        at = seen if better or at is None else at
-        before, scale = scale, samples.scale(at.squares) if better and samples.freedom is not None else scale
-        # Student's loss curves less than its weighted squares, by a share that the residuals show
-        H = samples.curved_share(at.squares, scale) * (at.curvature[inside] if kept is None else kept) + prior
-        step = still.copy()
-        step[free] = -_damped_solve(H, at.gradient[free], damping)
-        last, decrement = decrement, float(-step @ at.gradient)
-        model = at.model
-        if kept is not None and not (better and decrement <= (last / 2 or np.inf)):
-            kept, step, decrement = None, still, 0.0  # the curvature of some samples leads no further
-            continue
-        if not np.isfinite(step).all():
-            return (model, still), scale, Result.SINGULAR, steps
-        if steps >= max_steps:
-            return (model, still), scale, Result.STEPS_EXHAUSTED, steps
-        steps += 1
-        # what the step after this one would gain, if steps go on shrinking as they last did
-        gain = abs(decrement * (decrement / last if decrement < last else 1.0))
-        if gain <= max(DECREMENT * samples.cost(at, scale), floor) and abs(scale / before - 1) < _SCALE_TOLERANCE:
-            return (model, step), scale, Result.CONVERGED, steps
+@partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
+def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
+    """`(block, sample)`, squared whitened residuals, zero of a sample of weight zero."""
 
+    def of_block(block: Observations) -> Array:
+        rows = whiten(block.whitener, differences(block, predict_frames(form, model, block.joint)[1]))
+        return jnp.where(block.weight > 0, jnp.sum(rows**2, 0), 0.0)
 
-def _damped_solve(H: Array, gradient: Array, damping: float) -> Array:
-    """The solution of (H + damping diag(H)) x = gradient, NaN where there is none."""
-    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
-    try:
-        return np.linalg.solve(H / np.outer(root, root) + damping * np.eye(len(H)), gradient / root) / root
-    except np.linalg.LinAlgError:
-        return np.full_like(gradient, np.nan)
-
-
-def _solve_by_record(
-    samples: _Samples, free: NDArray[np.bool_], start: ArmModel, max_steps: int
-) -> tuple[tuple[ArmModel, Array], float, Result, int]:
-    """As `_solve_by_gauss_newton`, by solves of record at one scale after the other, until the scale has converged."""
-    form, still = samples.problem.form, np.zeros(free.size)
-    size, block = padded_size(len(samples.weight))
-    q, pose, weight, whitener = map(jnp.asarray, samples.padded(slice(None), size))
-    observed = observe(form, q, pose, weight, whitener, block)
-    model, steps, scale, result = start, 0, samples.first_scale(start), Result.STEPS_EXHAUSTED
-    for _ in range(_MAX_SCALES):
-        robust = None if samples.freedom is None else _robust(samples.freedom, scale)
-        known = samples.center, samples.problem.precision, free.astype(float)
-        found = _solve_of_record(form, max_steps, model, observed, robust, *known)
-        model, cost, good, more = jax.tree.map(np.asarray, found)
-        result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
-        result, steps = result if np.isfinite(cost) else Result.NOT_FINITE, steps + int(more)
-        if robust is None or result == Result.NOT_FINITE:
-            break
-        before, scale = scale, samples.scale(samples.look(model, still, scale, curved=False).squares)
-        if abs(scale / before - 1) < _SCALE_TOLERANCE:
-            break
-    return (model, still), scale, result, steps
+    return lax.map(of_block, observed)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve_of_record(
-    form: ModelForm,
-    max_steps: int,
-    start: ArmModel,
-    observed: Observations,
-    robust: Robust | None,
-    center: jax.Array,
-    precision: jax.Array,
-    free: jax.Array,
-) -> tuple[ArmModel, jax.Array, jax.Array, jax.Array]:
+    form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, known: Known
+) -> tuple[ArmModel, Array, Array, Array]:
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s
 
-    n = form.chain.size
+    n, robust = form.chain.size, known.robust
+    assert robust is not None
+    free, precision = jnp.asarray(known.free), jnp.asarray(known.precision)
 
-    def robust_residuals(model: ArmModel, block: Observations) -> jax.Array:
+    def robust_residuals(model: ArmModel, block: Observations) -> Array:
         """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
         rows = residuals(form, model, block)
-        if robust is None:
-            return rows
         there = block.weight > 0
         squares = jnp.sum(rows**2, 0) / jnp.where(there, block.weight, 1.0) / robust.scale**2
         u = squares / robust.freedom
@@ -339,10 +485,10 @@ def _solve_of_record(
         ratio = jnp.where(small, 1 - u / 2 + u * u / 3 - u**3 / 4, jnp.log1p(safe) / safe)
         return jnp.sqrt((robust.freedom + rows.shape[0]) / robust.freedom * ratio) / robust.scale * rows
 
-    def every_residual(step: jax.Array, _: None) -> jax.Array:
+    def every_residual(step: Array, _: None) -> Array:
         model = form.retract(start, step * free)
         rows = lax.map(partial(robust_residuals, model), observed)
-        pull = jnp.sqrt(precision[:n]) * (model.geometry - center)
+        pull = jnp.sqrt(precision[:n]) * (model.geometry - known.center)
         return jnp.concatenate([rows.reshape(-1), pull * free[:n], step * (1 - free)])
 
     solution = optimistix.least_squares(

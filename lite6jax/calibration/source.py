@@ -41,11 +41,7 @@ _SHOWN = 4
 
 
 def load_nominal(nominal: Arm | str | Path | None) -> Arm | None:
-    """An arm by its name or from its file, or as it is.
-
-    Raises:
-        InputError: another type, or as `read_arm`.
-    """
+    """An arm by its name or from its file, or as it is."""
     if nominal is None or isinstance(nominal, Arm):
         return nominal
     if not isinstance(nominal, str | Path):
@@ -60,15 +56,7 @@ def load_recording(
     assume_degrees: bool = False,
     assume_millimetres: bool = False,
 ) -> Recording:
-    """A recording as it is, or from its file.
-
-    Args:
-        recording: either.
-        arm, assume_degrees, assume_millimetres: of a file, as in `read_source`.
-
-    Raises:
-        InputError: another type, a calibration's file, or as `read_source`.
-    """
+    """A recording as it is, or from its file, as `read_source` reads it."""
     if isinstance(recording, Recording):
         return recording
     if not isinstance(recording, str | Path):
@@ -85,11 +73,7 @@ def read_source(
 ) -> FactoryCalibration | Recording:
     """A calibration or a recording, by the file's suffix.
 
-    Args:
-        path: the file.
-        arm: its nominal arm; taken from the sidecar, or recognised, where not given.
-        assume_degrees: of a recording, as in `read_recording`.
-        assume_millimetres: likewise.
+    Its nominal arm is taken from the sidecar, or recognised, where it is not given.
 
     Raises:
         InputError: as their readers; or a recording declares no arm and fits no bundled one, or several alike.
@@ -138,11 +122,7 @@ def arm_of(recording: Recording) -> Arm:
 
 
 def declared_arm_of(recording: Recording) -> Arm:
-    """The nominal arm that a recording declares.
-
-    Raises:
-        InputError: it declares none, which only poses would show; or as `declared_arm`.
-    """
+    """The nominal arm that a recording declares; refuses one that declares none, which only poses would show."""
     arm = declared_arm(recording.settings, Path(recording.source).parent)
     if arm is None:
         raise InputError(f"{recording.source}: declares no arm; name it with --arm NAME, or `arm:` in the sidecar")
@@ -150,11 +130,7 @@ def declared_arm_of(recording: Recording) -> Arm:
 
 
 def with_calibration(arm: Arm, recording: Recording) -> Arm:
-    """The arm with the chain of the factory calibration that a recording declares; itself where it declares none.
-
-    Raises:
-        InputError: as `read_factory`.
-    """
+    """The arm with the chain of the factory calibration that a recording declares; itself where it declares none."""
     file = recording.settings.factory_calibration
     if file is None:
         return arm
@@ -162,15 +138,8 @@ def with_calibration(arm: Arm, recording: Recording) -> Arm:
 
 
 def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
-    """The nominal arm that settings declare, or that of the calibration that they do; None where they declare neither.
-
-    Args:
-        settings: of a recording.
-        folder: which holds the sidecar.
-
-    Raises:
-        InputError: as `read_arm` and `read_factory`.
-    """
+    """The nominal arm that settings in a folder declare, or that of the calibration that they do; None where they
+    declare neither."""
     if settings.arm is not None:
         return read_arm(settings.arm_reference(folder))
     factory = settings.factory_path(folder)
@@ -180,15 +149,10 @@ def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
 def with_arm(recording: Recording, warn: bool = False) -> Recording:
     """The recording with its arm declared: as it is where it declares one or its calibration, else the recognised one.
 
-    Args:
-        recording: measured poses.
-        warn: whether the arms that were tried are named in a warning, rather than in the recording's notes.
+    The arms that were tried are named in the recording's notes, or in a warning.
 
     Raises:
         InputError: as `arm_of`.
-
-    Warns:
-        InputWarning: as said.
     """
     if recording.settings.arm is not None or recording.settings.factory_calibration is not None:
         return recording
@@ -210,11 +174,8 @@ def with_arm(recording: Recording, warn: bool = False) -> Recording:
 
 
 def matches(recording: Recording) -> list[Match]:
-    """The bundled arms of as many joints, the nearest first.
-
-    Raises:
-        InputError: no measured poses, or joint positions in degrees.
-    """
+    """The bundled arms of as many joints, the nearest first; refuses joint positions in degrees and what has no
+    poses."""
     require_samples(recording, 1)
     known = bundled_of(recording.dof)
     if known:  # a wrong unit is no reason to find no arm

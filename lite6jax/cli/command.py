@@ -80,11 +80,7 @@ Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
 def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> dict[str, Any]:
-    """`name=value` by name; values are text, or what YAML reads.
-
-    Raises:
-        InputError: no such pair, by the option.
-    """
+    """`name=value` by name; values are text, or what YAML reads. Refuses what is no such pair, by the option."""
     import yaml
 
     found: dict[str, Any] = {}
@@ -105,12 +101,8 @@ def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":
 
 
 def name_arm(arm: str, file: Path) -> str:
-    """How a sidecar names an arm: a bundled one by its name, a file by its path relative to the sidecar.
-
-    Args:
-        arm: as it was given.
-        file: the sidecar, or what stands in the same folder.
-    """
+    """How a sidecar, or what stands in its folder, names an arm: a bundled one by its name, a file by its relative
+    path."""
     return arm if arm in description.bundled_arms() else relative_path(arm, file)
 
 
@@ -136,14 +128,8 @@ def metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
 def list_inputs(
     recording: Path, arm: str | None = None, reference: Path | None = None, effects: Path | None = None
 ) -> list[dict[str, str]]:
-    """Each file by its role, name and SHA-256: the recording, its sidecar, and the files that either names.
-
-    Args:
-        recording: as given.
-        arm: a bundled name, or a file with or without a tip.
-        reference: another recording.
-        effects: of effects of the user's own.
-    """
+    """Each file by its role, name and SHA-256: recordings, their sidecars, the files that these name, and of
+    effects."""
     files = []
     for role, file in (("", recording), ("reference ", reference)):
         if file is not None:
@@ -163,14 +149,7 @@ def find_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
 
 
 def require_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
-    """The recording that was diagnosed.
-
-    Raises:
-        InputError: it is not there, or the document does not say which it was.
-
-    Warns:
-        InputWarning: the file is another one than was diagnosed.
-    """
+    """The recording that was diagnosed; warns where the file is another one, and refuses where there is none."""
     named = _recordings(document)
     found = find_recording(document, diagnosis)
     if found is None:
@@ -217,18 +196,12 @@ def refuse_damage(diagnosis: Path) -> Iterator[None]:
 
 
 def check_outputs(
-    outputs: Sequence[Path | None],
-    inputs: Iterable[str | Path | None],
-    overwrite: bool,
-    suffixes: Sequence[str] = (),
+    outputs: Sequence[Path | None], inputs: Iterable[str | Path | None], overwrite: bool, suffixes: Sequence[str] = ()
 ) -> None:
     """Refuses outputs before long work; one that is an input is not replaced, which --force does not ask for.
 
-    Args:
-        outputs: the files to be written, as far as they are given.
-        inputs: files or names of bundled arms, as given; of a recording the sidecar and the files that it names too.
-        overwrite: whether files that exist may be replaced.
-        suffixes: of the outputs; any where there are none.
+    Inputs are files or names of bundled arms, as given; of a recording the sidecar and the files that it names too.
+    Outputs may have any suffix where there are no `suffixes`.
 
     Raises:
         InputError: another suffix, a file that exists or cannot be written, an input, or a sidecar cannot be read.
@@ -283,26 +256,17 @@ def check_figures(folder: Path | None, names: Sequence[str], overwrite: bool) ->
 def save_figures(
     folder: Path | None, names: Sequence[str], draw: "Callable[[], Iterable[Figure]]", overwrite: bool
 ) -> list[Path]:
-    """Draws figures and writes them by these names, as far as there are some, where a folder is given.
-
-    Returns:
-        the files.
-    """
+    """Draws figures and writes them by these names, as far as there are some, where a folder is given."""
     return [] if folder is None else canvas.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
 
 
 def present(
     as_json: bool, result: Any, report: "Iterable[RenderableType]", written: Sequence[Path] = (), code: int = DONE
 ) -> int:
-    """Prints the document of a result, or its report and the files that were written. Files are written before: a
-    reader who leaves early, like `head`, must not cost them.
+    """Prints the document of a result, or its report and the files that were written, and returns the exit code.
 
-    Args:
-        as_json: which of the two.
-        result: a document, a result that has one, or what returns a document.
-        report: parts of it, below each other.
-        written: files.
-        code: the exit code, which is returned.
+    Files are written before: a reader who leaves early, like `head`, must not cost them. A result is a document, has
+    one, or returns one.
     """
     if as_json:
         found = result() if callable(result) else result

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
+from lite6jax.cli.diagnose import Diagnose
 from lite6jax.cli.fit import Fit
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, command_line
@@ -18,11 +19,8 @@ from lite6jax.storage import exists, write_atomically
 with import_lazily():
     from lite6jax import recordings, simulation
     from lite6jax.arms import factory as factories
-    from lite6jax.diagnosis import diagnose, fold_processes
-    from lite6jax.diagnosis import document as diagnosis_file
-    from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.effects import serialization
-    from lite6jax.report import pages, ranking, screen, sections, statements, words
+    from lite6jax.report import screen, sections, words
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -82,11 +80,10 @@ class Demo:
                 f"The diagnosis sees {run} only and knows nothing of the faults. It takes about half a minute.",
             ]
         )
-        with fold_processes.fold_processes(None), screen.stages() as follow:
-            found = diagnose.diagnose(run, options=diagnosis_options.QUICK, progress=follow)
-        document = {**statements.with_statements(found.to_dict()), "inputs": command.list_inputs(run)}
-        diagnosis_file.write_document(document, diagnosis, self.force)
-        write_atomically(page, pages.page_text(found, document, ranking.Files(run, diagnosis)), self.force)
+        asked = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
+        _, domain, found = asked.search()
+        document = asked.document(found)
+        asked.write(found, domain, document)
         main = [one for one in sections.sections_of(sections.Report(document)) if one.title in ("", _RANKING)]
         _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
         screen.show(sections.show_sections(main))

@@ -1,22 +1,27 @@
-"""The command `diagnose`: what an arm has beyond its model, found in a recording, in each of a folder, or in all."""
+"""The command `diagnose`, of a recording, of each in a folder or of all, and commands on the diagnosis that it writes:
+show it again or in the browser, predict, and compensate its errors.
+"""
 
 import contextlib
 import io
 import json
 import os
+import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
-from lite6jax.storage import write_atomically
+from lite6jax.storage import exists, file_sha256, write_atomically
 
 with import_lazily():
     from lite6jax import recordings, workers
@@ -24,10 +29,16 @@ with import_lazily():
     from lite6jax.diagnosis import combined, diagnose, fold_processes, torque_diagnosis
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
+    from lite6jax.domains.pose import compensate, registration
+    from lite6jax.domains.pose import files as pose_files
+    from lite6jax.domains.pose import predict as pose_predict
+    from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.effects import user_effects
     from lite6jax.fleet import diagnoses, reduction, terms
+    from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         canvas,
+        compensation,
         diagnosis_figures,
         documents,
         fleets,
@@ -36,6 +47,7 @@ with import_lazily():
         screen,
         sections,
         statements,
+        viewer,
     )
 
 if TYPE_CHECKING:
@@ -119,34 +131,33 @@ class Diagnose:
         read = [self.source, *self.more, self.reference, self.arm, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         self._check_figures("poses")
-        # other processes cannot import classes that this one reads from a file
-        with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
-            recording, domain, search = self._prepare(both=True)
-            if domain != "poses":
-                self._check_figures(domain)
-            with screen.stages() as follow:
-                found: Any = search(progress=follow)
-        document, files = self._document(found), ranking.Files(self.source, self.out, self.effects)
-        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
-        if self.report or self.figures:
-            written += self._draw(found, domain, document, files)
+        recording, domain, found = self.search()
+        document = self.document(found)
+        written = self.write(found, domain, document)
         if self.json:
             print(diagnosis_file.document_text(document))
         else:
+            files = ranking.Files(self.source, self.out, self.effects)
             screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
             screen.show(screen.notes(recording.notes))
             screen.written(written)
         poses = found.poses if domain == "both" else found
         return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
 
+    def search(self) -> "tuple[recordings.Recording, Domain, Any]":
+        """The recording, what of it is diagnosed, and the diagnosis."""
+        # other processes cannot import classes that this one reads from a file
+        with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
+            recording, domain, search = self._prepare(both=True)
+            if domain != "poses":
+                self._check_figures(domain)
+            with screen.stages() as follow:
+                return recording, domain, search(progress=follow)
+
     def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
-        """Reads what is to be diagnosed.
+        """The recording, what of it is diagnosed, and the search, which takes `progress`.
 
-        Args:
-            both: whether poses and torques of one recording are diagnosed together.
-
-        Returns:
-            the recording, what of it is diagnosed, and the search, which takes `progress`.
+        Of a recording that has both, poses and torques are diagnosed together where `both` says so.
         """
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
         arm = source.load_nominal(self.arm)
@@ -176,7 +187,7 @@ class Diagnose:
         }[domain]
         return recording, domain, partial(search, recording, arm, effects=own, **given)
 
-    def _document(self, found: Any) -> dict[str, Any]:
+    def document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
         inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
         for file in self.more:
@@ -188,18 +199,12 @@ class Diagnose:
             names = [f"{self.source.stem}_{name}" for name in diagnosis_figures.NAMES[domain]]
             command.check_figures(self.figures, names, self.force)
 
-    def _draw(self, found: Any, domain: Domain, document: Any, files: "ranking.Files") -> list[Path]:
-        """Writes the figures and the page where there are places for them.
-
-        Args:
-            found: the diagnosis.
-            domain: of what it is.
-            document: as in the JSON file, with statements.
-            files: for commands to copy.
-        """
-        against = self.reference if domain == "both" else found.against and found.against.file
-        sides = f"{self.source} against {against}" if against else str(self.source)
-        written, drawn, most = [], {}, len(diagnosis_figures.NAMES[domain])
+    def write(self, found: Any, domain: Domain, document: Any) -> list[Path]:
+        """Writes the document, the figures and the page where there are places for them."""
+        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
+        if not (self.report or self.figures):
+            return written
+        drawn, most = {}, len(diagnosis_figures.NAMES[domain])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -209,6 +214,9 @@ class Diagnose:
                 written += canvas.save(named, self.figures, self.force)
             advance(most)
             if self.report:
+                against = self.reference if domain == "both" else found.against and found.against.file
+                sides = f"{self.source} against {against}" if against else str(self.source)
+                files = ranking.Files(self.source, self.out, self.effects)
                 html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))
         return written
@@ -277,7 +285,7 @@ class Diagnose:
         """
         _, _, search = self._prepare(both=not self.fleet)
         found = search()
-        text = diagnosis_file.document_text(self._document(found))
+        text = diagnosis_file.document_text(self.document(found))
         if not self.fleet:
             return text, None
         return text, reduction.reduced(found).to_bytes()
@@ -293,10 +301,7 @@ def _is_folder(source: Path) -> bool:
 def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
     """The rows of some recordings of a folder, with their documents and of a fleet with their reduced recordings.
 
-    Args:
-        names: of the recordings.
-        place: the folder.
-        asked: the command as it was given, but for its source.
+    `asked` is the command as it was given, but for its source.
     """
     rows = []
     for name in names:
@@ -308,3 +313,287 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
         else:
             rows.append(diagnoses.make_row(name, json.loads(found[0]), *found, said))
     return workers.concatenate(rows)
+
+
+# ------------------------------------------------------------------ what was written
+
+_REFRESH_S = 1 / 30
+
+DiagnosisFile = Annotated[Positional[Path], arg(metavar="DIAGNOSIS", help="What `diagnose` wrote (.json).")]
+
+
+@final
+@dataclass(frozen=True)
+class Report:
+    """Show a diagnosis again from its file, or write its certificate: accuracy before and after, findings, checksums.
+
+    For example:
+
+        lite6jax report diagnosis.json
+        lite6jax report results/fleet.json
+        lite6jax report diagnosis.json --certificate certificate.pdf
+    """
+
+    diagnosis: DiagnosisFile
+    """What `diagnose` wrote (.json), of one recording or of a fleet."""
+    certificate: command.OutFile = None
+    """Write one A4 page here (.pdf), of one recording; date and instrument are those of its sidecar."""
+    details: bool = False
+    """Print also what was ruled out and what was not tested."""
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Reads, writes, prints."""
+        command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
+        document, written = diagnosis_file.parse_document(self.diagnosis), []
+        of_fleet = fleets.is_of_fleet(document)
+        if self.certificate and of_fleet:
+            raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
+        if not of_fleet:
+            diagnosis_file.check_document(document, self.diagnosis)
+        with command.refuse_damage(self.diagnosis):
+            if of_fleet:
+                page = list(fleets.population_report(document))
+            else:
+                said, recording = statements.with_statements(document), command.find_recording(document, self.diagnosis)
+                files = None if recording is None else ranking.Files(recording, self.diagnosis)
+                page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
+                if self.certificate:
+                    itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
+                    said["inputs"] = [*said.get("inputs", ()), itself]
+                    written.append(pages.write_certificate(said, self.certificate, self.force))
+        if self.json:
+            print(diagnosis_file.document_text(document))
+        else:
+            screen.show(page)
+            screen.written(written)
+        return command.DONE
+
+
+@final
+@dataclass(frozen=True)
+class View:
+    """Show a diagnosis in the browser until Ctrl-C: the arm in motion, measured against predicted poses, the errors as
+    arrows, and the places of what was found. Of torques, the joints are coloured by their errors.
+
+    For example:
+
+        lite6jax view diagnosis.json
+        lite6jax view diagnosis.json run9.csv --port 8123
+    """
+
+    diagnosis: DiagnosisFile
+    recording: Annotated[Positional[Path | None], arg(metavar="RECORDING")] = None
+    """A recording in the same set-up; where not given the one that was diagnosed, beside the diagnosis or here."""
+    torques: bool = False
+    """Of a diagnosis of poses and torques, show the torques."""
+    effects: command.OwnEffects = None
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """The address on which to listen. With another than this one, others in the network see the arm too."""
+    port: Annotated[int | None, arg(metavar="PORT")] = None
+    """The port; 8080, or the next one that is free, where not given."""
+    duration: command.Duration = None
+
+    def run(self) -> int:
+        """Reads, serves until Ctrl-C."""
+        command.check_duration(self.duration)
+        if self.port is not None and not 0 <= self.port < 1 << 16:
+            raise InputError(f"--port {self.port}: is not a port; give 1 to 65535")
+        from rich.text import Text
+
+        scene, file = self._scene()
+        with viewer.served(scene, self.host, self.port) as shown:
+            screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
+            screen.show(map(Text, scene.remarks))
+            screen.show([Text(f"Open {shown.url} in a browser. Stop with Ctrl-C.", no_wrap=True, overflow="ignore")])
+            screen.console().file.flush()  # another program may wait for these lines
+            for _ in command.repeat(self.duration, _REFRESH_S):
+                shown.play(_REFRESH_S)
+        return command.DONE
+
+    def _scene(self) -> "tuple[viewer.Scene, Path]":
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        if self.torques or diagnosis_file.is_of_torques(document):
+            motors = diagnosis_file.read_torque_model(self.diagnosis, effects)
+            file = self.recording or command.require_recording(document, self.diagnosis)
+            with command.refuse_damage(self.diagnosis):
+                recording = recordings.read_recording(file, arm=motors.arm)
+                return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, motors, recording), file
+        arm = diagnosis_file.read_model(self.diagnosis, effects)
+        file = self.recording or command.require_recording(document, self.diagnosis)
+        with command.refuse_damage(self.diagnosis):
+            return viewer.pose_scene(document, arm, pose_files.read_motion(file, arm)), file
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
+
+    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors, and tau1_std_Nm …, which contain the
+    sensor's noise as well. Of one of poses and torques both are written, if the motion is a trajectory.
+
+    Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
+    axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
+    the recording does not support the row: it is beyond the recorded range, or in a gap of it.
+
+    For example:
+
+        lite6jax predict diagnosis.json motion.csv --out predicted.csv
+        lite6jax predict diagnosis.json run9.csv --register --out predicted.csv
+    """
+
+    diagnosis: DiagnosisFile
+    motion: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Joint positions, and the other quantities on which the model's effects depend (.csv, .parquet)."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the poses here (.csv), one row per sample."""
+    register: bool = False
+    """First fit sensor frame and tool to the poses in the file, for another set-up of the same arm."""
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Reads, predicts, writes."""
+        command.check_outputs([self.out], [self.diagnosis, self.motion, self.effects], self.force, [".csv"])
+        import numpy as np
+        import pyarrow as pa
+
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        opening: list[Any] = []
+        said: list[str] = []
+        registered, poses = None, None
+        if diagnosis_file.is_of_torques(document):
+            if self.register:
+                raise InputError("--register: a diagnosis of torques has no sensor frame")
+            motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
+            recording = pose_files.read_motion(self.motion, motors)
+            found = torque_predict.predicted_torques(motors, recording)
+            columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
+            if motors.relative_to is not None:
+                opening.append(statements.model_statement(motors.relative_to, "rows"))
+        else:
+            model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
+            recording = pose_files.read_motion(self.motion, model)
+            if self.register:
+                model, registered = registration.register_model(model, recording)
+            found = poses = pose_predict.predicted(model, recording)
+            columns, first = pose_predict.prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
+            if diagnosis_file.find_torques(document) is not None:
+                columns, said = self._add_torques(document, columns, recording, effects)
+            if model.reference is not None:
+                opening.append(statements.model_statement(*model.reference))
+            if registered is not None:
+                opening += compensation.registration_report(registered)
+        table = pa.table(columns)
+        path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)
+        if self.json:
+            rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
+            document = rows if poses is None else documents.prediction_document(poses, registered)
+            return command.present(True, document, (), [path])
+        screen.show(opening)
+        screen.show(screen.notes(recording.notes))
+        if empty := int(np.isnan(first).sum()):
+            why = "there is a gap of its times" if poses is None else "the clock offset reaches beyond the ends"
+            print(f"{empty} rows are empty: there, {why} of the motion.")
+        if found.outside is None:
+            print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
+        else:
+            print(compensation.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
+        for line in said:
+            print(line)
+        screen.written([path])
+        return command.DONE
+
+    def _add_torques(
+        self, document: Any, poses: dict[str, Any], recording: "recordings.Recording", effects: Sequence[Any]
+    ) -> tuple[dict[str, Any], list[str]]:
+        """The columns of poses with those of torques beside them, and what is to be said of these.
+
+        A row is outside where it is of poses or of torques. Torques of a motion that has none are left out.
+        """
+        model = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
+        try:
+            found = torque_predict.predicted_torques(model, recording)
+        except InputError as error:
+            return poses, [f"Torques are not predicted: {error}."]
+        columns = poses | torque_predict.torque_columns(found)
+        if found.outside is None:
+            return columns, []
+        columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)
+        count, rows = int(found.outside.sum()), len(found.outside)
+        few = "Of the torques no row is outside what was recorded."
+        return columns, [f"Of the torques: {count} of {rows} rows are outside what was recorded." if count else few]
+
+
+@dataclass(frozen=True)
+class Compensate:
+    """Compute the joint positions at which a diagnosed arm reaches given poses.
+
+    The targets are a table with x_m y_m z_m or x_mm y_mm z_mm (X, Y, Z are recognised; --column says what else a column
+    is); with qw qx qy qz where orientation matters; with q1_rad … where the joints are to stay near given ones (such as
+    those of the nominal inverse kinematics); and with the quantities on which the model's effects depend (payload_kg,
+    temp1_degC …, time_s). Each row of the output has the joint positions, whether
+    the target is reached, the error, and the reason. Exit code 0 if every target is reached, 1 if not.
+
+    For example:
+
+        lite6jax compensate diagnosis.json targets.csv --out joints.csv
+        lite6jax compensate diagnosis.json targets.csv --frame base --approach 1 --out joints.csv
+        lite6jax compensate diagnosis.json targets.csv --column A=yaw_deg --column B=pitch_deg --column C=roll_deg
+            --out joints.csv
+    """
+
+    diagnosis: DiagnosisFile
+    targets: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Poses to reach, of the point that was measured (.csv, .parquet)."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the joint positions here (.csv), one row per target."""
+    frame: Literal["sensor", "base"] = "sensor"
+    """The frame of the targets: that of the diagnosed recording's sensor, or the arm's base."""
+    approach: Annotated[tuple[int, ...], arg(metavar="-1|0|1")] = ()
+    """The direction from which the joints approach every target, one number for all or one for each, for backlash; by
+    default each row is approached from the one before."""
+    column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
+    """What a column of the targets is, such as X=x_mm or foo=ignore. May be repeated."""
+    effects: command.OwnEffects = None
+    json: command.Json = False
+    force: command.Force = False
+
+    def run(self) -> int:
+        """Reads, solves, writes, prints."""
+        sidecar, declared = recordings.sidecar_path(self.out), exists(recordings.sidecar_path(self.targets))
+        outputs, read = [self.out, *([sidecar] if declared else [])], [self.diagnosis, self.targets, self.effects]
+        command.check_outputs(outputs, read, self.force, [".csv"])
+        if not declared and exists(sidecar):
+            raise InputError(
+                f"{sidecar}: would be read as the settings of {self.out.name}, but belongs to another file; choose "
+                "another name for the joint positions, or remove it"
+            )
+        import pyarrow as pa
+
+        model = diagnosis_file.read_model(self.diagnosis, command.load_own_effects(self.effects))
+        approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
+        if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
+            raise InputError(
+                f"--approach {' '.join(map(str, self.approach))}: give -1, 0 or 1, once or for each of the "
+                f"{model.dof} joints"
+            )
+        targets = compensate.read_pose_targets(self.targets, model, command.parse_pairs("--column", self.column))
+        found = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
+        table = compensation.compensation_columns(found)
+        columns = pa.table({name: pa.array(values) for name, values in table.items()})
+        if declared:  # so that `predict` reads the joint positions under the same settings
+            settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
+            written = [recording_files.write_with_settings(columns, settings, self.out, self.force), sidecar]
+        else:
+            written = [
+                write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
+            ]
+        if beyond := compensation.outside_warning(found, model):
+            warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
+        origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
+        page = compensation.compensation_report(found, model, str(self.targets), self.frame)
+        code = command.DONE if found.reached.all() else command.NOT_REACHED
+        return command.present(self.json, found, chain(origin, page), written, code)

@@ -1,16 +1,20 @@
-"""Commands for a connected arm: reading its calibration and recording it. They never move it."""
+"""Commands for an arm with a controller: reading its calibration, recording it, and emulating controllers on loopback.
 
+They never move a real arm.
+"""
+
+import math
 import signal
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
@@ -18,10 +22,17 @@ from lite6jax.errors import InputError
 from lite6jax.interruption import list_signals
 
 with import_lazily():
-    from lite6jax import recordings
+    from lite6jax import emulator, recordings, simulation
     from lite6jax.arms import factory, files
+    from lite6jax.arms import factory as factories
     from lite6jax.controller import connection, recorder, station
+    from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.effects.dynamic import catalogue as torque_catalogue
+    from lite6jax.effects.dynamic import torque_effect
     from lite6jax.report import live, screen
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 PATIENCE_S = 10.0
 """The time after the first Ctrl-C in which another does not interrupt; the deadlines of all requests are shorter."""
@@ -135,3 +146,178 @@ def _stop_on_interrupt() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+# ------------------------------------------------------------------ emulated controllers
+
+_MOST_ARMS = 32
+_REFRESH_S = 0.25
+
+
+@dataclass(frozen=True)
+class Emulate:
+    """Run an emulated UFACTORY controller on this machine until Ctrl-C. xarm-python-sdk and the commands read, verify
+    and record it like an arm.
+
+    For example:
+
+        lite6jax emulate --motion sines
+        lite6jax emulate --factory arm.yaml --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5
+        lite6jax emulate --arms 3 --fault latency:0.2 --fault fragments
+    """
+
+    factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
+    """The calibration, or one for each arm; by default drawn with deviations of 0.8 mm and 0.15 deg per parameter."""
+    arm: command.ArmName = None
+    """The arm: a bundled one or a description; by default lite6, or the arm of the calibration."""
+    arms: Annotated[int | None, arg(metavar="N")] = None
+    """The number of controllers, on this address and the next ones."""
+    address: Annotated[str, arg(metavar="127.x.y.z")] = "127.0.0.1"
+    """The address, on loopback only. The report ports are 30000 to 30003."""
+    control_port: Annotated[int, arg(metavar="PORT")] = 502
+    """502, as on an arm, requires privileges; another one must be set in the SDK."""
+    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3 in the pose on port 30000, or
+    viscous_friction:joint=2,viscous_Nm_s_per_rad=3 in the torques of the motors; repeatable. The controller's
+    kinematics contain none."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """A file of your own effects for --effect. It is executed."""
+    motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
+    """Rest until a command; a smooth motion; from pose to pose; or the motion in a recording."""
+    torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
+    """The noise of the torques, one sigma: one number for all joints, or one per joint. Without it they are constant at
+    rest, as those that a controller computes from a model."""
+    fault: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME[:VALUE]")] = ()
+    """A fault; repeatable. --faults lists them."""
+    faults: bool = False
+    """List the faults and exit."""
+    tool_offset: Annotated[
+        tuple[float, float, float, float, float, float], arg(metavar="X Y Z ROLL PITCH YAW")
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # fmt: skip
+    """The tool offset in the controller, mm and degrees."""
+    payload: Annotated[float, arg(metavar="KG")] = 0.0
+    """The payload at the flange."""
+    payload_at: command.Triple = (0.0, 0.0, 0.0)
+    """The centre of mass of the payload, mm in the flange's frame."""
+    warm_up: Annotated[float, arg(metavar="K")] = 12.0
+    """The final temperature rise from 25 °C, with a time constant of 20 min."""
+    speed: Annotated[float, arg(metavar="FACTOR")] = 1.0
+    """The speed of the clock relative to real time."""
+    duration: command.Duration = None
+    seed: int = 0
+    """The seed of drawn calibrations and motions."""
+
+    def run(self) -> int:
+        """Serves until Ctrl-C."""
+        from rich.table import Table
+
+        if self.faults:
+            table = Table.grid(padding=(0, 2))
+            for name, words in emulator.describe_faults():
+                table.add_row(name, words)
+            screen.show([table])
+            return command.DONE
+        faults = emulator.parse_faults(self.fault)
+        command.check_duration(self.duration)
+        controllers = self._controllers(faults)
+        with ExitStack() as stack:
+            for controller in controllers:
+                stack.enter_context(controller)
+            screen.show(self._page(controllers))
+            screen.console().file.flush()  # another program may wait for these lines
+            for _ in command.repeat(self.duration, _REFRESH_S):
+                pass
+        return command.DONE
+
+    def _controllers(self, faults: "emulator.Faults") -> "list[emulator.Controller]":
+        import ipaddress
+
+        import numpy as np
+
+        count = self.arms if self.arms is not None else max(1, len(self.factory))
+        if not 1 <= count <= _MOST_ARMS:
+            raise InputError(f"--arms {count}: give 1 to {_MOST_ARMS}")
+        if len(self.factory) not in (0, count):
+            raise InputError(f"--factory: {len(self.factory)} files for {count} arms; give one for each, or none")
+        try:
+            first = ipaddress.IPv4Address("127.0.0.1" if self.address == "localhost" else self.address)
+            addresses = [str(first + i) for i in range(count)]
+        except ValueError as error:
+            raise InputError(f"--address {self.address!r}: is not an address; write it like 127.0.0.1") from error
+        if self.payload < 0 or not math.isfinite(self.payload):
+            raise InputError(f"--payload {self.payload}: give kg, 0 or more")
+        return [
+            emulator.Controller(
+                body,
+                path=emulator.read_path(self.motion, body.arm, self.seed + i),
+                faults=faults,
+                tool=[*self.tool_offset[:3], *np.deg2rad(self.tool_offset[3:])],
+                payload=[self.payload, *self.payload_at],
+                address=address,
+                control_port=self.control_port,
+                speed=self.speed,
+            )
+            for i, address in enumerate(addresses)
+            for body in [self._body(i)]
+        ]
+
+    def _body(self, index: int) -> "emulator.Body":
+        import numpy as np
+
+        kinds = {**torque_catalogue.BUILT_IN, **catalogue.kinds_of(command.load_own_effects(self.effects))}
+        hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
+        of_torques = torque_effect.TorqueEffect
+        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
+        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
+        physics = composition.Physics(tuple(effect for effect, _ in parsed))
+        nominal = None if self.arm is None else files.read_arm(self.arm)
+        if self.factory:
+            factory = factories.read_factory(self.factory[index], nominal)
+            arm, kinematics = factory.arm, factory.kinematics
+        else:
+            arm = nominal or files.read_arm("lite6")
+            kinematics = simulation.draw_calibration(arm, self.seed + index)
+        noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
+        values = physics.join([values for _, values in parsed])
+        return emulator.Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
+
+    def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
+        """The addresses, the motion, the hidden effects and faults, and how to connect."""
+        from rich.text import Text
+
+        first = controllers[0]
+        for controller in controllers:
+            name, port = controller.body.arm.name, controller.control_port
+            yield Text(f"An emulated {name} at {controller.address}: control port {port}, reports on 30000 to 30003.")
+        drawn = "as drawn" if not self.factory else ", ".join(map(str, self.factory))
+        clock = "" if self.speed == 1 else f" Its clock runs {self.speed:g} times as fast."
+        yield Text(f"Calibration: {drawn}.", no_wrap=True, overflow="ignore")
+        yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True, overflow="ignore")
+        physics = first.body.physics
+        if physics.effects:
+            yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
+            yield from command.list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))
+        if first.body.torque_effects:
+            yield Text("Hidden effects, in the torques")
+            yield from command.list_effects(
+                (effect, effect.reported(values)) for effect, values in first.body.torque_effects
+            )
+        if first.body.torque_noise.any():
+            yield Text(f"Noise of the torques: {' '.join(f'{sigma:g}' for sigma in first.body.torque_noise)} N m.")
+        if self.fault:
+            yield Text(f"Faults: {', '.join(self.fault)}.")
+        ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
+        named = first.body.arm.name if self.arm is None else self.arm
+        other = "" if named == "lite6" else f" --arm {named}"  # the default of the commands
+        yield Text(f"Try: lite6jax read --ip {ip}{other}", no_wrap=True, overflow="ignore")
+        yield Text(
+            f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")', no_wrap=True, overflow="ignore"
+        )
+        if first.control_port != 502:
+            yield Text(
+                "     and before it: from xarm.core.config.x_config import XCONF\n"
+                f"     XCONF.SocketConf.TCP_CONTROL_PORT = {first.control_port}",
+                no_wrap=True,
+                overflow="ignore",
+            )
+        yield Text("Stop with Ctrl-C.")

@@ -24,13 +24,10 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 from lite6jax.cli.arms import Arms, Convert, Effects
 from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.demo import Demo
-from lite6jax.cli.detect import Detect
-from lite6jax.cli.diagnose import Diagnose
-from lite6jax.cli.diagnosis import Compensate, Predict, Report, View
-from lite6jax.cli.emulate import Emulate
+from lite6jax.cli.diagnose import Compensate, Diagnose, Predict, Report, View
 from lite6jax.cli.fit import Check, Compare, Fit, Fleet
-from lite6jax.cli.init import Init
-from lite6jax.cli.live import Read, Record
+from lite6jax.cli.init import Detect, Init
+from lite6jax.cli.live import Emulate, Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.deferred import import_lazily

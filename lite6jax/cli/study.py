@@ -86,11 +86,8 @@ class Setup:
     """Mass at the flange, for effects of gravity."""
 
     def experiment(self, arm: "arms.Arm") -> "information.Experiment":
-        """The experiment that this set-up is on an arm.
-
-        Raises:
-            InputError: noise that is not positive, or of what the sensor does not measure.
-        """
+        """The experiment that this set-up is on an arm; refuses noise that is not positive, or of what is not
+        measured."""
         for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
             if not np.isfinite(numbers).all():
                 raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
@@ -176,11 +173,7 @@ class TorqueSetup:
     """The greatest acceleration, likewise."""
 
     def model(self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None) -> "torques.TorqueModel":
-        """What is unknown of an arm, and the noise, of a recording as `declared`.
-
-        Raises:
-            InputError: as `torque_model`.
-        """
+        """What is unknown of an arm, and the noise, of a recording as `declared`."""
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
         return torques.torque_model(arm, noise, gravity, self.inertial == "unknown")
@@ -188,11 +181,7 @@ class TorqueSetup:
     def room(
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
     ) -> "motions.MotionRoom":
-        """Where a motion may be.
-
-        Raises:
-            InputError: as `motion_room`.
-        """
+        """Where a motion may be."""
         scales, _ = words.joint_units(arm.sliding, arm.dof)
         velocity, acceleration = (  # one number in degrees, or one per joint in degrees and mm
             np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)

@@ -179,9 +179,8 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     arm = replace(arm, **joints)
     if links.any() and not is_consistent(links):
         base = base_parameters(arm.kinematics, model.gravity, arm.sliding)
-        found = consistent_links(base, base.values(links), bodies_near(links))
-        left_out += [] if found.exact else ["inertial numbers that no bodies have"]
-        links = found.parameters
+        links, exact = consistent_links(base, base.values(links), bodies_near(links))
+        left_out += [] if exact else ["inertial numbers that no bodies have"]
     return set_link_parameters(arm, links) if links.any() else arm, tuple(left_out)
 
 

@@ -73,8 +73,7 @@ def diagnose_folder(
         overwrite: whether a table and documents that are there may be replaced.
 
     Raises:
-        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the
-            recordings.
+        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the recordings.
     """
     place = Place.of(folder)
     names = list_recordings(place)
@@ -116,15 +115,8 @@ def diagnose_folder(
 def make_row(
     name: str, document: Mapping[str, Any], text: str, reduced: bytes | None = None, message: str = ""
 ) -> pa.Table:
-    """The row of a recording and its document.
-
-    Args:
-        name: of the recording in its folder.
-        document: as `diagnose` writes it.
-        text: of its file.
-        reduced: the file of its reduced recording, of a fleet.
-        message: what was remarked on the way.
-    """
+    """The row of a recording of this name in its folder: of its `document`, the `text` of that file, of a fleet the
+    file of the `reduced` recording, and what was remarked on the way."""
     of_torques = document.get("domain") == "torque"
     poses = None if of_torques else document
     torques = document if of_torques else document.get("torques")
@@ -184,7 +176,7 @@ def pool_folder(
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,
 ) -> "population.Population":
-    """Pools the recordings of a folder that were diagnosed into `out`: of many arms of one type.
+    """Pools the recordings of many arms of one type that were diagnosed into `out`.
 
     Args:
         folder: of the recordings, as it was given: what messages name.
@@ -229,11 +221,7 @@ def pool_folder(
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
-    """Refuses a recording whose document would have the name of the fleet's, and a file that is there.
-
-    Raises:
-        InputError: as said.
-    """
+    """Refuses a recording whose document would have the name of the fleet's, and a file that is there."""
     for name in names:
         if f"{Path(name).stem}.json" == POOLED:
             raise InputError(f"{name}: its diagnosis would be named {POOLED}, as the fleet's; rename the recording")

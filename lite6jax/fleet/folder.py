@@ -1,19 +1,35 @@
-"""Every file of a folder fitted into one table: a row a file, and of a bad file one that says why."""
+"""Every file of a folder fitted into one table: a row a file, and of a bad file one that says why.
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+Calibrations are fitted together by type of arm, recordings one by one.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from lite6jax.calibration.quality import Result
-from lite6jax.fleet.place import DIED, Place, divide, guess_kind, list_fleet
+from lite6jax import storage
+from lite6jax.calibration.quality import Quality, Result, quality_of_calibration
+from lite6jax.deferred import import_lazily
+from lite6jax.fleet.place import DIED, Place, attempt, divide, guess_kind, list_fleet
 from lite6jax.workers import run_batches
+
+with import_lazily():  # a program that has others do this does not import what it takes
+    import numpy as np
+
+    from lite6jax import model, recordings
+    from lite6jax.arms import dh, factory
+    from lite6jax.calibration import fleet, source, start
+    from lite6jax.domains.pose import fit as pose_fit
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from lite6jax.arms.arm import Arm
     from lite6jax.calibration.solution import Errors
+
+T = TypeVar("T")
 
 _ERRORS = ("fitted", "checked", "nominal")
 _STATISTICS = ("position_rms_m", "position_max_m", "orientation_rms_rad", "orientation_max_rad")
@@ -31,8 +47,6 @@ class Statistics:
     @classmethod
     def of(cls, errors: "Errors") -> "Statistics":
         """Those of errors, without orientation where none was measured."""
-        import numpy as np
-
         turned = errors.orientation
         rms, most = (None, None) if turned is None else (float(np.sqrt(np.mean(turned**2))), float(turned.max()))
         return cls(errors.position_rms, float(errors.position.max()), rms, most)
@@ -118,12 +132,93 @@ def fit_folder(
 
 def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.Table":
     """The rows of some files of a folder, in their order."""
-    # a program that has others do this does not import what it takes
-    from lite6jax.fleet.fit import fit_files
-
     with place.local_folder(names) as folder:
         rows = fit_files([folder / name for name in names], nominal, lambda said: place.show(said, folder))
     return tabulate_rows(rows)
+
+
+# ------------------------------------------------------------------ the fits
+
+
+def fit_files(
+    files: Sequence[Path], nominal: "Arm | None", as_shown: Callable[[str], str] = lambda message: message
+) -> list[Row]:
+    """Fits calibrations and recordings, none of which stops the others: a row a file, in their order.
+
+    `as_shown` makes of a message what the user is to read.
+    """
+    rows: dict[Path, Row] = {}
+    remarks: dict[Path, str] = {}
+    types: dict[str, dict[Path, factory.FactoryCalibration]] = {}
+    for path in files:
+        fit = _fit_recording if guess_kind(path) == "recording" else _read_calibration
+        found, remarks[path] = attempt(path, partial(fit, path, nominal))
+        if found is None:
+            rows[path] = Row(path.name, guess_kind(path), Result.UNREADABLE, as_shown(remarks[path]))
+        elif isinstance(found, str):
+            rows[path] = Row(path.name, "other", Result.UNREADABLE, as_shown(found))
+        elif isinstance(found, Row):
+            rows[path] = found
+        else:
+            types.setdefault(found.arm.name, {})[path] = found
+    for alike in types.values():
+        rows |= _fit_calibrations(alike)
+    for path, row in rows.items():
+        if remarks[path] and row.result != Result.UNREADABLE:
+            rows[path] = replace(row, message=f"{row.message}; {as_shown(remarks[path])}")
+    return [rows[path] for path in files]
+
+
+def _read_calibration(path: Path, nominal: "Arm | None") -> "factory.FactoryCalibration | str":
+    """The calibration in a file, or why it is none."""
+    if path.suffix.lower() in (".yaml", ".yml") and not dh.is_table(content := storage.read_yaml(path)):
+        if not isinstance(content, dict) or "kinematics" not in content:
+            return f"{path}: not a calibration (it has no key 'kinematics'); passed over"
+        if "name" in content:
+            return f"{path}: not a calibration but the description of a type of arm; passed over"
+    return factory.read_factory(path, nominal)
+
+
+def _fit_calibrations(alike: "Mapping[Path, factory.FactoryCalibration]") -> Iterator[tuple[Path, Row]]:
+    """The rows of arms of one type, fitted in one call."""
+    calibrations = list(alike.values())
+    arm = calibrations[0].arm
+    form = model.ModelForm(arm.form)
+    kinematics = np.stack([calibration.kinematics for calibration in calibrations])
+    flanges = np.stack([calibration.T_joint_flange for calibration in calibrations])
+    fitted = fleet.fit_calibrations(kinematics, flanges, arm)
+    for i, (path, result, steps) in enumerate(zip(alike, fitted.result, fitted.steps, strict=True)):
+        errors = (Statistics(*map(float, part[i])) for part in (fitted.fitted, fitted.checked, fitted.nominal))
+        quality = quality_of_calibration(fitted.checked[i, 1:2])
+        row = Row(path.name, "calibration", Result(int(result)), "", samples=start.SAMPLES, steps=int(steps))
+        yield path, _complete(row, arm, form, fitted.parameters[i], quality, *errors)
+
+
+def _fit_recording(path: Path, nominal: "Arm | None") -> Row:
+    recording = source.read_source(path, nominal)
+    assert isinstance(recording, recordings.Recording)
+    found = pose_fit.fit_recording(recording, nominal)
+    errors = map(Statistics.of, (found.errors, found.checked, found.nominal_errors))
+    faults = f"; data faults: {', '.join(fault.code for fault in found.faults)}" if found.faults else ""
+    row = Row(path.name, "recording", found.result, faults, samples=recording.samples, steps=found.steps)
+    return _complete(row, found.arm, model.ModelForm(found.form.chain), found.parameters, found.quality, *errors)
+
+
+def _complete(
+    row: Row, arm: "Arm", form: "model.ModelForm", parameters: Any, quality: Quality, *errors: Statistics
+) -> Row:
+    """A row with what was fitted of an arm; `errors` are those of the fitted and of other data, and of the nominal."""
+    values = zip(form.names, form.units, np.asarray(parameters).tolist(), strict=True)
+    misfit = "; but the model does not describe the data" if quality.verdict == "bad" else ""
+    return replace(
+        row,
+        message=row.result.message + misfit + row.message,
+        quality=quality.verdict,
+        arm=arm.name,
+        joints=arm.dof,
+        parameters=tuple((f"{name}_{unit}", value) for name, unit, value in values),
+        **dict(zip(_ERRORS, errors, strict=True)),
+    )
 
 
 # ------------------------------------------------------------------ the table
@@ -147,12 +242,7 @@ def tabulate_rows(rows: Sequence[Row]) -> "pa.Table":
 
 
 def read_rows(path: str | Path, parameters: bool = True) -> Iterator[Row]:
-    """The rows of a table that a run wrote, a group of them in memory at a time.
-
-    Args:
-        path: of the file.
-        parameters: whether they are wanted; to read the rest is faster.
-    """
+    """The rows of a table that a run wrote, a group of them in memory at a time; faster without `parameters`."""
     import pyarrow.parquet as pq
 
     fixed = _columns()

@@ -76,10 +76,10 @@ class Place:
 
     @classmethod
     def of(cls, folder: str | Path) -> "Place":
-        """The folder of a path or a URL.
+        """The folder of a path or a URL; what is behind a URL is looked at when it is listed.
 
         Raises:
-            InputError: there is no such folder here; what is behind a URL is looked at when it is listed.
+            InputError: there is no such folder here.
         """
         url = restore_url(folder)
         if url is not None:
@@ -144,11 +144,8 @@ class Place:
 
 
 def list_fleet(place: Place, out: Path) -> list[str]:
-    """The calibrations and recordings of a folder; a recording's sidecar belongs to it and is not listed.
-
-    Args:
-        place: the folder; its subfolders are not looked into.
-        out: the table that is to be written, and is no input where one is there.
+    """The calibrations and recordings of a folder, without its subfolders; a recording's sidecar belongs to it and is
+    not listed, and neither is `out`, the table that is to be written.
 
     Raises:
         InputError: none is there, the table would replace one of them, or as `Place.names`.

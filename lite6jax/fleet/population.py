@@ -11,9 +11,8 @@ from scipy.special import chdtrc
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
-from lite6jax.fleet.pooling import Reduced, Weighed
+from lite6jax.fleet.pooling import Reduced, Search, Weighed
 from lite6jax.fleet.reduced import Found
-from lite6jax.fleet.select import Search
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
 from lite6jax.schema import FLEET
 

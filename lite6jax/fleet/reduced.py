@@ -41,17 +41,8 @@ _ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
 def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
-    """Columns of a recording as those of all its readings: whitened; zero at samples that are not fitted.
-
-    Args:
-        columns: `(…, row, sample)`, of unit noise.
-        noise: the filter that makes them white.
-        training: `(sample,)`, which samples are fitted.
-        number: of readings; those of the prior come after all samples.
-
-    Returns:
-        `(…, number)`.
-    """
+    """Columns `(…, row, sample)`, of unit noise, as those of all `number` readings: white, zero at samples that are not
+    fitted. Readings of the prior come after all samples."""
     white = noise.whitened(columns) * training
     *which, rows, samples = white.shape
     found = np.zeros((*which, number))
@@ -196,11 +187,7 @@ class ReducedArm:
 
     @classmethod
     def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
-        """What `to_bytes` wrote.
-
-        Raises:
-            InputError: the bytes are no such file; the message begins with `place`.
-        """
+        """What `to_bytes` wrote; the message on other bytes begins with `place`."""
         with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
             models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
             smoothing = None
@@ -395,11 +382,7 @@ def _equations(functions: Array, weight: Array | float, measured: Array, confoun
 
 
 def read_heading(path: Path) -> Heading:
-    """The heading of a file, without its arrays.
-
-    Raises:
-        InputError: as `from_bytes`.
-    """
+    """The heading of a file, without its arrays."""
     with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
         return _heading(file["heading"])
 

@@ -179,12 +179,7 @@ class Tried:
     """
 
     def __init__(self, recordings: Iterable[Any], options: EngineOptions) -> None:
-        """What one of the recordings can be tested for at least.
-
-        Args:
-            recordings: their headings.
-            options: thresholds.
-        """
+        """What one of the recordings can be tested for at least, by their headings."""
         self.named, self.families, self._options = dict[str, Candidate](), dict[str, Candidate](), options
         places, varied = dict[Place, None](), dict[str, Quantity]()
         for one in recordings:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from typed import refusal
 
 from lite6jax.arms.arm import JOINT_TERMS, Arm
-from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
+from lite6jax.arms.chains import HayatiForm, six_parameter_fk
 from lite6jax.arms.description import bundled_arms, load_bundled, read_description, write_arm
 from lite6jax.arms.dh import read_table, write_table
 from lite6jax.arms.factory import read_factory, write_factory
@@ -149,10 +149,7 @@ def test_universal_robots_joints_are_named_both_ways(save):
         ("kinematics: {}\n", ": kinematics must be a mapping with the joints joint1, joint2, …; write one per joint"),
         ("kinematic: {}\n", ": has the unknown key 'kinematic'; did you mean 'kinematics'? accepted are kinematics"),
         ("kinematics: {joint1: 3}\n", ": joint1 must be a mapping with the keys x, y, z, roll, pitch, yaw"),
-        (
-            "kinematics: {joint1: {}, elbow: {}}\n",
-            ": kinematics has the unknown joint 'elbow'; accepted are joint1",
-        ),
+        ("kinematics: {joint1: {}, elbow: {}}\n", ": kinematics has the unknown joint 'elbow'; accepted are joint1"),
         (
             "kinematics: {shoulder: {}, joint2: {}}\n",
             ": kinematics has the unknown joint 'joint2'; "
@@ -536,15 +533,6 @@ def test_table_round_trip_is_exact_to_the_last_bit(tmp_path_factory, data):
     assert table.form == form
     assert table.parameters.tobytes() == parameters.tobytes()
     json.loads(path.read_text())
-
-
-def test_a_table_is_a_calibration(tmp_path):
-    form, parameters = lite6_parameters()
-    calibration = read_factory(write_table(form, parameters, tmp_path / "t.json"))
-    assert calibration.arm.name == "lite6"
-    q = np.random.default_rng(4).uniform(-3, 3, (20, 6))
-    flange = six_parameter_fk(calibration.kinematics, q) @ calibration.T_joint_flange
-    np.testing.assert_allclose(flange, hayati_fk(form, parameters, q), atol=1e-12)
 
 
 TABLE_NOT_FINITE = "which is not finite; read the table from its source again"

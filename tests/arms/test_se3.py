@@ -128,12 +128,6 @@ def test_upright_pitch_reproduces_the_rotation(sign, off, roll, yaw):
     np.testing.assert_allclose(se3.rotation_from_rpy(frames.rpy_from_rotation(R)), R, atol=EXACT)
 
 
-def test_exactly_upright_pitch():
-    for sign in (1.0, -1.0):
-        R = np.array([[0, 0, sign], [0, 1, 0], [-sign, 0, 0]])
-        np.testing.assert_allclose(frames.rpy_from_rotation(R), [0, sign * np.pi / 2, 0], atol=1e-15)
-
-
 @given(quaternions)
 def test_quaternions_agree_with_scipy_and_come_back(quaternion):
     R = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
@@ -167,15 +161,23 @@ def test_leading_axes_are_batches(shape):
         np.testing.assert_array_equal(T[at], np.block([[R[at], vectors[at][:, None]], [0, 0, 0, 1]]))
 
 
-def test_broadcasting_of_transforms():
-    rng = np.random.default_rng(1)
-    R = Rotation.from_rotvec(rng.uniform(-3, 3, (4, 3))).as_matrix()
-    T = np.asarray(se3.transform(R, rng.uniform(-1, 1, 3)))
-    np.testing.assert_array_equal(T[:, :3, :3], R)
-    np.testing.assert_array_equal(T[:, 3], np.tile([0, 0, 0, 1], (4, 1)))
-
-
 @pytest.mark.skipif("CHECK_TYPES" not in os.environ, reason="types are checked in the second stage")
 def test_types_are_checked_at_run_time():
     with pytest.raises(jaxtyping.TypeCheckError):
         se3.skew("a string")
+
+
+@pytest.mark.parametrize("sliding", [(), (0, 3)])
+def test_a_chain_is_the_product_of_its_transforms_whatever_the_block(monkeypatch, sliding):
+    rng = np.random.default_rng(3)
+    links = np.stack([frames.transform_from_row(row) for row in rng.uniform(-1, 1, (6, 6))])
+    q = rng.uniform(-2, 2, (3, 11, 6))
+    motions = frames.joint_motions(q, sliding)
+    expected = np.eye(4)
+    for i in range(6):
+        expected = expected @ links[i] @ motions[..., i, :, :]
+    for block in (4, 4096):
+        monkeypatch.setattr(frames, "BLOCK", block)
+        found = frames.chain(links, q, sliding)
+        assert found.shape == (3, 11, 4, 4)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)

@@ -22,15 +22,7 @@ from lite6jax.arms.chains import (
 from lite6jax.arms.description import read_description
 from lite6jax.arms.dh import hayati_to_six_parameter, read_table, six_parameter_to_hayati
 from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters, regressor
-from lite6jax.arms.files import (
-    convert_file,
-    read_arm,
-    read_mjcf,
-    read_urdf,
-    write_arm,
-    write_mjcf,
-    write_urdf,
-)
+from lite6jax.arms.files import convert_file, read_arm, read_mjcf, read_urdf, write_arm, write_mjcf, write_urdf
 from lite6jax.calibration.residual import Observations, linearise, residuals
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.errors import InputError
@@ -201,16 +193,8 @@ def test_a_description_says_which_joints_are_prismatic(tmp_path):
     [
         ("type: prismatic", "type: slide", "joint2: type is 'slide'; write revolute or prismatic"),
         ("joint_limits:", "joint_limits_rad:", "joint2 is prismatic; name the list joint_limits, in m for prismatic"),
-        (
-            "[0, 0.3]",
-            "[0, 300]",
-            "joint2's limits 0 … 300 are beyond any arm, so they seem to be in millimetres",
-        ),
-        (
-            "viscous_N_s_per_m",
-            "viscous_Nm_s_per_rad",
-            "dynamics: joint2: friction has the unknown key 'viscous_Nm",
-        ),
+        ("[0, 0.3]", "[0, 300]", "joint2's limits 0 … 300 are beyond any arm, so they seem to be in millimetres"),
+        ("viscous_N_s_per_m", "viscous_Nm_s_per_rad", "dynamics: joint2: friction has the unknown key 'viscous_Nm"),
     ],
 )
 def test_a_spoilt_description_names_the_remedy(old, new, message, tmp_path):

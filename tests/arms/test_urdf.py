@@ -92,21 +92,6 @@ def test_a_joint_without_axis_turns_about_x_as_urdf_says(tmp_path):
     np.testing.assert_allclose(flange_pose(read_urdf(path), [0.4])[:3, :3], rotate("x", 0.4)[:3, :3], atol=1e-15)
 
 
-def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
-    parts = [link("base", 9), link("a", 2, "0.1 0 0"), link("plate", 1, "0 0 0.1"), link("b", 3, "0 0.2 0", "1 1 1")]
-    parts += [joint("j1", "base", "a", axis="0 -1 0", rpy="0.2 0 0"), joint("j2", "a", "b", xyz="0.3 0 0")]
-    parts += [joint("bolt", "a", "plate", "fixed", xyz="0 0.5 0", rpy="1.5707963267948966 0 0")]
-    arm = read_urdf(write(tmp_path, *parts), tip="b")
-    np.testing.assert_array_equal(arm.mass, [3, 3])
-    np.testing.assert_array_equal(arm.center_of_mass[1], [0, 0.2, 0])
-    # In link a's own frame: the plate's centre is at (0, 0.5, 0) + Rx(90 deg) (0, 0, 0.1) = (0, 0.4, 0).
-    expected = (2 * np.array([0.1, 0, 0]) + np.array([0, 0.4, 0])) / 3
-    q = 0.7
-    in_base = (rotate("x", 0.2) @ rotate("y", -q))[:3, :3] @ expected
-    first = Arm("first", arm.kinematics[:1])
-    np.testing.assert_allclose((flange_pose(first, [q]) @ [*arm.center_of_mass[0], 1])[:3], in_base, atol=1e-14)
-
-
 finite = st.floats(-3, 3)
 rows = st.lists(st.lists(finite, min_size=6, max_size=6), min_size=1, max_size=7)
 
@@ -337,13 +322,6 @@ def test_deep_nesting_and_large_files_are_refused_or_harmless(tmp_path):
     assert "has not one root link" in refusal(read_urdf, path)
     path.write_text("<robot>" + " " * (1 << 23) + "</robot>")
     assert "larger than 8388608 bytes" in refusal(read_urdf, path)
-
-
-def test_an_existing_file_is_kept(tmp_path):
-    path = write_urdf(load_bundled("lite6"), tmp_path / "arm.urdf")
-    assert "exists already" in refusal(write_urdf, load_bundled("ur5"), path)
-    write_urdf(load_bundled("ur5"), path, overwrite=True)
-    assert read_urdf(path).name == "ur5"
 
 
 # --- inertia and friction ---

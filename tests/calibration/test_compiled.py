@@ -8,17 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lite6jax.calibration import compiled
-
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_the_folder_is_its_owners_only(tmp_path):
-    made = compiled._private(tmp_path / "made")
-    assert made.stat().st_mode & 0o777 == 0o700
-    made.chmod(0o777)
-    assert compiled._private(made) is None
-    assert compiled._private(tmp_path / "missing" / "made") is None
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")

@@ -11,14 +11,13 @@ from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.se3 import turn
-from lite6jax.calibration import gauss_newton
-from lite6jax.calibration.gauss_newton import solve_chunk
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.calibration.residual import Observations, residuals
+from lite6jax.calibration.solve import solve_chunk
 from lite6jax.model import ModelForm, arm_model
-from tests.oracles.arms import LITE6_DH, parameters_of_table, random_kinematics, random_positions, table_of_parameters
+from tests.oracles.arms import LITE6_DH, parameters_of_table, random_positions, table_of_parameters
 from tests.oracles.chains import hayati_poses
-from tests.oracles.transforms import origin_transform, perturb_poses
+from tests.oracles.transforms import perturb_poses
 
 ARMS, SAMPLES, MAX_STEPS = 4, 60, 50
 CHAIN = HayatiForm(6, (1,))
@@ -29,10 +28,8 @@ TOLERANCE = np.where(np.array(CHAIN.units) == "m", 0.8e-3, np.deg2rad(0.15))
 POSITION, ORIENTATION = 1e-4, 1e-3
 PRECISE = jnp.array([1 / POSITION, 1 / ORIENTATION])
 POSITIONS = random_positions(np.random.default_rng(0), SAMPLES, 6)
-EVERY = np.ones(FORM.size)
 
 solve = jax.jit(solve_chunk, static_argnums=0)
-begin = jax.jit(gauss_newton._begin, static_argnums=0)
 
 
 def poses_of(parameters):
@@ -69,8 +66,8 @@ def models(start):
     return stacked([arm_model(row) for row in np.broadcast_to(start, (ARMS, FORM.size))])
 
 
-def fit(measured, start=NOMINAL, free=EVERY, max_steps=MAX_STEPS):
-    return solve(FORM, models(start), observe(measured), free, max_steps)
+def fit(measured, start=NOMINAL, max_steps=MAX_STEPS):
+    return solve(FORM, models(start), observe(measured), max_steps)
 
 
 def noisy(truths, seed):
@@ -136,15 +133,6 @@ def test_data_that_is_not_finite_is_said_and_disturbs_nobody(measured, solved):
     np.testing.assert_allclose(found.model.geometry[others], solved.model.geometry[others], atol=1e-14)
 
 
-def test_a_slow_arm_does_not_hold_the_others_back(measured, solved):
-    starts = np.tile(NOMINAL, (ARMS, 1))
-    starts[2, [4, 11, 15, 19]] += [0.3, -0.3, 0.3, -0.3]
-    found = fit(measured, start=starts)
-    np.testing.assert_array_equal(found.status, CONVERGED)
-    assert found.steps[2] > np.max(np.delete(found.steps, 2))
-    np.testing.assert_allclose(found.model.geometry, solved.model.geometry, atol=1e-12)
-
-
 def test_too_few_steps_are_said(measured):
     found = fit(measured, max_steps=1)
     np.testing.assert_array_equal(found.status, STEPS_EXHAUSTED)
@@ -159,53 +147,6 @@ def test_a_poor_start_converges(measured, solved, seed):
     np.testing.assert_array_equal(found.status, CONVERGED)
     np.testing.assert_allclose(found.model.geometry, solved.model.geometry, atol=1e-12)
     np.testing.assert_allclose(found.cost, solved.cost, rtol=1e-12)
-
-
-def test_held_parameters_stay_and_the_others_are_the_best_beside_them(measured):
-    held = [CHAIN.names.index(name) for name in ("base_x", "d1", "alpha3", "beta2")]
-    free = np.ones(FORM.size)
-    free[held] = 0
-    found = fit(measured, free=free)
-    np.testing.assert_array_equal(found.status, CONVERGED)
-    np.testing.assert_array_equal(found.model.geometry[:, held], np.tile(NOMINAL[held], (ARMS, 1)))
-    curvature = np.asarray(found.curvature)
-    np.testing.assert_array_equal(curvature[:, held], np.broadcast_to(np.eye(FORM.size)[held], (ARMS, 4, FORM.size)))
-    one = jax.tree.map(lambda leaf: leaf[0, 0], observe(measured))
-    rows = jax.jit(lambda x: residuals(FORM, arm_model(x), one).ravel())
-    moving = free > 0
-
-    def scatter(y):
-        return np.where(moving, np.insert(y, np.searchsorted(np.flatnonzero(moving), held), 0), NOMINAL)
-
-    jacobian = jax.jit(jax.jacfwd(rows))
-    best = least_squares(
-        lambda y: np.asarray(rows(scatter(y))),
-        NOMINAL[moving],
-        lambda y: np.asarray(jacobian(scatter(y)))[:, moving],
-        x_scale="jac",
-        xtol=1e-15,
-        ftol=1e-15,
-        gtol=1e-15,
-    )
-    np.testing.assert_allclose(found.model.geometry[0, moving], best.x, atol=1e-10)
-
-
-def test_frame_and_tool_are_found_where_they_carry_the_geometry():
-    form = ModelForm(CHAIN, frame=True, tool=True)
-    # frame and tool hold what six numbers of the base end and four of the flange end would say again
-    names = ("base_x", "base_y", "base_roll", "base_pitch", "theta_off1", "d1", "theta_off6", "d6", "a6", "alpha6")
-    free = np.array([name not in names for name in form.names], float)
-    rng = np.random.default_rng(5)
-    truths = np.where(free[:28] > 0, random_truths(6), NOMINAL)
-    ends = [[origin_transform(row) for row in random_kinematics(rng, 2)] for _ in range(ARMS)]
-    measured = np.array([F @ poses_of(truth) @ T for truth, (F, T) in zip(truths, ends, strict=True)])
-    nudge = origin_transform([0.02, -0.03, 0.01, 0.2, -0.1, 0.3])
-    start = stacked([arm_model(NOMINAL, F @ nudge, nudge @ T) for F, T in ends])
-    found = solve(form, start, observe(measured), free, MAX_STEPS)
-    np.testing.assert_array_equal(found.status, CONVERGED)
-    np.testing.assert_allclose(found.model.geometry, truths, atol=1e-12)
-    np.testing.assert_allclose(found.model.T_sensor_base, [F for F, _ in ends], atol=1e-12)
-    np.testing.assert_allclose(found.model.T_flange_tool, [T for _, T in ends], atol=1e-12)
 
 
 def test_two_threads_at_once_do_not_wait_for_ever(measured, solved):
@@ -250,7 +191,7 @@ def test_a_singular_curvature_is_not_called_a_solution(measured):
     observed, rng = observe(measured), np.random.default_rng(3)
     for _ in range(5):  # what rounding makes of the inverse is another thing each time
         starts = NOMINAL + TOLERANCE * rng.uniform(-1, 1, (ARMS, FORM.size))
-        found = solve(form, models(starts), observed, np.ones(form.size), MAX_STEPS)
+        found = solve(form, models(starts), observed, MAX_STEPS)
         for arm in range(ARMS):
             model, one = (jax.tree.map(lambda leaf, arm=arm: leaf[arm], tree) for tree in (found.model, observed))
             cost = 0.5 * np.sum(residuals(form, model, jax.tree.map(lambda leaf: leaf[0], one)) ** 2)
@@ -258,70 +199,3 @@ def test_a_singular_curvature_is_not_called_a_solution(measured):
                 np.testing.assert_allclose(cost, found.cost[arm], rtol=1e-6)
             else:
                 assert found.status[arm] in (STEPS_EXHAUSTED, SINGULAR)
-
-
-MANY = 240
-"""Samples of which every fourth determines the first step."""
-
-
-@pytest.fixture(scope="module")
-def many():
-    rng = np.random.default_rng(10)
-    positions = random_positions(rng, MANY, 6)
-    measured = []
-    for truth in random_truths(11):
-        base, dh, beta = table_of_parameters(CHAIN, truth)
-        measured.append(perturb_poses(rng, hayati_poses(base, dh, {1: beta[0]}, positions), POSITION, ORIENTATION))
-    return positions, np.array(measured)
-
-
-def solved_both_ways(positions, measured, weight=None):
-    """The first step, whether it is taken, and the solution with and, of samples in two blocks, without it."""
-    begun, taken = begin(FORM, models(NOMINAL), observe(measured, positions, weight), EVERY, MAX_STEPS)
-    found, same = (
-        solve(FORM, models(NOMINAL), observe(measured, positions, weight, blocks), EVERY, MAX_STEPS)
-        for blocks in (1, 2)
-    )
-    for answer in (found, same):
-        np.testing.assert_array_equal(answer.status, CONVERGED)
-    np.testing.assert_allclose(found.model.geometry, same.model.geometry, atol=1e-12)
-    np.testing.assert_allclose(found.cost, same.cost, rtol=1e-12)
-    return begun, np.asarray(taken), found, same
-
-
-def test_a_first_step_of_every_fourth_sample_leads_near_the_solution(many):
-    positions, measured = many
-    begun, taken, found, same = solved_both_ways(positions, measured)
-    assert taken.all()
-    assert np.all(found.steps <= same.steps + 1)
-    # a quarter of the samples has twice the standard deviation; the rest is the error of second order
-    deviations = np.sqrt(np.diagonal(np.linalg.inv(found.curvature), axis1=1, axis2=2))
-    assert np.abs((begun.geometry - found.model.geometry) / deviations).max() < 10
-    # from the solution of all samples it would lead two standard deviations away, and is not taken
-    begun, taken = begin(FORM, found.model, observe(measured, positions), EVERY, MAX_STEPS)
-    assert not taken.any()
-    np.testing.assert_array_equal(begun.geometry, found.model.geometry)
-    # nor where no step may be taken
-    still = solve(FORM, models(NOMINAL), observe(measured, positions), EVERY, 0)
-    np.testing.assert_array_equal(still.model.geometry, models(NOMINAL).geometry)
-    np.testing.assert_array_equal(still.steps, 0)
-
-
-def test_that_step_is_not_taken_where_these_samples_are_missing_or_one_pose(many):
-    weight = np.ones((ARMS, MANY))
-    weight[1, ::4] = 0
-    weight[2, 4::4] = 0
-    _, taken, _, _ = solved_both_ways(*many, weight)
-    np.testing.assert_array_equal(taken, [1, 0, 0, 1])
-    positions, measured = (array.copy() for array in many)
-    positions[::4], measured[:, ::4] = positions[0], measured[:, :1]
-    _, taken, _, _ = solved_both_ways(positions, measured)
-    assert not taken.any()
-
-
-def test_where_every_fourth_sample_is_spoiled_the_solution_is_that_of_all(many):
-    positions, measured = many
-    spoiled = measured.copy()
-    spoiled[0, ::4, :3, 3] += np.random.default_rng(12).uniform(-0.5, 0.5, (MANY // 4, 3))
-    _, taken, _, _ = solved_both_ways(positions, spoiled)
-    assert taken[1:].all()

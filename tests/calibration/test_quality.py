@@ -1,9 +1,6 @@
 """A fit that converged is not good for that: its quality, and the arm that a recording looks like."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +10,7 @@ from diagnosis.recorded import Made, static_motion
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.calibration.fit import fit_calibration, fit_recording
+from lite6jax.calibration.fit import fit_recording
 from lite6jax.calibration.quality import FARTHEST_SHARE, quality_of_calibration, quality_of_poses
 from lite6jax.calibration.source import arm_of, matches, read_source, with_arm
 from lite6jax.cli.command import BAD_FIT
@@ -145,35 +142,3 @@ def test_joints_without_poses_do_not_show_the_arm(capsys, tmp_path, recording):
     path = write_recording(replace(recording, position=None, quaternion=None), tmp_path / "joints.csv")
     said = refused(capsys, "identify", path)
     assert said == f"{path}: declares no arm, and has no poses that would show it; give --arm"
-
-
-# ------------------------------------------------------------------ cores
-
-
-@pytest.mark.long
-@pytest.mark.skipif(
-    not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2, reason="one core, or no choice of them"
-)
-def test_a_fit_is_the_same_on_one_and_on_two_cores(tmp_path, recording):
-    path = write_recording(replace(recording, settings=replace(recording.settings, arm="lite6")), tmp_path / "run.csv")
-    program = (
-        "import json, os, sys; os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[2])]);"
-        "from lite6jax.calibration.fit import fit_recording; from lite6jax.calibration.source import read_source;"
-        "print(json.dumps(fit_recording(read_source(sys.argv[1], None)).parameters.tolist()))"
-    )
-    environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}
-    found = []
-    for cores in ("1", "2"):
-        command = [sys.executable, "-c", program, str(path), cores]
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-        assert (done.returncode, done.stderr) == (0, "")
-        found.append(json.loads(done.stdout))
-    np.testing.assert_allclose(*found, rtol=0, atol=1e-12)
-
-
-def test_a_calibrations_fit_is_good():
-    from lite6jax.arms.factory import FactoryCalibration
-
-    rows = LITE6.kinematics + np.random.default_rng(3).normal(0, 1e-3, LITE6.kinematics.shape)
-    solution = fit_calibration(FactoryCalibration(rows, LITE6, LITE6.T_joint_flange, "made"))
-    assert (solution.quality.verdict, solution.quality.explained) == ("good", None)

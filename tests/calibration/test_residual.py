@@ -10,14 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.se3 import turn
-from lite6jax.calibration.residual import (
-    Observations,
-    Robust,
-    evaluate,
-    linearise,
-    over_blocks,
-    residuals,
-)
+from lite6jax.calibration.residual import Observations, Robust, evaluate, linearise, over_blocks, residuals
 from lite6jax.model import ArmModel, ModelForm, arm_model
 from tests.oracles.arms import LITE6_DH, parameters_of_table, random_kinematics, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses

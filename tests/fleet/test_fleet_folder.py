@@ -6,14 +6,14 @@ import pytest
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import load_bundled
-from lite6jax.arms.factory import nearest_arms, write_factory
+from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.arms.files import write_table
 from lite6jax.calibration.fit import fit_calibration
 from lite6jax.calibration.fleet import fit_calibrations
 from lite6jax.calibration.quality import Result
 from lite6jax.cli import main
 from lite6jax.errors import InputError
-from lite6jax.fleet import fit, place
+from lite6jax.fleet import folder, place
 from lite6jax.fleet.folder import Row, Statistics, fit_folder, read_rows, tabulate_rows
 from lite6jax.fleet.place import restore_url
 from lite6jax.workers import write_tables
@@ -67,7 +67,7 @@ def test_processes_and_batches_do_not_change_the_bytes(arms, tmp_path, monkeypat
 
 
 def test_the_closed_form_is_what_a_fit_finds(arms):
-    calibrations = [fit.read_factory(arms / f"arm{i}.yaml") for i in range(2)]
+    calibrations = [read_factory(arms / f"arm{i}.yaml") for i in range(2)]
     found = fit_calibrations(np.stack([c.kinematics for c in calibrations]), np.stack([np.eye(4)] * 2), LITE6)
     assert found.steps.tolist() == [0, 0]
     for i, calibration in enumerate(calibrations):
@@ -81,7 +81,7 @@ def test_the_closed_form_is_what_a_fit_finds(arms):
 def test_what_the_closed_form_does_not_reproduce_is_fitted(arms):
     parameters = LITE6.hayati + 1e-3 * np.random.default_rng(0).standard_normal(len(LITE6.hayati))
     write_table(LITE6.form, parameters, arms / "table.json")
-    (row,) = fit.fit_files([arms / "table.json"], None)
+    (row,) = folder.fit_files([arms / "table.json"], None)
     assert (row.result, row.quality) == (Result.CONVERGED, "good")
     assert row.steps > 0
     np.testing.assert_allclose([value for _, value in row.parameters], parameters, atol=1e-9)
@@ -93,20 +93,12 @@ def test_a_fleet_may_have_arms_of_any_number_and_kind_of_joints(tmp_path):
         write_factory(perturbed(rng, nominal), tmp_path / f"arm{i}.yaml")
     files = sorted(tmp_path.glob("*.yaml"))
     for arm in (Arm("three", nominal), Arm("gantry", nominal, sliding=(0,))):
-        rows = fit.fit_files(files, arm)
+        rows = folder.fit_files(files, arm)
         assert [(row.result, row.arm, row.joints) for row in rows] == [(Result.CONVERGED, arm.name, 3)] * 2
         assert all(row.checked.position_max < 1e-9 for row in rows)
-    own = fit.fit_files(files, None)
+    own = folder.fit_files(files, None)
     assert [row.arm for row in own] == ["arm0", "arm1"]
     assert all("this chain is its own nominal arm" in row.message for row in own)
-
-
-def test_many_are_recognised_as_each_of_them_is():
-    rng = np.random.default_rng(1)
-    arms = [load_bundled(name) for name in ("lite6", "ur5e", "ur3")]
-    chains = np.stack([perturbed(rng, arm.kinematics) for arm in arms] + [rng.uniform(-1, 1, (6, 6))])
-    chains = np.concatenate([chains, np.full((1, 6, 6), np.nan)])
-    assert [near and near.name for near in nearest_arms(chains, arms)] == ["lite6", "ur5e", "ur3", None, None]
 
 
 # ------------------------------------------------------------------ behind a URL

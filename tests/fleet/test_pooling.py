@@ -52,12 +52,7 @@ def evidence_of(arms, columns, named):
 
 @pytest.mark.parametrize("term", [BENT, process("smooth"), process("line")], ids=["name", "smooth", "line"])
 @pytest.mark.parametrize(
-    ("sizes", "way"),
-    [
-        ([0.3] * 5, "mean"),
-        ([0.5, -0.6, 0.4, -0.5, 0.6], "any"),
-        ([0.0, 0.0, 0.6, 0.0, 0.0], "one"),
-    ],
+    ("sizes", "way"), [([0.3] * 5, "mean"), ([0.5, -0.6, 0.4, -0.5, 0.6], "any"), ([0.0, 0.0, 0.6, 0.0, 0.0], "one")]
 )
 def test_the_evidence_is_that_of_regressions_over_all_arms(term, sizes, way):
     numbers = np.array([0.3, -0.8]) if term != process("smooth") else 0.15 * np.cos(np.arange(11))

@@ -11,10 +11,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration import fit as plain
 from lite6jax.calibration.fit import Loss, calibration_from_array, fit_calibration
-from lite6jax.calibration.gauss_newton import MAX_STEPS
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.solution import Solution
-from lite6jax.calibration.solve import Solver
+from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
 from lite6jax.domains.pose.rigid_arm import require_determined
