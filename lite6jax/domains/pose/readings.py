@@ -138,7 +138,7 @@ def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
         position: `(sample, 3)` m.
         joint: `(sample, joint)` rad, and m of prismatic joints.
     """
-    spread = _spread(position)
+    spread = median_distance(position)
     turn = max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint))))
     step = float(np.hypot(digit_step(position), turn * spread * joint.shape[1] ** 0.5))
     return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
@@ -153,7 +153,8 @@ def digit_step(values: Array) -> float:
     return 0.0 if place is None else 10.0**-place
 
 
-def _spread(position: Array) -> float:
+def median_distance(position: Array) -> float:
+    """m, of positions `(sample, 3)` from their median."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
 
 
@@ -174,11 +175,21 @@ class _Tried(NamedTuple):
 
 
 def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
-    flange = frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+    flange = flange_poses(arm, joint)
+    error, T_sensor_base = match_poses(flange, position)
+    return _Tried(error, median_distance(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+
+
+def flange_poses(arm: Arm, joint: Array) -> Array:
+    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
+    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+
+
+def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
+    """The median error in m of positions `(sample, 3)` with frame and tool in closed form, and `T_sensor_base`."""
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
-    point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-    error = float(np.median(np.linalg.norm(point - position, axis=1)))
-    return _Tried(error, _spread(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+    missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
+    return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
 
 
 def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis.recorded import OPTIONS, Made, static_motion
 
-from lite6jax.domains.pose.clock import linearised
+from lite6jax.domains.pose.linearisation import linearised
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.links import LinkCompliance
 from lite6jax.estimation.least_squares import fit

@@ -9,8 +9,7 @@ from diagnosis.recorded import OPTIONS, Made, drawn, estimates, fitted_to, found
 
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.clock import linearised
-from lite6jax.domains.pose.load_model import search_load_model
+from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.effects.kinematic.surroundings import PayloadError

@@ -410,10 +410,6 @@ def test_the_noise_of_joint_readings_whitens_with_the_arm(arm, motions):
         np.testing.assert_allclose(whitener[k] @ covariance @ whitener[k].T, np.eye(6), atol=1e-6)
 
 
-def test_plain_effects_are_read(arm):
-    assert plain_effect("frame_offset:link=2,x_m=1") == ("frame_offset", {"link": 2, "x_m": 1.0})
-
-
 def test_every_site_that_is_seen_has_its_components(known):
     found = {(one.site, one.name) for one in known["moving"].components}
     joints = {(f"joint{j}", "rz") for j in range(1, 7)}

@@ -13,7 +13,6 @@ from diagnosis.recorded import NOISE, Made, moving_motion, quaternions, static_m
 from domains.pose.documents import document, refused, stored
 from typed import flat, run
 
-import lite6jax
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document
@@ -454,7 +453,3 @@ def test_the_columns_that_compensate_writes(capsys, arm, content, tmp_path):
     bars = [*(f"{axis}_std_m" for axis in "xyz"), *(f"r{axis}_std_rad" for axis in "xyz"), "outside"]
     assert names[-len(bars) - 1 :] == [*bars, "reason"]
     assert read_recording(out).position is None  # a motion, to be predicted, whose deviations are passed over
-
-
-def test_it_is_a_public_name():
-    assert lite6jax.predicted is predicted
