@@ -190,9 +190,9 @@ def compensate(
         correction=correction,
         omitted=omitted,
         notes=recording.notes,
-        position_std=None if bars is None else spread(bars.position),
-        orientation_std=None if bars is None or not model.orientation else spread(bars.orientation),
-        outside=None if bars is None else spread(bars.outside) == 1.0,
+        position_std=None if bars.position is None else spread(bars.position),
+        orientation_std=None if bars.orientation is None else spread(bars.orientation),
+        outside=None if bars.outside is None else spread(bars.outside) == 1.0,
     )
 
 

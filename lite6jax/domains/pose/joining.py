@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.meanings import Meaning
-from lite6jax.domains.pose.readings import FEWEST
+from lite6jax.domains.pose.readings import FEWEST, Meaning
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
 from lite6jax.recordings import sizes

@@ -304,12 +304,10 @@ def predicted(
     """
     sequence = _sequence(model, motion, circumstances)
     poses, bars = _poses(model, sequence), predict_deviations(model, sequence)
-    if bars is None:
-        return Prediction(poses, None, None, None)
-    empty = np.isnan(poses[:, 0, 0])
     for std in bars[:2]:
-        std[empty] = np.nan
-    return Prediction(poses, bars.position, bars.orientation if model.orientation else None, bars.outside)
+        if std is not None:
+            std[np.isnan(poses[:, 0, 0])] = np.nan
+    return Prediction(poses, *bars)
 
 
 def require_model(model: object) -> None:
@@ -509,25 +507,25 @@ class Derivatives:
 
 
 class Deviations(NamedTuple):
-    """Standard deviations of predicted poses, sample by sample.
+    """Standard deviations of predicted poses, sample by sample; None where the diagnosis says nothing of them.
 
     Attributes:
         position: `(sample, 3)` m, along the sensor's axes.
-        orientation: `(sample, 3)` rad, about the predicted tool's axes.
+        orientation: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was recorded.
         outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range, or the recorded rows are too
             few near it: the standard deviation is `SPARSE` times what is typical of them.
     """
 
-    position: Array
-    orientation: Array
-    outside: Flags
+    position: Array | None = None
+    orientation: Array | None = None
+    outside: Flags | None = None
 
 
-def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None:
-    """Standard deviations of what a model predicts; None where its diagnosis says nothing of uncertainty."""
+def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations:
+    """Standard deviations of what a model predicts."""
     known = model.uncertainty
     if known is None:
-        return None
+        return Deviations()
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
     beyond = {
         phrase: beyond_range(values, *recorded.drivers[phrase])
@@ -544,7 +542,7 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None
         for rows, usual in zip(measured, known.typical, strict=False):
             outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
     std = np.sqrt(variance)
-    return Deviations(std[:3].T, std[3:].T, outside)
+    return Deviations(std[:3].T, std[3:].T if model.orientation else None, outside)
 
 
 def estimated_variance(change: Derivatives, covariance: Array) -> Array:

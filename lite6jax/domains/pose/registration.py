@@ -119,13 +119,13 @@ def register(
     squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
     count, parameters = problem.rows * problem.samples, len(problem.unknown)
-    lost = np.sqrt(count / max(count - parameters, 1))
-    scales = [None if errors is None else float(lost * _spread(errors)) for errors in (missed, turned)]
-    assert scales[0] is not None
+    lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
+    found = [
+        float(lost * t_scale(np.sum(errors**2, 1), 3, FREEDOM)) for errors in (missed, turned) if errors is not None
+    ]
+    noise_left = found[0], found[1] if turned is not None else None
     determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
-    return Registration(
-        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (scales[0], scales[1]), determined
-    )
+    return Registration(problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, noise_left, determined)
 
 
 def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
@@ -271,18 +271,9 @@ def _start(
     K = np.einsum("kij,kab->iajb", R, rotation).reshape(9, 9)
     left, _, right = np.linalg.svd(K)
     F, T = np.eye(4), np.eye(4)
-    F[:3, :3] = _rotation(left[:, 0].reshape(3, 3).T)
-    T[:3, :3] = _rotation(right[0].reshape(3, 3).T).T
+    for out, M in ((F, left[:, 0].reshape(3, 3).T), (T, right[0].reshape(3, 3))):  # multiples, of either sign
+        out[:3, :3] = nearest_rotation(M * np.sign(np.linalg.det(M)))
     columns = np.concatenate([F[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2).reshape(-1, 6)
     found = np.linalg.lstsq(columns, (position - p @ F[:3, :3].T).ravel(), rcond=1e-9)[0]
     T[:3, 3], F[:3, 3] = found[:3], found[3:]
     return F, T
-
-
-def _spread(errors: Array) -> float:
-    return t_scale(np.sum(errors**2, 1), 3, FREEDOM) / gaussian_t_scale(3, FREEDOM)
-
-
-def _rotation(M: Array) -> Array:
-    """The rotation nearest to a multiple, of either sign, of a matrix."""
-    return nearest_rotation(M * np.sign(np.linalg.det(M)))

@@ -1,6 +1,6 @@
 """From touches, distances and heights of a recording to their sensor: where its unknowns and the tool's point start.
 
-The point of the tool and the sensor's own unknowns are found together, by least squares from several points of the
+The point of the tool and the sensor's own unknowns are found together, by Gauss–Newton from several points of the
 tool and, at each, from what the sensor then shows in closed form. What the readings do not determine is refused.
 """
 
@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from lite6jax.calibration.start import declared_tool, frames_from_poses
 from lite6jax.errors import InputError
@@ -26,9 +25,7 @@ _TOOL_M = 0.15
 """Along each axis of the flange, where the tool's point is sought, beside its origin."""
 _STEPS = 40
 _SLACK = 3.0
-"""Times the median of what is left, beyond which a reading counts less, …"""
-_SCALES = 3
-"""… found anew so often."""
+"""Times the median reading, beyond which one counts less."""
 
 
 class Touched(NamedTuple):
@@ -203,34 +200,45 @@ def _shown(sensor: Sensor, tool: Array) -> Sensor:
 
 def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bool) -> tuple[Sensor, Array, float]:
     """The sensor, the tool's point, and the size of what is left, from a start."""
-    free, R = 3 * tool_free, flange[:, :3, :3]
-    offset = np.array([one.offset for one in sensor.own])
-    root = 1e-4 * np.sqrt([one.precision for one in sensor.own])  # of the prior, in the unit of the readings
+    prior = 1e-8 * np.array([one.precision for one in sensor.own])
+    R, damping, n = flange[:, :3, :3], 1e-3, 3 * tool_free
 
-    def at(x: Array) -> tuple[Sensor, Array]:
-        return sensor.displaced(x[free:]), _moved_tool(flange, T, point + x[:free] if tool_free else point)
+    def look(sensor: Sensor, point: Array) -> tuple[Array, Array, Array, float]:
+        tool = _moved_tool(flange, T, point)
+        r = sensor.differences(tool)
+        size = np.sqrt(np.sum(r**2, 0))
+        scale = _SLACK * max(float(np.median(size)), 1e-7)
+        weight = 1 / np.maximum(size / scale, 1.0)
+        own = sensor.by_numbers(tool)
+        by_point = np.einsum("ris,sik->krs", sensor.slopes(tool)[:, :3], R) if tool_free else own[:0]
+        J = np.concatenate([by_point, own]) * np.sqrt(weight)
+        offset = np.array([one.offset for one in sensor.own])
+        J = J.reshape(len(J), -1)
+        H, g = J @ J.T, J @ (r * np.sqrt(weight)).ravel()
+        H[np.arange(n, len(H)), np.arange(n, len(H))] += prior
+        g[n:] += prior * offset
+        cost = float(np.sum(weight * size**2 / np.maximum(weight, 0.5)) + np.sum(prior * offset**2))
+        return H, g, size, cost
 
-    def residuals(x: Array) -> Array:
-        moved, tool = at(x)
-        return np.concatenate([moved.differences(tool).ravel(), root * (offset + x[free:])])
-
-    def jacobian(x: Array) -> Array:
-        moved, tool = at(x)
-        own = moved.by_numbers(tool)
-        by_point = np.einsum("ris,sik->krs", moved.slopes(tool)[:, :3], R) if tool_free else own[:0]
-        J = np.concatenate([by_point, own]).reshape(len(x), -1).T
-        return np.concatenate([J, np.eye(len(root), len(x), free) * root[:, None]])
-
-    def size(x: Array) -> float:
-        moved, tool = at(x)
-        return float(np.median(np.linalg.norm(moved.differences(tool), axis=0)))
-
-    x = np.zeros(free + sensor.numbers)
-    for _ in range(_SCALES if len(x) else 0):
-        scale = _SLACK * max(size(x), 1e-7)
-        x = least_squares(residuals, x, jacobian, loss="huber", f_scale=scale, x_scale="jac", max_nfev=_STEPS).x
-    moved, _ = at(x)
-    return moved, point + x[:free] if tool_free else point, size(x)
+    H, g, size, cost = look(sensor, point)
+    for _ in range(_STEPS):
+        if not len(H):
+            break
+        lengths = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
+        scaled = H / np.outer(lengths, lengths) + (damping + 1e-12) * np.eye(len(H))
+        step = -np.linalg.solve(scaled, g / lengths) / lengths
+        trial = sensor.displaced(step[n:]), point + (step[:n] if tool_free else 0.0)
+        H_, g_, size_, cost_ = look(*trial)
+        if cost_ <= cost and np.isfinite(cost_):
+            done = cost - cost_ < 1e-9 * cost
+            (sensor, point), H, g, size, cost, damping = trial, H_, g_, size_, cost_, damping / 10
+            if done:
+                break
+        else:
+            damping *= 10
+            if damping > 1e8:
+                break
+    return sensor, point, float(np.median(size))
 
 
 # ------------------------------------------------------------------ what has no length

@@ -23,7 +23,6 @@ from lite6jax.domains.pose.predict import (
     Derivatives,
     estimated_variance,
     predict,
-    predict_deviations,
     predicted,
 )
 from lite6jax.domains.pose.registration import register_model
@@ -336,7 +335,6 @@ def test_a_document_without_it_is_read(arm):
     assert (bars.position_std, bars.orientation_std, bars.outside) == (None, None, None)
     arrays = {name: motion[name] for name in ARRAYS}
     np.testing.assert_array_equal(bars.poses, predict(model, motion["joint_position"], **arrays))
-    assert predict_deviations(model, model.motion_of(Recording.from_arrays(motion["joint_position"]))) is None
 
 
 @pytest.mark.parametrize(
