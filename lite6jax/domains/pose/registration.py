@@ -120,12 +120,12 @@ def register(
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
     count, parameters = problem.rows * problem.samples, len(problem.unknown)
     lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
-    found = [
-        float(lost * t_scale(np.sum(errors**2, 1), 3, FREEDOM)) for errors in (missed, turned) if errors is not None
-    ]
-    noise_left = found[0], found[1] if turned is not None else None
+    found = [None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)]
+    assert found[0] is not None
     determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
-    return Registration(problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, noise_left, determined)
+    return Registration(
+        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (found[0], found[1]), determined
+    )
 
 
 def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
