@@ -286,12 +286,6 @@ class TestColumns:
         for name in ("joint_position", "joint_velocity", "direction_of_motion"):
             np.testing.assert_array_equal(getattr(screened.recording, name), getattr(recording, name))
 
-    def test_two_of_them(self, good):
-        q = good.joint_position * [-1, 1, 1, 1, -1, 1]
-        screened = screen(replace(good, joint_position=q))
-        assert names(screened) == ["mirrored_joint", "mirrored_joint"]
-        np.testing.assert_array_equal(screened.recording.joint_position, good.joint_position)
-
     def test_indistinguishable_corrections_are_named(self, folder, still):
         """A frame upside down and joint 2 half a turn away make of joint 1 its mirror image."""
         recording = Made(folder, seed=9, geometry="free", frame=True).recording(still)
