@@ -47,8 +47,6 @@ _NEAREST = 0.03
 """Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
-_RIGID_STEPS = 40
-"""Steps of the arm without effects from each of them."""
 _NEAR = 1e-2
 """m: a target that the rigid arm misses by no more may be in reach of the arm with effects."""
 _SAME = 1e-3
@@ -440,7 +438,7 @@ class _Search:
         turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
         limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
         m = self.model
-        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding, _RIGID_STEPS)
+        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
         q = solved.joint_position.T
         whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
         q = np.where(turns & unlimited, q - whole, q)

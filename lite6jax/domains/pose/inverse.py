@@ -37,6 +37,8 @@ _CREEPING = 1e-8
 """Relative decrease of the cost below which a step is the last."""
 _LONGEST = 0.5
 """rad, the longest step of a joint."""
+_RIGID_STEPS = 40
+"""Steps of the arm without effects, from where little is known."""
 _TRIES = 12
 """Starts from which a target is sought."""
 REACHED = 1e-7
@@ -149,7 +151,7 @@ def solve_rigid(
     start: NDArray[np.floating],
     limits: NDArray[np.floating],
     sliding: Sequence[int],
-    steps: int,
+    steps: int = _RIGID_STEPS,
 ) -> Solved:
     """As `solve`, of the arm without effects, whose joints `sliding` are prismatic, from `start` `(sample, joint)`."""
     count = len(start)
@@ -193,6 +195,11 @@ def reach(
     return q, reached
 
 
+_Reached = tuple[NDArray[np.floating], NDArray[np.bool_]]
+"""Joint positions `(row, joint)`, and whether they reach the poses of the rows."""
+_Solve = Callable[[NDArray[np.integer], NDArray[np.floating]], _Reached]
+
+
 class JointPath(NamedTuple):
     """Joint positions along poses.
 
@@ -226,7 +233,7 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
 
     def solved(some: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
         target = Target(p[some].T, np.moveaxis(matrices[some], 0, -1))  # type: ignore[arg-type]
-        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding, 40)
+        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
         reached = (found.position_error <= _WRITTEN[0]) & (found.orientation_error <= _WRITTEN[1])
         return found.joint_position.T, np.asarray(reached)
 
@@ -240,11 +247,6 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
             found[rows[reached]], there[rows[reached]] = q[reached], True
             return JointPath(found, there, len(branches))
     return None
-
-
-_Reached = tuple[NDArray[np.floating], NDArray[np.bool_]]
-"""Joint positions `(row, joint)`, and whether they reach the poses of the rows."""
-_Solve = Callable[[NDArray[np.integer], NDArray[np.floating]], _Reached]
 
 
 def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
