@@ -402,8 +402,8 @@ def _fitted(
     now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
     # beforehand nothing is known of frame and point; an offset is believed as it is
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
-    done = False
-    for left in reversed(range(1 + (_ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY))):
+    rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
+    while True:
         since, seen, missed, J = _linearised(joints, time, position, middle, now, geometry is not None)
         if len(missed) < FEWEST:
             return nothing
@@ -411,8 +411,9 @@ def _fitted(
         scale = 2 * max(float(np.median(distance)), 1e-9)
         weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
         score, prior = weight[:, None] * np.einsum("sim,si->sm", J, missed), noise / std**2
-        if done or not left:
+        if done or not rounds:
             break
+        rounds -= 1
         away = np.r_[0.0, now.drift, np.zeros(9), (now.arm.kinematics - arm.kinematics).ravel()][: len(std)]
         normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
         step = np.linalg.lstsq(normal, score.sum(axis=0) - prior * away, rcond=1e-12)[0]
