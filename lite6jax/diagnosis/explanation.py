@@ -18,8 +18,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.clock import linearised
-from lite6jax.domains.pose.load_model import search_load_model
+from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.domains.pose.screening.screen import price, screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened

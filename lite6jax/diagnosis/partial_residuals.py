@@ -103,7 +103,7 @@ def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
         mean = functions[:, good].mean(1)  # a constant may be the calibration's instead
         about = functions - mean[:, None]
         samples = _Samples(site, effect.unit, finding.values @ about, about, left, good)
-        drivers = np.asarray(effect.values_at(of.host_motion, of.host_loads), float)
+        drivers = np.asarray(effect.values_at(of.host_motion, of.loads), float)
         return [_process_curve(found, k, samples, drivers, mean)]
     curves = []
     if isinstance(effect, Bending):

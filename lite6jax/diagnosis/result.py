@@ -494,7 +494,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         """
         finding, at = self.findings[k], self.problem.deflections
         assert isinstance(finding.effect, Unnamed)
-        drivers = np.asarray(finding.effect.values_at(at.host_motion, at.host_loads))
+        drivers = np.asarray(finding.effect.values_at(at.host_motion, at.loads))
         low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
         functions = at.basis(finding.effect)[:, ((drivers >= low) & (drivers <= high)).all(0)]
         moved = finding.values @ functions

@@ -10,8 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
-from lite6jax.domains.pose.files import bar_columns
-from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.predict import DiagnosedArm, bar_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import screen
 from lite6jax.report.screen import indented

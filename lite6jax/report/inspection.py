@@ -14,7 +14,7 @@ from rich.text import Text
 
 from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, WithJoints, WithPose
-from lite6jax.domains.pose.meanings import Meaning
+from lite6jax.domains.pose.readings import Meaning
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED

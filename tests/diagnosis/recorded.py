@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.concealed.trials import draw
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.domains.pose.clock import linearised
+from lite6jax.domains.pose.linearisation import linearised
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions

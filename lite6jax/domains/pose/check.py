@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.calibration.fit import fit_recording
-from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.calibration.source import with_arm
 from lite6jax.calibration.start import (
     calibration_poses,
@@ -26,8 +24,10 @@ from lite6jax.calibration.start import (
     frames_from_recording,
     nominal_calibration,
 )
+from lite6jax.domains.pose.registration import noise_of
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.hypotheses import touches_one_point
+from lite6jax.domains.pose.screening.nominal_table import tables_of_model
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.touch_fit import fit_touches
@@ -85,9 +85,7 @@ def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions
     q = check_positions(arm)
     pose = calibration_poses(calibration, q)
     # the arm's own nominal table first, then those of the same model that the vendor publishes elsewhere
-    family = arm.name.split("_")[0]
-    same = [name for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
-    tables = [arm, *(table for table in map(load_bundled, same) if table.dof == arm.dof)]
+    tables = [arm, *(one for one in tables_of_model(arm.name) if one.name != arm.name and one.dof == arm.dof)]
     nominal = [calibration_poses(nominal_calibration(table), q) for table in tables]
     distances = [np.linalg.norm(pose[:, :3, 3] - T[:, :3, 3], axis=1) for T in nominal]
     nearest = int(np.argmin([distance.max() for distance in distances]))
@@ -146,7 +144,7 @@ def check_recording(
 def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
     """A constant displacement of the measured point on the flange; none where the tool is fitted."""
     settings = recording.settings
-    if settings.tool == "unknown" or recording.touches is not None or _one_point(recording):
+    if settings.tool == "unknown" or recording.touches or touches_one_point(recording, noise_of(settings)[0]):
         return []
     path = settings.factory_path(Path(recording.source).parent)
     known = nominal_calibration(arm) if path is None else read_factory(path, arm)
@@ -170,10 +168,6 @@ def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOpt
     return Cause("tool_offset", share >= options.partly_explained, (), numbers)
 
 
-def _one_point(recording: Recording) -> bool:
-    return touches_one_point(recording, recording.settings.position_noise_m or UNDECLARED_NOISE[0])
-
-
 def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions, tool_offset: bool) -> list[Cause]:
     """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
     touches = recording.touches is not None
@@ -181,7 +175,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     solution = (
         fit_touches(rigid_arm(recording, arm, geometry)) if touches else fit_recording(recording, arm, geometry="free")
     )
-    if not touches and _one_point(recording):
+    if not touches and touches_one_point(recording, noise_of(recording.settings)[0]):
         before, after = (float(np.median(e.position)) for e in (solution.nominal_errors, solution.errors))
         return [Cause("one_point", True, (), {"before_m": before, "fitted_m": after})]
     of_median = _RMS_OF_MEDIAN if recording.numbers_per_sample > 1 else _RMS_OF_ONE

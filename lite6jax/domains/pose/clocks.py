@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import frames_from_poses
-from lite6jax.domains.pose.readings import CLOSE, FEWEST
+from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, match_poses, median_distance
 from lite6jax.errors import InputError
 from lite6jax.recordings.streams import JointStream
 
@@ -206,19 +205,14 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
         first = max(shift, 0), max(-shift, 0)
         count = min(len(joint) - first[0], len(position) - first[1])
         if count >= FEWEST:
-            error = _error(flange[first[0] :][:count], position[first[1] :][:count])
+            error, _ = match_poses(flange[first[0] :][:count], position[first[1] :][:count])
             found.append(Pairing(*first, count, error))
     if not found:
         return None
     best, *others = sorted(found, key=lambda one: one.error)
     whole = best.rows == min(len(joint), len(position))
     alone = all(other.error > ALIKE * best.error for other in others)
-    return best if whole and alone and best.error <= CLOSE * _median_distance(position) else None
-
-
-def flange_poses(arm: Arm, joint: Array) -> Array:
-    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
-    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+    return best if whole and alone and best.error <= CLOSE * median_distance(position) else None
 
 
 def _same(arm: Arm, joints: JointStream, time: Array, one: Clocks, other: Clocks) -> bool:
@@ -381,40 +375,6 @@ class _Estimate(NamedTuple):
     tool: Array
 
 
-class _Linearised(NamedTuple):
-    """Residuals `(sample, 3)` m and their columns `(sample, 3, 11 | 11 + 6 joints)`, of rows whose joints are known.
-
-    The columns are offset, drift, the turn and the translation of the sensor's frame, the point, and the geometry. What
-    is believed beforehand of each has a standard deviation (infinite for nothing) and a distance from there.
-    """
-
-    since: Array
-    position: Array
-    missed: Array
-    J: Array
-    distance: Array
-    scale: float
-    weight: Array
-    believed_std: Array
-    away: Array
-
-    @property
-    def noise(self) -> float:
-        """m², of an axis, roughly: the prior decides only what the rows leave open."""
-        return (self.scale / 3) ** 2
-
-    @property
-    def prior(self) -> Array:
-        return self.noise / self.believed_std**2
-
-    @property
-    def score(self) -> Array:
-        return self.weight[:, None] * np.einsum("sim,si->sm", self.J, self.missed)
-
-    def information(self, weight: Array) -> Array:
-        return np.einsum("s,sim,sin->mn", weight, self.J, self.J) + np.diag(self.prior)
-
-
 def _fitted(
     arm: Arm,
     joints: JointStream,
@@ -429,6 +389,8 @@ def _fitted(
 
     The geometry is fitted too where standard deviations of its lengths and angles about the nominal ones are given.
     """
+    from scipy.spatial.transform import Rotation  # takes longer to import than captures in their order take
+
     known = joints.known(time + offset + drift * (time - middle))
     nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
     if known.sum() < FEWEST:
@@ -438,41 +400,52 @@ def _fitted(
     flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
     now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
-    found = _linearised(arm, joints, time, position, middle, now, geometry)
-    for _ in range(_ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY):
-        normal = found.information(found.weight)
-        gradient = found.score.sum(axis=0) - found.prior * found.away
-        step = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
-        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
-        turned = _rotation(step[2:5]) @ now.R_sensor_base
-        moved = now.t_sensor_base + step[5:8], now.tool + step[8:11]
-        bent = _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm
-        now = _Estimate(float(now.offset + step[0]), float(now.drift + step[1]), bent, turned, *moved)
-        found = _linearised(arm, joints, time, position, middle, now, geometry)
-        if len(found.missed) < FEWEST:
+    # beforehand nothing is known of frame and point; an offset is believed as it is
+    std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
+    rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
+    while True:
+        since, seen, missed, J = _linearised(joints, time, position, middle, now, geometry is not None)
+        if len(missed) < FEWEST:
             return nothing
-        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(found.since)))
-        if shift < max(_DONE_S, _DONE * float(np.sqrt(found.noise / max(normal[0, 0], 1e-300)))):
+        distance = np.linalg.norm(missed, axis=1)
+        scale = 2 * max(float(np.median(distance)), 1e-9)
+        weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
+        score, prior = weight[:, None] * np.einsum("sim,si->sm", J, missed), noise / std**2
+        if done or not rounds:
             break
-    curved = found.weight - (2 / 3) * found.weight**2 * (found.distance / found.scale) ** 2
-    inverse = np.linalg.pinv(found.information(curved), rcond=1e-12, hermitian=True)[:, :2]
-    by_prior = found.noise * found.prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
-    offset_std, drift_std = np.hypot(
-        [_std_of_sum(part, found.J.shape[2]) for part in (found.score @ inverse).T], np.sqrt(by_prior)
-    )
-    error, moved = float(np.median(found.distance)), _median_distance(found.position)
-    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(found.missed))
+        rounds -= 1
+        away = np.r_[0.0, now.drift, np.zeros(9), (now.arm.kinematics - arm.kinematics).ravel()][: len(std)]
+        normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
+        step = np.linalg.lstsq(normal, score.sum(axis=0) - prior * away, rcond=1e-12)[0]
+        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
+        now = _Estimate(
+            float(now.offset + step[0]),
+            float(now.drift + step[1]),
+            _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm,
+            Rotation.from_rotvec(step[2:5]).as_matrix() @ now.R_sensor_base,
+            now.t_sensor_base + step[5:8],
+            now.tool + step[8:11],
+        )
+        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
+        done = shift < max(_DONE_S, _DONE * float(np.sqrt(noise / max(normal[0, 0], 1e-300))))
+    curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
+    information = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
+    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)[:, :2]
+    by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
+    by_rows = [_std_of_sum(part, len(std)) for part in (score @ inverse).T]
+    offset_std, drift_std = np.hypot(by_rows, np.sqrt(by_prior))
+    error, moved = float(np.median(distance)), median_distance(seen)
+    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(missed))
 
 
 def _linearised(
-    nominal: Arm,
-    joints: JointStream,
-    time: Array,
-    position: Array,
-    middle: float,
-    now: _Estimate,
-    geometry: tuple[float, float] | None,
-) -> _Linearised:
+    joints: JointStream, time: Array, position: Array, middle: float, now: _Estimate, geometry: bool
+) -> tuple[Array, Array, Array, Array]:
+    """Of rows whose joints are known: the time since the middle in s, and positions, errors and columns in m.
+
+    The columns `(sample, 3, 11 | 11 + 6 joints)` are of offset, drift, the turn and the translation of the sensor's
+    frame, the point, and the geometry.
+    """
     at = time + now.offset + now.drift * (time - middle)
     known = joints.known(at)
     at, since, seen = at[known], time[known] - middle, position[known]
@@ -480,27 +453,17 @@ def _linearised(
     R = now.R_sensor_base
 
     def placed(arm: Arm, joint: Array) -> Array:
-        return _points(flange_poses(arm, joint), now.tool) @ R.T
+        return (flange_poses(arm, joint)[:, :3] @ np.r_[now.tool, 1.0]) @ R.T
 
     velocity = (placed(now.arm, ahead) - placed(now.arm, behind)) / (2 * _DIFFERENCE_S)
     flange, here = flange_poses(now.arm, q), placed(now.arm, q)
-    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], -_cross_matrix(here)]
+    turned = np.cross(np.eye(3), here[:, None])  # of each axis, by which `here` moves
+    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], np.swapaxes(turned, 1, 2)]
     columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
-    believed, away = (
-        [_OFFSET_S, _DRIFT, *[np.inf] * 9],
-        [0.0, now.drift, *np.zeros(9)],
-    )  # an offset is believed as it is
-    if geometry is not None:
-        unit = _DIFFERENCE * np.eye(6 * nominal.dof).reshape(-1, nominal.dof, 6)
+    if geometry:
+        unit = _DIFFERENCE * np.eye(now.arm.kinematics.size).reshape(-1, *now.arm.kinematics.shape)
         columns += [((placed(_changed(now.arm, one), q) - here) / _DIFFERENCE)[:, :, None] for one in unit]
-        believed += [*np.tile(np.repeat(geometry, 3), nominal.dof)]
-        away += [*(now.arm.kinematics - nominal.kinematics).ravel()]
-    missed = seen - here - now.t_sensor_base
-    distance = np.linalg.norm(missed, axis=1)
-    scale = 2 * max(float(np.median(distance)), 1e-9) if len(at) else np.inf
-    weight = 1 / (1 + (distance / scale) ** 2)
-    J = np.concatenate(columns, axis=2)
-    return _Linearised(since, seen, missed, J, distance, scale, weight, np.array(believed), np.array(away))
+    return since, seen, seen - here - now.t_sensor_base, np.concatenate(columns, axis=2)
 
 
 def _changed(arm: Arm, change: Array) -> Arm:
@@ -531,39 +494,13 @@ def _window(time: Array, position: Array) -> Rows:
     windows = [np.flatnonzero((time >= start) & (time <= start + _LONGEST_WINDOW_S)) for start in starts]
     if max(map(len, windows)) < 2 * FEWEST:  # captures minutes apart
         return np.arange(len(time))
-    return max(windows, key=lambda rows: _median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
+    return max(windows, key=lambda rows: median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
 
 
 def _spread_over(count: int, most: int) -> Rows:
     return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
-def _points(flange: Array, tool: Array) -> Array:
-    return flange[:, :3, 3] + flange[:, :3, :3] @ tool
-
-
-def _error(flange: Array, position: Array) -> float:
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
-    seen = _points(flange, T_flange_tool[:3, 3]) @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-    return float(np.median(np.linalg.norm(position - seen, axis=1)))
-
-
-def _median_distance(position: Array) -> float:
-    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-
-
 def _extent(position: Array) -> float:
     """The width of the middle nine tenths, along the axis where that is most."""
     return float(np.max(np.ptp(np.quantile(position, [0.05, 0.95], axis=0), axis=0)))
-
-
-def _cross_matrix(v: Array) -> Array:
-    x, y, z = v.T
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], 1).reshape(-1, 3, 3)
-
-
-def _rotation(vector: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(vector).as_matrix()

@@ -22,7 +22,6 @@ from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
 from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, recording_of, require_model
-from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -48,8 +47,6 @@ _NEAREST = 0.03
 """Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
-_RIGID_STEPS = 40
-"""Steps of the arm without effects from each of them."""
 _NEAR = 1e-2
 """m: a target that the rigid arm misses by no more may be in reach of the arm with effects."""
 _SAME = 1e-3
@@ -191,9 +188,9 @@ def compensate(
         correction=correction,
         omitted=omitted,
         notes=recording.notes,
-        position_std=None if bars is None else spread(bars.position),
-        orientation_std=None if bars is None or not model.orientation else spread(bars.orientation),
-        outside=None if bars is None else spread(bars.outside) == 1.0,
+        position_std=None if bars.position is None else spread(bars.position),
+        orientation_std=None if bars.orientation is None else spread(bars.orientation),
+        outside=None if bars.outside is None else spread(bars.outside) == 1.0,
     )
 
 
@@ -376,7 +373,7 @@ class _Search:
         cost = [np.zeros(0) if first is None else first.cost]
         for k, starts in enumerate(_STARTS):
             tried = np.repeat(everywhere[unsolved], starts)
-            rigid, missed = self._rigid(motion, tried, self._random(len(tried), k), unlimited=k > 0)
+            rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
             best = np.full(count, np.inf)
             np.minimum.at(best, tried, missed)
             kept = (missed < _NEAR**2) | (missed == best[tried])
@@ -433,15 +430,15 @@ class _Search:
         rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
         return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
 
-    def _rigid(self, motion: Motion, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
+    def _rigid(self, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
         """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
 
         Without limits it does not stop at one of them; its joints are then returned by whole turns.
         """
         turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
         limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
-        bare = (Physics(), self.model.model, np.zeros(0), _at(motion, rows, q), None, self._target(rows), limits)
-        solved = inverse.solve(*bare, steps=_RIGID_STEPS)
+        m = self.model
+        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
         q = solved.joint_position.T
         whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
         q = np.where(turns & unlimited, q - whole, q)

@@ -1,14 +1,9 @@
-"""Motions from files for a diagnosed arm, and the columns in which its poses are written."""
+"""Motions from files for a diagnosed arm: what they do not declare is that of the recording that was diagnosed."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-import jax
-import numpy as np
-from numpy.typing import NDArray
-
-from lite6jax.arms.se3 import quaternion_from_rotation
 from lite6jax.recordings import (
     ArmJoints,
     Recording,
@@ -18,8 +13,6 @@ from lite6jax.recordings import (
     sidecar_path,
 )
 from lite6jax.storage import exists
-
-Array = NDArray[np.floating]
 
 
 class Diagnosed(Protocol):
@@ -66,42 +59,3 @@ def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording
     kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
     anew = recording.made_anew(settings=settings)
     return replace(anew, notes=(*kept, *anew.notes))
-
-
-def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
-    """Column name to values, as in a file of a recording; a pose of NaN gives NaN.
-
-    Args:
-        poses: `(sample, 4, 4)`.
-        orientation: whether to give quaternions as well.
-    """
-    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
-    if orientation:
-        columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
-    return columns
-
-
-def bar_columns(
-    position_std: Array | None, orientation_std: Array | None, outside: NDArray[np.bool_] | None
-) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values, of what is not None: `x_std_m` …, `rx_std_rad` … and `outside`, 0 or 1.
-
-    Args:
-        position_std: `(sample, 3)` m.
-        orientation_std: `(sample, 3)` rad.
-        outside: `(sample,)`.
-    """
-    columns: dict[str, Array | NDArray[np.integer]] = {}
-    for std, names in ((position_std, ("x_std_m", "y_std_m", "z_std_m")), (orientation_std, TURNED)):
-        if std is not None:
-            columns.update(zip(names, std.T, strict=True))
-    if outside is not None:
-        columns["outside"] = outside.astype(int)
-    return columns
-
-
-TURNED = ("rx_std_rad", "ry_std_rad", "rz_std_rad")
-"""Columns of the standard deviations of orientations, about the axes of the predicted tool."""
-
-
-_quaternions = jax.jit(quaternion_from_rotation)

@@ -15,8 +15,19 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
-from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
-from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement, computed_by_controller
+from lite6jax.domains.pose.readings import (
+    CLEARLY,
+    NO_AGREEMENT,
+    Agreement,
+    Meaning,
+    Pose,
+    agreement,
+    computed_by_controller,
+    key,
+    meanings_of,
+    motion_of,
+    without_unit,
+)
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (

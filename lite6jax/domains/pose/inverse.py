@@ -1,6 +1,11 @@
-"""Joint positions at which an arm with effects reaches given poses: damped least squares within limits, batched."""
+"""Joint positions at which an arm with effects reaches given poses: damped least squares within limits, batched.
 
-from collections.abc import Sequence
+A controller computes its pose from the joints, so the joints of a recording of poses alone follow from these but for
+the branch: shoulder left or right, elbow up or down, wrist flipped or not. `joint_path` takes one at the first row and
+keeps it from row to row.
+"""
+
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,12 +16,13 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia
-from lite6jax.model import LEVER, ArmModel, predict_frames_with
+from lite6jax.model import LEVER, ArmModel, arm_model, predict_frames_with
 
 STEPS = 300
 """Steps that a row next to a singular position takes; `_MOST_NEED` suffice nearly everywhere."""
@@ -31,10 +37,27 @@ _CREEPING = 1e-8
 """Relative decrease of the cost below which a step is the last."""
 _LONGEST = 0.5
 """rad, the longest step of a joint."""
+_RIGID_STEPS = 40
+"""Steps of the arm without effects, from where little is known."""
 _TRIES = 12
 """Starts from which a target is sought."""
 REACHED = 1e-7
 """m, and rad at `LEVER`: a target that is missed by less is reached."""
+
+_WRITTEN = (2e-4, 1e-3)
+"""m and rad: poses as controllers write them are rounded to 0.1 mm and 0.001 rad."""
+_STARTS = 192
+"""Random joint positions from which the branches of the first row are found."""
+_SAME = 1e-2
+"""rad: joint positions no further apart are one branch."""
+_TOGETHER = 64
+"""Rows that are solved by one compiled function, all from the joints of one row before them, …"""
+_NEAR = (0.05, 0.15)
+"""… where their poses differ from its by no more, in m and rad."""
+_JUMP = 0.5
+"""rad: a row that is further than this from one with nearly the same pose has left the branch."""
+_FOLLOWED = 0.9
+"""Share of the rows that a branch has to reach, to be taken."""
 
 
 class Target(NamedTuple):
@@ -122,6 +145,21 @@ def solve(
     return found
 
 
+def solve_rigid(
+    model: ArmModel,
+    target: Target,
+    start: NDArray[np.floating],
+    limits: NDArray[np.floating],
+    sliding: Sequence[int],
+    steps: int = _RIGID_STEPS,
+) -> Solved:
+    """As `solve`, of the arm without effects, whose joints `sliding` are prismatic, from `start` `(sample, joint)`."""
+    count = len(start)
+    motion = Motion(start.T, None, None, None, np.zeros((2, count), int), None, np.zeros(count))  # type: ignore[arg-type]
+    motion = motion._replace(sliding=Sliding(tuple(sliding)))
+    return solve(Physics(), model, np.zeros(0), motion, None, target, limits, steps)
+
+
 def reach(
     model: ArmModel,
     target: Target,
@@ -150,13 +188,98 @@ def reach(
         if not rows.size:
             break
         trial = q[rows] if attempt == 0 else rng.uniform(lower, upper, (len(rows), len(limits)))
-        at: Any = trial.T
-        still = Motion(at, None, None, None, np.zeros((2, len(rows)), int), None, np.zeros(len(rows)))  # type: ignore[arg-type]
-        still = still._replace(sliding=Sliding(tuple(sliding)))
         own = Target(*(None if part is None else np.asarray(part)[..., rows] for part in target))  # type: ignore[arg-type]
-        found = solve(Physics(()), model, np.zeros(0), still, None, own, limits, _MOST_NEED)
+        found = solve_rigid(model, own, trial, limits, sliding, _MOST_NEED)
         there = (found.cost < REACHED**2) & ~found.pressed.any(0)
         q[rows[there]], reached[rows[there]] = found.joint_position.T[there], True
+    return q, reached
+
+
+_Reached = tuple[NDArray[np.floating], NDArray[np.bool_]]
+"""Joint positions `(row, joint)`, and whether they reach the poses of the rows."""
+_Solve = Callable[[NDArray[np.integer], NDArray[np.floating]], _Reached]
+
+
+class JointPath(NamedTuple):
+    """Joint positions along poses.
+
+    Attributes:
+        position: `(row, joint)` in rad, or m; NaN where the pose is not reached on the branch.
+        reached: `(row,)` bool.
+        branches: how many were found at the first row.
+    """
+
+    position: NDArray[np.floating]
+    reached: NDArray[np.bool_]
+    branches: int
+
+
+def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.floating]) -> JointPath | None:
+    """The joints of a nominal arm along poses of its flange in its base; None where no branch follows them.
+
+    Args:
+        arm: the nominal arm.
+        position: `(row, 3)` m.
+        quaternion: `(row, 4)` unit, scalar first.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
+    if not rows.size:
+        return None
+    R, p = Rotation.from_quat(quaternion[rows], scalar_first=True), position[rows]
+    matrices = R.as_matrix()
+    model = arm_model(arm.kinematics.ravel(), T_flange_tool=arm.T_joint_flange)
+
+    def solved(some: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
+        target = Target(p[some].T, np.moveaxis(matrices[some], 0, -1))  # type: ignore[arg-type]
+        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
+        reached = (found.position_error <= _WRITTEN[0]) & (found.orientation_error <= _WRITTEN[1])
+        return found.joint_position.T, np.asarray(reached)
+
+    turned = np.concatenate([[0.0], (R[:-1].inv() * R[1:]).magnitude()])
+    moved = np.concatenate([[0.0], np.linalg.norm(np.diff(p, axis=0), axis=1)])
+    branches = _branches(arm, solved)
+    for start in branches:
+        q, reached = _followed(solved, start, moved, turned)
+        if reached.mean() >= _FOLLOWED:
+            found, there = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
+            found[rows[reached]], there[rows[reached]] = q[reached], True
+            return JointPath(found, there, len(branches))
+    return None
+
+
+def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
+    """The joints `(joint,)` at the first row, the nearest to the middle of the limits first."""
+    limits = np.where(arm.slides[:, None], arm.joint_limits, np.clip(arm.joint_limits, -np.pi, np.pi))
+    middle = np.where(arm.slides, arm.joint_limits.mean(1), np.clip(arm.joint_limits.mean(1), -np.pi, np.pi))
+    starts = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_STARTS, arm.dof))
+    parts = [solved(np.zeros(len(part), int), part) for part in np.split(starts, _STARTS // _TOGETHER)]
+    ends = np.concatenate([q[reached] for q, reached in parts])
+    turn, found = np.where(arm.slides, 0.0, 2 * np.pi), []
+    for one in sorted(ends, key=lambda one: float(np.sum((one - middle) ** 2))):
+        apart = (one - other for other in found)
+        if all(np.abs(d - turn * np.round(d / (2 * np.pi))).max() > _SAME for d in apart):
+            found.append(one)
+    return found
+
+
+def _followed(
+    solved: _Solve, start: NDArray[np.floating], moved: NDArray[np.floating], turned: NDArray[np.floating]
+) -> _Reached:
+    """`(row, joint)` from the joints of the first row on, and where the poses are reached without a jump."""
+    count = len(moved)
+    q, reached = np.zeros((count, len(start))), np.zeros(count, bool)
+    last, first = start, 0
+    while first < count:
+        way = np.cumsum(moved[first + 1 : first + _TOGETHER]), np.cumsum(turned[first + 1 : first + _TOGETHER])
+        together = 1 + int(np.sum((way[0] <= _NEAR[0]) & (way[1] <= _NEAR[1])))
+        rows = np.arange(first, first + together)
+        q[rows], reached[rows] = solved(rows, np.tile(last, (together, 1)))
+        reached[rows[1:]] &= np.abs(q[rows[1:]] - last).max(1) <= _JUMP
+        there = rows[reached[rows]]
+        last = q[there[-1]] if there.size else last
+        first += together
     return q, reached
 
 

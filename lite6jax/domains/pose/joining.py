@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.meanings import Meaning
-from lite6jax.domains.pose.readings import FEWEST
+from lite6jax.domains.pose.readings import FEWEST, Meaning
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
 from lite6jax.recordings import sizes
@@ -25,7 +24,7 @@ from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 
 if TYPE_CHECKING:
-    from lite6jax.domains.pose.joint_path import JointPath
+    from lite6jax.domains.pose.inverse import JointPath
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
@@ -143,7 +142,7 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
-    from lite6jax.domains.pose.joint_path import joint_path  # imports JAX
+    from lite6jax.domains.pose.inverse import joint_path  # imports JAX
 
     for names in _orientations(turned):
         told = {own: known_column(name) for own, name in names.items()}

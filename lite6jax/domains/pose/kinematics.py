@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax import threads
 from lite6jax.arms import frames
 from lite6jax.arms.chains import Form
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.effects.deflection import Deflection
 from lite6jax.model import ArmModel, predict_bent
 from lite6jax.recordings import Recording
@@ -147,13 +148,16 @@ def small_displacement(twist: Array) -> Array:
     return T
 
 
+def unit_quaternions(rotation: Array) -> Array:
+    """`(sample, 4)` of rotations `(sample, 3, 3)`: scalar first, the first component that is not zero positive."""
+    return Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True)
+
+
 def measured_poses(recording: Recording, whitener: Array) -> Measured:
     """The poses of a recording."""
-    position, quaternion = recording.position, recording.quaternion
+    position, turned = recording.position, measured_rotations(recording)
     assert position is not None
-    rotation = np.zeros((3, 3, 0))
-    if quaternion is not None:
-        rotation = np.moveaxis(Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix(), 0, -1)
+    rotation = np.zeros((3, 3, 0)) if turned is None else np.moveaxis(turned, 0, -1)
     found = Measured(np.ascontiguousarray(position.T), rotation, whitener)
     seen = None if recording.readings is None else recording.readings.seen
     if seen is None or not seen.mean.size:

@@ -16,9 +16,9 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.columns import columns_of, site_of
-from lite6jax.domains.pose.deflections import Deflections
-from lite6jax.domains.pose.files import bar_columns, pose_columns, read_motion
+from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.domains.pose.columns import Deflections, columns_of, site_of
+from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,
@@ -38,7 +38,6 @@ from lite6jax.effects.motion import Motion, Sliding, accelerated
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
-from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
@@ -51,6 +50,8 @@ Flags = NDArray[np.bool_]
 
 SPARSE = 3.0
 """Times what is typical of the recorded rows: a row whose standard deviation is larger lies where they are too few."""
+TURNED = ("rx_std_rad", "ry_std_rad", "rz_std_rad")
+"""Columns of the standard deviations of orientations, about the axes of the predicted tool."""
 _ROWS_AT_ONCE = 4096
 _QUANTITIES = np.repeat([0, 1], 3)
 """Of the rows of a pose: its position, and its orientation."""
@@ -303,12 +304,10 @@ def predicted(
     """
     sequence = _sequence(model, motion, circumstances)
     poses, bars = _poses(model, sequence), predict_deviations(model, sequence)
-    if bars is None:
-        return Prediction(poses, None, None, None)
-    empty = np.isnan(poses[:, 0, 0])
     for std in bars[:2]:
-        std[empty] = np.nan
-    return Prediction(poses, bars.position, bars.orientation if model.orientation else None, bars.outside)
+        if std is not None:
+            std[np.isnan(poses[:, 0, 0])] = np.nan
+    return Prediction(poses, *bars)
 
 
 def require_model(model: object) -> None:
@@ -347,6 +346,38 @@ def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array 
     return pose_columns(found.poses, orientation) | bar_columns(
         found.position_std, found.orientation_std, found.outside
     )
+
+
+def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
+    """Column name to values, as in a file of a recording; a pose of NaN gives NaN.
+
+    Args:
+        poses: `(sample, 4, 4)`.
+        orientation: whether to give quaternions as well.
+    """
+    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
+    if orientation:
+        columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
+    return columns
+
+
+def bar_columns(
+    position_std: Array | None, orientation_std: Array | None, outside: NDArray[np.bool_] | None
+) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values, of what is not None: `x_std_m` …, `rx_std_rad` … and `outside`, 0 or 1.
+
+    Args:
+        position_std: `(sample, 3)` m.
+        orientation_std: `(sample, 3)` rad.
+        outside: `(sample,)`.
+    """
+    columns: dict[str, Array | NDArray[np.integer]] = {}
+    for std, names in ((position_std, ("x_std_m", "y_std_m", "z_std_m")), (orientation_std, TURNED)):
+        if std is not None:
+            columns.update(zip(names, std.T, strict=True))
+    if outside is not None:
+        columns["outside"] = outside.astype(int)
+    return columns
 
 
 def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) -> Recording:
@@ -407,7 +438,7 @@ class Derivatives:
         left = [
             (
                 site_of(effect.where, effect.component),
-                effect.unknown_at(effect.values_at(of.host_motion, of.host_loads)),
+                effect.unknown_at(effect.values_at(of.host_motion, of.loads)),
             )
             for effect in self.model.physics.effects
             if isinstance(effect, Unnamed)
@@ -476,25 +507,25 @@ class Derivatives:
 
 
 class Deviations(NamedTuple):
-    """Standard deviations of predicted poses, sample by sample.
+    """Standard deviations of predicted poses, sample by sample; None where the diagnosis says nothing of them.
 
     Attributes:
         position: `(sample, 3)` m, along the sensor's axes.
-        orientation: `(sample, 3)` rad, about the predicted tool's axes.
+        orientation: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was recorded.
         outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range, or the recorded rows are too
             few near it: the standard deviation is `SPARSE` times what is typical of them.
     """
 
-    position: Array
-    orientation: Array
-    outside: Flags
+    position: Array | None = None
+    orientation: Array | None = None
+    outside: Flags | None = None
 
 
-def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None:
-    """Standard deviations of what a model predicts; None where its diagnosis says nothing of uncertainty."""
+def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations:
+    """Standard deviations of what a model predicts."""
     known = model.uncertainty
     if known is None:
-        return None
+        return Deviations()
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
     beyond = {
         phrase: beyond_range(values, *recorded.drivers[phrase])
@@ -511,7 +542,7 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations | None
         for rows, usual in zip(measured, known.typical, strict=False):
             outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
     std = np.sqrt(variance)
-    return Deviations(std[:3].T, std[3:].T, outside)
+    return Deviations(std[:3].T, std[3:].T if model.orientation else None, outside)
 
 
 def estimated_variance(change: Derivatives, covariance: Array) -> Array:
@@ -522,34 +553,5 @@ def estimated_variance(change: Derivatives, covariance: Array) -> Array:
     return variance
 
 
-def registered(model: DiagnosedArm, motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
-    """The uncertainty of a model whose sensor frame and tool were fitted anew to the poses of a motion.
-
-    These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
-
-    Args:
-        model: with the new frames and the uncertainty of the diagnosis.
-        motion: of the rows that the frames were fitted to.
-        noise: standard deviations per axis of the poses, position (m) and orientation (rad); None where the latter were
-            not measured, and the tool's rotation was kept.
-    """
-    known = model.uncertainty
-    if known is None:
-        return None
-    rows = 3 if noise[1] is None else 6
-    frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
-    stays = [name not in ("base", "tool") for name, _, _ in known.sites]
-    others = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
-    J = Derivatives(model, motion, (*frames, *others)).all()[:, :rows]
-    J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
-    F, R = np.split(J.reshape(len(J), -1), [len(frames)])
-    own = scaled_inverse(F @ F.T)
-    follow = own @ (F @ R.T)
-    numbers = np.flatnonzero([*stays, *([True] * (len(known.covariance) - len(stays)))])
-    rest = known.covariance[np.ix_(numbers, numbers)]
-    together = -follow @ rest
-    C = np.block([[own - together @ follow.T, together], [together.T, rest]])
-    return replace(known, sites=(*frames, *others), covariance=C, typical=None)  # the new frames are less certain
-
-
 _beyond = jax.jit(Physics.beyond, static_argnums=0)
+_quaternions = jax.jit(quaternion_from_rotation)

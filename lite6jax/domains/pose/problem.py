@@ -14,8 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose import columns
-from lite6jax.domains.pose.columns import EffectColumns, physics_of
-from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
+from lite6jax.domains.pose.columns import Deflections, EffectColumns, MassErrors, mass_errors, physics_of
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -245,7 +244,7 @@ class PoseProblem:
         motion, found = self.deflections.host_motion, []
         for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
             column, q = self.sites["joint", j, 0], np.asarray(motion.joint_position)[j]
-            found.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(_harmonic, j + 1), _order))
+            found.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(JointHarmonic, j + 1), _order))
         return tuple(found)
 
     @lazy
@@ -262,7 +261,7 @@ class PoseProblem:
     @lazy
     def quantities(self) -> tuple[Quantity, ...]:
         """As far as they are known and vary."""
-        return columns.quantities(self.deflections.host_motion, self.deflections.host_loads)
+        return columns.quantities(self.deflections.host_motion, self.deflections.loads)
 
     @property
     def every_run(self) -> NDArray[np.integer]:
@@ -382,7 +381,7 @@ class PoseProblem:
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
         physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
-        motion, seen, on_arm = self.motion, self.deflections.host_motion, self.deflections.host_loads
+        motion, seen, on_arm = self.motion, self.deflections.host_motion, self.deflections.loads
         bent = self._undeflected
         heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()
         errors = self.mass_errors(nuisance) if heavier else None
@@ -466,9 +465,9 @@ def pose_problem(
     motion = motion_of_recording(recording)._replace(measured_position=shown)  # type: ignore[arg-type]
     inertia = inertia_of_arm(rigid.arm, recording.settings)
     masses, deviations = _uncertain_masses(inertia, recording.settings)
-    moved = tuple(
-        (f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(_moving(part, rigid.rows))
-    )
+    # of a tool that slipped only what is measured
+    numbers = {"base": 6, "tool": rigid.rows}
+    moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
     tolerant = rigid.touch is not None and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
@@ -503,11 +502,6 @@ def pose_problem(
     )
 
 
-def _moving(part: str, rows: int) -> int:
-    """How many numbers a frame jump has: all of the base's, and those of the tool's that are measured."""
-    return 6 if part == "base" else rows
-
-
 def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> tuple[tuple[Site, ...], Array]:
     """The errors of masses that are nuisance, and the standard deviation of each one's prior."""
     if inertia is None:
@@ -519,10 +513,6 @@ def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> t
     if settings.payload_uncertainty_kg:
         found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
     return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])
-
-
-def _harmonic(joint: int, order: float) -> JointHarmonic:
-    return JointHarmonic(joint, order)
 
 
 def _order(term: Term) -> float | None:

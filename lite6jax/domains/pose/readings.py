@@ -1,11 +1,12 @@
-"""How the numbers of a table are to be read: the units and the form of rotations that agree best with an arm.
+"""What the blocks of columns of a table mean: the unit and the name of each column, and the form of rotations.
 
-Each is compared with the nominal forward kinematics, with the sensor's frame and the tool fitted in closed form.
+Names decide where they say it. Else the readings are compared with the nominal forward kinematics of an arm, with the
+sensor's frame and the tool fitted in closed form; where none agrees best, sizes decide.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,15 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import frames_from_poses
-from lite6jax.recordings.columns import ANGLES, quaternions, units_of
-from lite6jax.recordings.sizes import Decision, Sureness, length_unit
+from lite6jax.recordings import naming, sizes
+from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, quaternions, units_of
+from lite6jax.recordings.naming import Block
+from lite6jax.recordings.sequence import inferred_motion
+from lite6jax.recordings.sizes import Decision, Sureness
 
 Array = NDArray[np.floating]
+Key = tuple[str, bool]
+"""The kind of a block, and whether it is of prismatic joints."""
 
 ROWS = 400
 """Spread over the recording: enough to tell readings that differ by factors or by whole rotations."""
@@ -31,8 +37,6 @@ CLEARLY = 3.0
 """Times the error of the best reading, which all others have where it is certain."""
 SLIGHTLY = 1.3
 """The same where it is likely."""
-
-
 LEAST_SPREAD_M = 5e-3
 """Of positions that say something of an arm, from their median: those of one touched point set no scale."""
 LONGEST_TOOL_M = 1.0
@@ -43,6 +47,10 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
+_XYZ = ("x", "y", "z")
+_SCALAR_FIRST, _SCALAR_LAST = "scalar_first", "scalar_last"
+_USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
+"""The unit of quantities that have one only."""
 
 
 class Pose(NamedTuple):
@@ -104,7 +112,7 @@ def agreement(
     rows = np.unique(np.linspace(0, len(pose.joint) - 1, ROWS).astype(int))
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = length is None and bool(arm.slides.all())
-    length = length_unit(pose.position).choice if by_size else length
+    length = sizes.length_unit(pose.position).choice if by_size else length
     possible = (
         _possible(angle, "q", False) if not arm.slides.all() else ("rad",),
         _possible(slide, "q", True) if arm.sliding else ("m",),
@@ -138,7 +146,7 @@ def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
         position: `(sample, 3)` m.
         joint: `(sample, joint)` rad, and m of prismatic joints.
     """
-    spread = _spread(position)
+    spread = median_distance(position)
     turn = max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint))))
     step = float(np.hypot(digit_step(position), turn * spread * joint.shape[1] ** 0.5))
     return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
@@ -153,7 +161,8 @@ def digit_step(values: Array) -> float:
     return 0.0 if place is None else 10.0**-place
 
 
-def _spread(position: Array) -> float:
+def median_distance(position: Array) -> float:
+    """m, of positions `(sample, 3)` from their median."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
 
 
@@ -174,11 +183,21 @@ class _Tried(NamedTuple):
 
 
 def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
-    flange = frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+    flange = flange_poses(arm, joint)
+    error, T_sensor_base = match_poses(flange, position)
+    return _Tried(error, median_distance(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+
+
+def flange_poses(arm: Arm, joint: Array) -> Array:
+    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
+    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+
+
+def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
+    """The median error in m of positions `(sample, 3)` with frame and tool in closed form, and `T_sensor_base`."""
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
-    point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-    error = float(np.median(np.linalg.norm(point - position, axis=1)))
-    return _Tried(error, _spread(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+    missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
+    return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
 
 
 def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:
@@ -232,3 +251,171 @@ def _decided(best: str, errors: dict[str, float], limit: float) -> Decision | No
         return None
     sure: Sureness = "certain" if ratio >= CLEARLY else "likely"
     return Decision(best, sure, "kinematics", numbers)
+
+
+class Meaning(NamedTuple):
+    """What one block of columns means.
+
+    Attributes:
+        block: the columns.
+        names: in a recording, one for each column.
+        unit: in which unit, and why; of quaternions nothing.
+        form: of a rotation, which form, and why.
+    """
+
+    block: Block
+    names: tuple[str, ...]
+    unit: Decision
+    form: Decision | None = None
+
+    def renamed(self, *, unit: str | None = None, form: str | None = None) -> dict[str, str]:
+        """The columns with the names that they have in another unit, or as another of `forms`; for `given`."""
+        if form in (_SCALAR_FIRST, _SCALAR_LAST):
+            return dict(zip(self.block.columns, _of_quaternion(form), strict=True))
+        parts = next((parts for parts in ANGLES if parts[0] == form), None)
+        quantities = parts or tuple(without_unit(name) for name in self.names)
+        unit = unit or self.unit.choice
+        return {own: f"{part}_{unit}" for own, part in zip(self.block.columns, quantities, strict=True)}
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units in which the columns may be."""
+        quantity = without_unit(self.names[0]).rstrip("0123456789")
+        return tuple(unit for unit in units_of(quantity, self.block.slides) if unit)
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """The forms of which a rotation may be; none of anything else."""
+        if self.form is None or self.names == MATRIX:
+            return ()
+        return (_SCALAR_FIRST, _SCALAR_LAST) if len(self.names) == 4 else tuple(parts[0] for parts in ANGLES)
+
+    def in_si(self, values: Array) -> Array:
+        """Numbers `(sample, column)` in SI units, of a block whose quantity is its kind."""
+        return values / units_of(self.block.kind, self.block.slides)[self.unit.choice]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        form = None if self.form is None else self.form._asdict()
+        columns = dict(zip(self.block.columns, self.names, strict=True))
+        said = {"kind": self.block.kind, "columns": columns, "unit": self.unit._asdict(), "form": form}
+        return said | ({"commanded": True} if self.block.rank == 2 else {})
+
+
+def without_unit(name: str) -> str:
+    """The name of a recording's column without its unit, such as `q1`."""
+    return name.partition("_")[0]
+
+
+def key(block: Block) -> Key:
+    """By which a block is found: a recording has one of each."""
+    return block.kind, block.slides
+
+
+def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed: Agreement) -> tuple[Meaning, ...]:
+    """What blocks mean, in the order of `naming.KINDS`; commands that the joints do not follow mean nothing.
+
+    Args:
+        blocks: by `key`.
+        values: `(sample, column)` of each.
+        agreed: the units and forms with which an arm agrees.
+    """
+    found = {of: _position(blocks[of], values[of], agreed) for of in (("q", False), ("q", True)) if of in blocks}
+    moved = {slides: found["q", slides].in_si(values["q", slides]) for _, slides in found}
+    time: Array | None = None
+    if block := blocks.get(of := ("time", False)):
+        joints = np.hstack(list(moved.values())) if moved else None
+        unit = _named(block) or sizes.time_unit(values[of][:, 0], joints)
+        found[of] = _meaning(block, unit)
+        time = found[of].in_si(values[of])[:, 0]
+    for of in ((kind, slides) for kind in ("dq", "ddq") for slides in moved):
+        if block := blocks.get(of):
+            before = found.get(("dq", of[1]))
+            position = (
+                moved[of[1]] if of[0] == "dq" else None if before is None else before.in_si(values[key(before.block)])
+            )
+            usual = found["q", of[1]].unit.choice
+            found[of] = _meaning(block, _named(block) or _rate(block, values[of], position, usual, time))
+    for of in (("cmd", slides) for slides in moved):
+        block = blocks.get(of)
+        unit = block and sizes.unit_of_command(values[of], moved[of[1]], of[1], block.unit)
+        if block and unit:
+            found[of] = _meaning(block, unit)
+    for of, block in blocks.items():
+        if of not in found and block.kind not in ("dq", "ddq", "cmd"):
+            found[of] = _other(block, values[of], agreed)
+    return tuple(found[kind, slides] for kind in naming.KINDS for slides in (False, True) if (kind, slides) in found)
+
+
+def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple[str, str]:
+    """`static` or `trajectory`, and why in words."""
+
+    def si(kind: str) -> Array | None:
+        found = [meaning.in_si(values[key(meaning.block)]) for meaning in meanings if meaning.block.kind == kind]
+        return np.hstack(found) if found else None
+
+    time = si("time")
+    return inferred_motion(None if time is None else time[:, 0], si("dq"))
+
+
+def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
+    if block.slides:
+        return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
+    servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
+    return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
+
+
+def _other(block: Block, values: Array, agreed: Agreement) -> Meaning:
+    """What is neither a position of joints, nor their rates, nor time."""
+    if block.kind == "rotation":
+        return _rotation(block, values, agreed)
+    unit = _named(block)
+    if block.kind == "position":
+        unit = unit or agreed.length or sizes.length_unit(values)
+        return Meaning(block, tuple(_with_unit(axis, unit.choice) for axis in _XYZ), unit)
+    if block.kind == "tau" and not block.slides:
+        return _meaning(block, unit or sizes.torque_unit(values))
+    if block.kind == "current":
+        return _meaning(block, unit or sizes.current_unit(values))
+    return _meaning(block, unit or Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {}))
+
+
+def _named(block: Block) -> Decision | None:
+    return None if block.unit is None else sizes.by_name(block.unit)
+
+
+def _rate(block: Block, rate: Array, position: Array | None, usual: str, time: Array | None) -> Decision:
+    suffix = "_per_s" if block.kind == "dq" else "_per_s2"
+    if position is None:
+        return Decision(f"{usual}{suffix}", "assumed", "as_positions", {})
+    decided = sizes.rate_unit(rate, position, usual, time, units_of("q", block.slides))
+    return decided._replace(choice=f"{decided.choice}{suffix}")
+
+
+def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
+    form, unit = sizes.rotation_form(values, block.unit, block.form, block.sure)
+    said = block.form in (QUATERNION, MATRIX)  # by the names or order of its columns
+    if agreed.form is not None and (agreed.form.choice == form.choice if said else True):
+        form = form if form.sure == "certain" and agreed.form.choice == form.choice else agreed.form
+    if agreed.turn is not None and block.unit is None:
+        unit = agreed.turn
+    if block.form == MATRIX:
+        return Meaning(block, MATRIX, unit, form)
+    if values.shape[1] == 4:
+        return Meaning(block, _of_quaternion(form.choice), unit, form)
+    parts = next(parts for parts in ANGLES if parts[0] == form.choice)
+    return Meaning(block, tuple(_with_unit(part, unit.choice) for part in parts), unit, form)
+
+
+def _meaning(block: Block, unit: Decision) -> Meaning:
+    """Of columns whose quantity is the block's kind."""
+    names = [f"{block.kind}{joint}" for joint in block.joints] or [block.kind]
+    return Meaning(block, tuple(_with_unit(name, unit.choice) for name in names), unit)
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name}_{unit}" if unit else name
+
+
+def _of_quaternion(form: str) -> tuple[str, ...]:
+    return QUATERNION if form == _SCALAR_FIRST else (*QUATERNION[1:], QUATERNION[0])

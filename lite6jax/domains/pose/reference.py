@@ -1,34 +1,34 @@
-"""A recording compared with a reference recording: another simulator's poses, or the same arm at an earlier time."""
+"""A recording compared with a reference recording: another simulator's poses, or the same arm at an earlier time.
 
+The reference is explained by a rigid arm: the recording's chain, a nominal table, another tool or another frame. What
+it has beyond that arm is removed from the recording.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.description import VARIANTS, bundled_arms
+from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
-from lite6jax.domains.pose.reference_arm import (
-    SUBSTANTIAL,
-    RigidArm,
-    chains_of,
-    declared_tool,
-    differences,
-    explained_by,
-    flange_of,
-    frame_hypotheses,
-    geometry_difference,
-    registered,
-    rotations,
-    simplest,
-    with_fitted_geometry,
-)
+from lite6jax.calibration.start import declared_tool, measured_rotations
+from lite6jax.domains.pose.kinematics import unit_quaternions
+from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.domains.pose.registration import Registration, noise_of, register
+from lite6jax.domains.pose.screening.nominal_table import tables_of_model
 from lite6jax.errors import InputError
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
 from lite6jax.recordings.units import other_joints
 
@@ -47,6 +47,14 @@ _SAME_TEMPERATURE = 0.1
 """K."""
 _SAME_PAYLOAD = 1e-6
 """kg."""
+_SUBSTANTIAL = 0.5
+"""A difference is reported where it reduces the RMS position error at least to this share."""
+_NEARLY = 1.5
+"""A simpler explanation is preferred while its noise is below this multiple of the best one's."""
+_LARGEST = 3
+"""Displaced links reported of a chain of another geometry."""
+_REDUNDANCY = 1.5
+"""Measured numbers per parameter that a fit of the geometry requires."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +100,52 @@ class ReferenceComparison:
             "matched_rows": self.matched,
             "reproduced": self.reproduced,
             "rigid": self.rigid,
-            "position_rms_m": _rms(self.distance),
+            "position_rms_m": float(np.sqrt(np.mean(self.distance**2))),
             "position_max_m": float(self.distance.max()),
-            "left_position_rms_m": _rms(self.remaining),
+            "left_position_rms_m": float(np.sqrt(np.mean(self.remaining**2))),
             "differences": list(self.differences),
             "notes": list(self.notes),
         }
+
+
+class _Chain(NamedTuple):
+    """A candidate for the reference's chain.
+
+    Attributes:
+        kind: where it is from: "factory_calibration", "reference_factory_calibration", "published_table",
+            "ros_default_table" or "nominal_table".
+        name: of the file or the bundled table.
+        kinematics: `(joint, 6)`, x y z roll pitch yaw in m and rad.
+    """
+
+    kind: str
+    name: str
+    kinematics: Array
+
+
+class _RigidArm(NamedTuple):
+    """A rigid arm as explanation of the reference.
+
+    Attributes:
+        chain: of the arm.
+        flange: `(sample, 4, 4)` T_base_flange at the reference's joint positions.
+        registration: sensor frame and tool, with residuals.
+        fitted: whether the tool, and the frame, were fitted although they are declared.
+    """
+
+    chain: _Chain
+    flange: Array
+    registration: Registration
+    fitted: tuple[bool, bool]
+
+    @property
+    def rms(self) -> float:
+        """RMS position error in m, outliers excluded."""
+        return self.registration.rms
+
+    def within(self, noise: Sequence[float]) -> bool:
+        """Whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
+        return all((found or 0.0) <= most for found, most in zip(self.registration.noise, noise, strict=True))
 
 
 def compare(
@@ -142,31 +190,30 @@ def compare(
         settings = replace(reference.settings, pose_frame=recording.settings.pose_frame, tool=recording.settings.tool)
         reference = replace(reference, settings=settings)
 
-    chains = chains_of(recording, reference, arm)
+    chains = _chains(recording, reference, arm)
     known = recording.settings.factory_calibration is not None and geometry != "free"
     declared_noise = reference.settings.position_noise_m, reference.settings.orientation_noise_rad
-    position, orientation = (
+    noise = tuple(
         max(_NOISE_MARGIN * (declared or 0.0), rounding)
         for declared, rounding in zip(declared_noise, _ROUNDING, strict=True)
     )
-    noise = (position, orientation)
-    candidates = [
-        explained_by(reference, arm, chain, fitted)
-        for fitted in frame_hypotheses(reference.settings)
-        for chain in chains
-    ]
-    declared, chosen = candidates[0], simplest(candidates, noise)
+    # whether the tool, and the frame, are fitted although declared, fewest first; undeclared ones always are
+    tool, frame = reference.settings.tool != "unknown", reference.settings.pose_frame == "base"
+    every = ((False, False), (True, False), (False, True), (True, True))
+    freed = [fitted for fitted in every if (tool or not fitted[0]) and (frame or not fitted[1])]
+    candidates = [_explained_by(reference, arm, chain, fitted) for fitted in freed for chain in chains]
+    declared, chosen = candidates[0], _simplest(candidates, noise)
     explained = chosen.within(noise)
     if not explained and not known:
         chosen = declared  # frames fitted together with a wrong geometry mean nothing
-    found = differences(declared, chosen)
+    found = _differences(declared, chosen)
     nearest, shared = chosen, None
     if not explained:
-        free = with_fitted_geometry(reference, arm, chosen)
-        if free is not None and free.rms <= SUBSTANTIAL * chosen.rms:
+        free = _with_fitted_geometry(reference, arm, chosen)
+        if free is not None and free.rms <= _SUBSTANTIAL * chosen.rms:
             nearest = free
             unknown = {"difference": "unknown_geometry", "position_rms_after_m": free.rms}
-            found.append(geometry_difference(free, chosen) if known else unknown)
+            found.append(_geometry_difference(free, chosen) if known else unknown)
         if not known and geometry != "free":
             shared = free
         if not nearest.within(noise):
@@ -254,7 +301,7 @@ def _match(recording: Recording, reference: Recording) -> tuple[Recording, Recor
     return recording.select(rows), reference.select(partner[rows])
 
 
-def _corrected(recording: Recording, reference: Recording, arm: Arm, common: RigidArm, base: Array) -> Recording:
+def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _RigidArm, base: Array) -> Recording:
     """The recording's poses without what the reference has beyond a rigid arm, at the flange of the chain `base`.
 
     With D the reference's flange relative to that of the rigid arm that explains it, and P the recording's pose by its
@@ -265,11 +312,10 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: Rig
     assert position is not None
     assert measured is not None
     F, U = common.registration.T_sensor_base, common.registration.T_flange_tool
-    flange = flange_of(base, recording, arm)
-    frame = np.eye(4) if settings.pose_frame == "base" else None
-    P = registered(recording, flange, frame, declared_tool(settings)).T_sensor_base @ flange
+    flange = _flange(base, recording, arm)
+    P = _registered(recording, flange, (False, False)).T_sensor_base @ flange
     in_base = (measured - F[:3, 3]) @ F[:3, :3]
-    rotation, reference_rotation, quaternion = rotations(recording), rotations(reference), None
+    rotation, reference_rotation, quaternion = measured_rotations(recording), measured_rotations(reference), None
     if rotation is None or reference_rotation is None:
         offset = in_base - (common.flange @ U)[:, :3, 3]
         in_flange = np.einsum("sji,sj->si", common.flange[:, :3, :3], offset)
@@ -281,7 +327,7 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: Rig
         D = np.linalg.inv(common.flange) @ O @ np.linalg.inv(U)
         corrected = P @ np.linalg.inv(D) @ np.linalg.inv(P) @ Y
         position = corrected[:, :3, 3]
-        quaternion = np.roll(Rotation.from_matrix(corrected[:, :3, :3]).as_quat(), 1, axis=1)
+        quaternion = unit_quaternions(corrected[:, :3, :3])
     combined = {}
     for key in ("position_noise_m", "orientation_noise_rad", "joint_noise_rad"):
         own, other = getattr(settings, key), getattr(reference.settings, key)
@@ -347,5 +393,126 @@ def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, An
     return notes
 
 
-def _rms(distance: Array) -> float:
-    return float(np.sqrt(np.mean(distance**2)))
+def _chains(recording: Recording, reference: Recording, arm: Arm) -> list[_Chain]:
+    """The recording's own chain first, then the nominal ones of its model, then the reference's own calibration."""
+    kinds = ("factory_calibration", "reference_factory_calibration")
+    calibrated = [
+        _Chain(kind, path.name, read_factory(path, arm).kinematics)
+        for kind, side in zip(kinds, (recording, reference), strict=True)
+        if (path := side.settings.factory_path(Path(side.source).parent)) is not None
+    ]
+
+    def kind_of(table: str) -> str:
+        if table not in bundled_arms():
+            return "nominal_table"
+        return "ros_default_table" if table in VARIANTS else "published_table"
+
+    tables = [arm, *(one for one in tables_of_model(arm.name) if one.name != arm.name and one.dof == arm.dof)]
+    nominal = [_Chain(kind_of(table.name), table.name, table.kinematics) for table in tables]
+    own = 0 if recording.settings.factory_calibration is None else 1
+    return [*calibrated[:own], *nominal, *calibrated[own:]]
+
+
+def _explained_by(reference: Recording, arm: Arm, chain: _Chain, fitted: tuple[bool, bool]) -> _RigidArm:
+    """A chain with the sensor frame and the tool that fit the reference's poses best."""
+    flange = _flange(chain.kinematics, reference, arm)
+    return _RigidArm(chain, flange, _registered(reference, flange, fitted), fitted)
+
+
+def _flange(kinematics: Array, recording: Recording, arm: Arm) -> Array:
+    """`(sample, 4, 4)` T_base_flange of a chain `(joint, 6)` at a recording's joint positions."""
+    links = np.stack([frames.transform_from_row(row) for row in kinematics])
+    return frames.chain(links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
+
+
+def _registered(recording: Recording, flange: Array, fitted: tuple[bool, bool]) -> Registration:
+    """`register` of a recording's poses: tool and frame are fitted where they are not declared, or are to be."""
+    settings, position = recording.settings, recording.position
+    assert position is not None
+    tool = None if fitted[0] or settings.tool == "unknown" else declared_tool(recording)
+    frame = np.eye(4) if settings.pose_frame == "base" and not fitted[1] else None
+    return register(flange, position, measured_rotations(recording), noise_of(settings), frame, tool)
+
+
+def _simplest(candidates: Sequence[_RigidArm], noise: Sequence[float]) -> _RigidArm:
+    """The first candidate within the noise.
+
+    Otherwise the first that is nearly as good as the best, if it is substantially better than the first of all; else
+    the first of all.
+    """
+    for rigid in candidates:
+        if rigid.within(noise):
+            return rigid
+    best = [min(rigid.registration.noise[k] or 0.0 for rigid in candidates) for k in (0, 1)]
+    most = (max(noise[0], _NEARLY * best[0]), max(noise[1], _NEARLY * best[1]))
+    near = next((rigid for rigid in candidates if rigid.within(most)), candidates[0])
+    return near if near.rms < _SUBSTANTIAL * candidates[0].rms else candidates[0]
+
+
+def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _RigidArm | None:
+    """The chain of free geometry that fits the reference best; None where it has too few rows."""
+    settings = replace(
+        reference.settings,
+        factory_calibration=None,
+        factory_uncertainty=None,
+        tool="unknown" if start.fitted[0] else reference.settings.tool,
+        pose_frame="unknown" if start.fitted[1] else reference.settings.pose_frame,
+    )
+    freed = replace(reference, settings=settings)
+    problem = pose_problem(freed, arm, "free")
+    if problem.rows * problem.samples < _REDUNDANCY * len(problem.frames):
+        return None
+    found = start.registration
+    model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
+    model = relinearise(replace(problem, start=model), DEFAULTS).start
+    rows, T_sensor_base = np.array(model.geometry).reshape(-1, 6), np.asarray(model.T_sensor_base)
+    if settings.pose_frame == "base":  # a displacement of the base then belongs to the chain
+        rows[0] = frames.row_from_transform(T_sensor_base @ frames.transform_from_row(rows[0]))
+    fitted = _explained_by(freed, arm, start.chain._replace(kinematics=rows), (False, False))
+    return fitted._replace(fitted=start.fitted)
+
+
+def _differences(declared: _RigidArm, chosen: _RigidArm) -> list[dict[str, Any]]:
+    """`other_table`, `other_frame` and `other_tool`, as plain JSON values in SI units."""
+    step = {"position_rms_before_m": declared.rms, "position_rms_after_m": chosen.rms}
+    found: list[dict[str, Any]] = []
+    if chosen.chain[:2] != declared.chain[:2]:
+        model, reference = ({"kind": kind, "name": name} for kind, name, _ in (declared.chain, chosen.chain))
+        found.append({"difference": "other_table", "model": model, "reference": reference, **step})
+    expected, T = declared.registration, chosen.registration
+    if chosen.fitted[1]:
+        found.append({"difference": "other_frame", **_displacement(expected.T_sensor_base, T.T_sensor_base), **step})
+    if chosen.fitted[0]:
+        tool = _displacement(expected.T_flange_tool, T.T_flange_tool)
+        if T.turned is None:
+            tool["rotation_rad"] = None
+        found.append({"difference": "other_tool", **tool, **step})
+    return found
+
+
+def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
+    """`other_geometry` with the links displaced most; link 0 is the base.
+
+    Of many displacements with the same effect, these are the smallest: the fit's prior is wide.
+    """
+    links = []
+    for j, (row, before) in enumerate(zip(free.chain.kinematics, start.chain.kinematics, strict=True)):
+        T = frames.transform_from_row(row) @ np.linalg.inv(frames.transform_from_row(before))
+        links.append({"link": j, "distance_m": float(np.linalg.norm(T[:3, 3])), "rotation_rad": _angle(T)})
+    links.sort(key=lambda link: link["distance_m"] + LEVER * link["rotation_rad"], reverse=True)
+    return {
+        "difference": "other_geometry",
+        "links": links[:_LARGEST],
+        "position_rms_before_m": start.rms,
+        "position_rms_after_m": free.rms,
+    }
+
+
+def _displacement(before: Array, after: Array) -> dict[str, Any]:
+    """Of a frame, in the axes of where it was before."""
+    T = np.linalg.inv(before) @ after
+    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": _angle(T)}
+
+
+def _angle(T: Array) -> float:
+    return float(np.linalg.norm(Rotation.from_matrix(T[:3, :3]).as_rotvec()))

@@ -14,20 +14,23 @@ from lite6jax.calibration.start import frames_from_poses, measured_rotations, ne
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
+    Site,
     frame_columns,
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import DiagnosedArm, predict, registered, require_model
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
+from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
+from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.estimation.projection import rank
+from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, require_samples
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
 
@@ -78,6 +81,12 @@ class Registration(PublicResult):
         return float(np.sqrt(np.mean(self.distance[self.kept] ** 2)))
 
 
+def noise_of(settings: RecordingSettings) -> tuple[float, float]:
+    """Standard deviations per axis of position (m) and orientation (rad), as declared or assumed."""
+    position, orientation = UNDECLARED_NOISE
+    return settings.position_noise_m or position, settings.orientation_noise_rad or orientation
+
+
 def register(
     flange: Array,
     position: Array,
@@ -110,12 +119,12 @@ def register(
     squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
     count, parameters = problem.rows * problem.samples, len(problem.unknown)
-    lost = np.sqrt(count / max(count - parameters, 1))
-    scales = [None if errors is None else float(lost * _spread(errors)) for errors in (missed, turned)]
-    assert scales[0] is not None
+    lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
+    found = [None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)]
+    assert found[0] is not None
     determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
     return Registration(
-        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (scales[0], scales[1]), determined
+        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (found[0], found[1]), determined
     )
 
 
@@ -143,13 +152,9 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     flange[:, :3, 3] /= growth[:, None]
     used = np.isfinite(growth)
     require_samples(recording.select(used), _NUMBERS[recording.numbers_per_sample])
-    position, rotation, settings = recording.position, measured_rotations(recording), recording.settings
+    position, rotation = recording.position, measured_rotations(recording)
     assert position is not None
-    rotation = None if rotation is None else rotation[used]
-    noise = (
-        settings.position_noise_m or UNDECLARED_NOISE[0],
-        settings.orientation_noise_rad or UNDECLARED_NOISE[1],
-    )
+    rotation, noise = None if rotation is None else rotation[used], noise_of(recording.settings)
     before = np.asarray(model.model.T_flange_tool)[:3, :3]
     found = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
     if not found.determined:
@@ -160,7 +165,37 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     rigid = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
     moved = replace(model, model=rigid, orientation=rotation is not None)
     noise = found.noise[0], found.noise[1] if rotation is not None else None
-    return replace(moved, uncertainty=registered(moved, moved.motion_of(recording.select(used)), noise)), found
+    return replace(moved, uncertainty=_with_own_frames(moved, moved.motion_of(recording.select(used)), noise)), found
+
+
+def _with_own_frames(model: DiagnosedArm, motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
+    """The uncertainty of a model whose sensor frame and tool were fitted anew to the poses of a motion.
+
+    These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
+
+    Args:
+        model: with the new frames and the uncertainty of the diagnosis.
+        motion: of the rows that the frames were fitted to.
+        noise: standard deviations per axis of the poses, position (m) and orientation (rad); None where the latter were
+            not measured, and the tool's rotation was kept.
+    """
+    known = model.uncertainty
+    if known is None:
+        return None
+    rows = 3 if noise[1] is None else 6
+    frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
+    stays = [name not in ("base", "tool") for name, _, _ in known.sites]
+    others = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
+    J = Derivatives(model, motion, (*frames, *others)).all()[:, :rows]
+    J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
+    F, R = np.split(J.reshape(len(J), -1), [len(frames)])
+    own = scaled_inverse(F @ F.T)
+    follow = own @ (F @ R.T)
+    numbers = np.flatnonzero([*stays, *([True] * (len(known.covariance) - len(stays)))])
+    rest = known.covariance[np.ix_(numbers, numbers)]
+    together = -follow @ rest
+    C = np.block([[own - together @ follow.T, together], [together.T, rest]])
+    return replace(known, sites=(*frames, *others), covariance=C, typical=None)  # the new frames are less certain
 
 
 @final
@@ -236,18 +271,9 @@ def _start(
     K = np.einsum("kij,kab->iajb", R, rotation).reshape(9, 9)
     left, _, right = np.linalg.svd(K)
     F, T = np.eye(4), np.eye(4)
-    F[:3, :3] = _rotation(left[:, 0].reshape(3, 3).T)
-    T[:3, :3] = _rotation(right[0].reshape(3, 3).T).T
+    for out, M in ((F, left[:, 0].reshape(3, 3).T), (T, right[0].reshape(3, 3))):  # multiples, of either sign
+        out[:3, :3] = nearest_rotation(M * np.sign(np.linalg.det(M)))
     columns = np.concatenate([F[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2).reshape(-1, 6)
     found = np.linalg.lstsq(columns, (position - p @ F[:3, :3].T).ravel(), rcond=1e-9)[0]
     T[:3, 3], F[:3, 3] = found[:3], found[3:]
     return F, T
-
-
-def _spread(errors: Array) -> float:
-    return t_scale(np.sum(errors**2, 1), 3, FREEDOM) / gaussian_t_scale(3, FREEDOM)
-
-
-def _rotation(M: Array) -> Array:
-    """The rotation nearest to a multiple, of either sign, of a matrix."""
-    return nearest_rotation(M * np.sign(np.linalg.det(M)))

@@ -10,7 +10,7 @@ from lite6jax.calibration.fit import FOLDS
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Noise, Place, Solution
-from lite6jax.domains.pose.kinematics import Site, displaced
+from lite6jax.domains.pose.kinematics import displaced
 from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.least_squares import fit as fit_numbers
@@ -52,7 +52,9 @@ def fit_touches(begun: RigidArm) -> Solution:
     checked = np.empty(recording.samples)
     for fold in recording.contiguous_folds(FOLDS):
         checked[fold] = np.linalg.norm(relinearise(arm, DEFAULTS, ~fold).differences[:, fold], axis=0)
-    rigid = relinearise(replace(begun, precision=np.where(_of_chain(begun), _HELD, begun.precision)), DEFAULTS)
+    # without a frame of the sensor's own, displacements of the base are of the chain
+    of_chain = [name == "link" or (name == "base" and not begun.form.frame) for name, _, _ in begun.unknown]
+    rigid = relinearise(replace(begun, precision=np.where(of_chain, _HELD, begun.precision)), DEFAULTS)
     covariance = _covariance(arm, known)
     form, q, size = begun.form, recording.joint_position, begun.form.size
     of_steps = _by_unknowns(arm)
@@ -102,15 +104,6 @@ def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
         found.append(Place(name if name == kind else f"{kind} {name}", values, std))
     return tuple(found)
-
-
-def _of_chain(arm: RigidArm) -> NDArray[np.bool_]:
-    """`(unknown,)`, which displace the frames of the chain; without a frame of the sensor's own the base does."""
-
-    def is_one(site: Site) -> bool:
-        return site[0] == "link" or (site[0] == "base" and not arm.form.frame)
-
-    return np.array([is_one(site) for site in arm.unknown], bool)
 
 
 def _covariance(arm: RigidArm, known: Fit) -> Array:

@@ -1,10 +1,9 @@
 """From touches, distances and heights of a recording to their sensor: where its unknowns and the tool's point start.
 
-The point of the tool and the sensor's own unknowns are found together, by Gauss–Newton from several points of the tool
-and, at each, from what the sensor then shows in closed form. What the readings do not determine is refused.
+The point of the tool and the sensor's own unknowns are found together, by Gauss–Newton from several points of the
+tool and, at each, from what the sensor then shows in closed form. What the readings do not determine is refused.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,8 +21,8 @@ Array = NDArray[np.floating]
 
 UNDECLARED_TOUCH = 1e-4
 """m, one sigma of readings whose noise is not declared."""
-_TOOLS = (0.0, 0.15)
-"""m along each axis of the flange, where the tool's point is sought."""
+_TOOL_M = 0.15
+"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
 _STEPS = 40
 _SLACK = 3.0
 """Times the median reading, beyond which one counts less."""
@@ -80,7 +79,7 @@ def touched(recording: Recording, flange: Array, frame_unknown: bool, scale_know
         T_sensor_base, found = frames_from_poses(flange, seen, None, None, tool)
         return Touched(sensor, T_sensor_base, found, noise, declared)
     T = np.eye(4) if tool is None else tool
-    starts = list(_tools()) if tool is None else [tool[:3, 3]]
+    starts = [tool[:3, 3]] if tool is not None else _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     solved = [_solved(_shown(sensor, _moved_tool(flange, T, t)), flange, T, t, tool is None) for t in starts]
     sensor, t, _ = min(solved, key=lambda one: one[2])
     return Touched(sensor, T_sensor_base, _with_point(T, t), noise, declared)
@@ -154,22 +153,15 @@ def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) 
 # ------------------------------------------------------------------ where it starts
 
 
-def _tools() -> Iterator[Array]:
-    yield np.zeros(3)
-    for size in _TOOLS[1:]:
-        for k in range(3):
-            yield size * np.eye(3)[k]
-            yield -size * np.eye(3)[k]
+def _moved_tool(flange: Array, T: Array, point: Array) -> Array:
+    """`(sample, 4, 4)` of the flange's tool `T` with another point."""
+    return flange @ _with_point(T, point)
 
 
 def _with_point(T: Array, point: Array) -> Array:
     out = T.copy()
     out[:3, 3] = point
     return out
-
-
-def _moved_tool(flange: Array, T: Array, point: Array) -> Array:
-    return flange @ _with_point(T, point)
 
 
 def _shown(sensor: Sensor, tool: Array) -> Sensor:
@@ -208,8 +200,8 @@ def _shown(sensor: Sensor, tool: Array) -> Sensor:
 
 def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bool) -> tuple[Sensor, Array, float]:
     """The sensor, the tool's point, and the size of what is left, from a start."""
-    prior = np.array([one.precision for one in sensor.own] or [0.0])[: sensor.numbers] * 1e-8
-    R, damping = flange[:, :3, :3], 1e-3
+    prior = 1e-8 * np.array([one.precision for one in sensor.own])
+    R, damping, n = flange[:, :3, :3], 1e-3, 3 * tool_free
 
     def look(sensor: Sensor, point: Array) -> tuple[Array, Array, Array, float]:
         tool = _moved_tool(flange, T, point)
@@ -223,7 +215,6 @@ def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bo
         offset = np.array([one.offset for one in sensor.own])
         J = J.reshape(len(J), -1)
         H, g = J @ J.T, J @ (r * np.sqrt(weight)).ravel()
-        n = 3 * tool_free
         H[np.arange(n, len(H)), np.arange(n, len(H))] += prior
         g[n:] += prior * offset
         cost = float(np.sum(weight * size**2 / np.maximum(weight, 0.5)) + np.sum(prior * offset**2))
@@ -236,7 +227,6 @@ def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bo
         lengths = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
         scaled = H / np.outer(lengths, lengths) + (damping + 1e-12) * np.eye(len(H))
         step = -np.linalg.solve(scaled, g / lengths) / lengths
-        n = 3 * tool_free
         trial = sensor.displaced(step[n:]), point + (step[:n] if tool_free else 0.0)
         H_, g_, size_, cost_ = look(*trial)
         if cost_ <= cost and np.isfinite(cost_):

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.domains.pose.inspection import inspect
-from lite6jax.domains.pose.readings import computed_by_controller, digit_step
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.table import RawTable, tabulate
@@ -267,12 +266,8 @@ def test_names_say_which_joints_are_slides(tmp_path):
     assert {meaning.unit.reason for meaning in found.meanings} == {"name"}
     given = {name: f"q{k}_{'mm' if k == 3 else 'deg'}" for k, name in enumerate(frame, 1)}
     assert inspect(list(frame.items()), None, given).columns == given
-    assert (
-        inspect(list((named | {f"tau{k}_{'N' if k == 3 else 'Nm'}": q[:, 0] for k in range(1, 5)}).items())).columns[
-            "tau3_N"
-        ]
-        == "tau3_N"
-    )
+    torques = {f"tau{k}_{'N' if k == 3 else 'Nm'}": q[:, 0] for k in range(1, 5)}
+    assert inspect(list((named | torques).items())).columns["tau3_N"] == "tau3_N"
 
 
 def test_joints_that_are_numbered_by_letters():
@@ -477,23 +472,6 @@ def test_a_pose_that_the_arm_reproduces_to_rounding_was_computed():
     assert not inspect(list(one.items()), LITE6).computed
 
 
-def test_what_counts_as_rounding():
-    def computed(error: float, decimals: int) -> bool:
-        return computed_by_controller(error, np.round(P, decimals), Q)
-
-    assert computed(1e-6, 15)
-    assert computed(1e-5, 5)
-    assert not computed(1.5e-5, 6)
-    assert not computed(5e-5, 3)  # a sensor may be as exact
-    assert not computed_by_controller(1e-7, np.tile(P[:1], (ROWS, 1)), Q)  # one point
-    degrees = np.deg2rad(np.round(np.rad2deg(Q), 3))
-    assert computed_by_controller(1.5e-5, P, degrees)
-    steps = [digit_step(np.round(P, k)) for k in (1, 3, 6)]
-    np.testing.assert_allclose(steps, [1e-1, 1e-3, 1e-6])
-    assert digit_step(P) == 0.0
-    assert digit_step(np.array([np.nan])) == 1.0
-
-
 # ------------------------------------------------------------------ joints that are no angles
 
 SERVOS = tuple(f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"))
@@ -518,45 +496,13 @@ def test_percent_and_ticks_are_no_degrees():
 
 # ------------------------------------------------------------------ any table
 
-WORDS = [
-    *(
-        "q",
-        "joint",
-        "J",
-        "A",
-        "axis",
-        "theta",
-        "pos",
-        "position",
-        "x",
-        "y",
-        "z",
-        "w",
-        "qx",
-        "qy",
-        "qz",
-        "qw",
-        "rx",
-        "ry",
-    ),
-    *("roll", "pitch", "yaw", "a", "b", "c", "T", "t", "time", "temp", "R", "O_T_EE", "tcp", "tracker", "tool", "pose"),
-    *(
-        "quat",
-        "rvec",
-        "run",
-        "payload",
-        "ambient",
-        "vel",
-        "tau",
-        "current",
-        "observation.state",
-        "action",
-        "S",
-        "L",
-        "U",
-    ),
-    *("B", "E", "0", "1", "2", "3", "11", "12", "13", "[mm]", "(deg)", "_rad", "°C", "kg", "ms", "_s", "/s", "ü", "θ"),
-]
+NAMES = """
+q joint J A axis theta pos position x y z w qx qy qz qw rx ry roll pitch yaw a b c T t time temp R O_T_EE tcp tracker
+tool pose quat rvec run payload ambient vel tau current observation.state action S L U B E 0 1 2 3 11 12 13 [mm] (deg)
+_rad °C kg ms _s /s ü θ
+"""
+WORDS = NAMES.split()
+ENDS = (range(6), "xyz", "xyzw", ("rx", "ry", "rz"), [f"{i}{j}" for i in range(3) for j in range(3)], range(16), ("",))
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -574,16 +520,7 @@ def test_any_table_is_looked_at(seed):
     frame = {}
     for _ in range(rng.integers(1, 6)):
         stem = rng.choice(["_", " ", ".", "/", ""]).join(rng.choice(WORDS, rng.integers(1, 4)))
-        ends = (
-            range(6),
-            "xyz",
-            "xyzw",
-            ("rx", "ry", "rz"),
-            [f"{i}{j}" for i in range(3) for j in range(3)],
-            range(16),
-            "",
-        )
-        for end in ends[rng.integers(len(ends))] or ("",):
+        for end in ENDS[rng.integers(len(ENDS))]:
             frame[f"{stem}{rng.choice(['', '_'])}{end}"] = kinds[rng.integers(len(kinds))]()
     text = [(str(name), None) for name in rng.choice(WORDS, 2) if name not in frame]
     found = inspect([*text, *frame.items()], LITE6 if seed % 2 else None)

@@ -7,12 +7,14 @@ import pytest
 from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_motion, with_effects
 from scipy.spatial.transform import Rotation
 
+from lite6jax.domains.pose.columns import components, quantities
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import shaped
 from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic, JointWarmUp
 from lite6jax.effects.kinematic.links import LinkCompliance
-from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.terms import Terms, join
@@ -410,10 +412,6 @@ def test_the_noise_of_joint_readings_whitens_with_the_arm(arm, motions):
         np.testing.assert_allclose(whitener[k] @ covariance @ whitener[k].T, np.eye(6), atol=1e-6)
 
 
-def test_plain_effects_are_read(arm):
-    assert plain_effect("frame_offset:link=2,x_m=1") == ("frame_offset", {"link": 2, "x_m": 1.0})
-
-
 def test_every_site_that_is_seen_has_its_components(known):
     found = {(one.site, one.name) for one in known["moving"].components}
     joints = {(f"joint{j}", "rz") for j in range(1, 7)}
@@ -444,3 +442,65 @@ def test_a_process_reaches_the_residuals_by_the_column_of_its_component(known):
     u = 2 * (quantity.values - quantity.values.min()) / np.ptp(quantity.values) - 1
     wanted = np.stack([np.ones_like(u), u])[:, None] * component.column
     np.testing.assert_allclose(case.columns([term]), wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+# ------------------------------------------------------------------ where processes can act, and on what
+
+
+def moved(dof, sliding=(), **more):
+    rng = np.random.default_rng(dof)
+    return motion_of(joint_position=rng.uniform(-1.0, 1.0, (40, dof)), payload=np.zeros(40), sliding=sliding, **more)
+
+
+def everywhere(dof):
+    """The columns of every site, all of which the sensor sees."""
+    kinds = [("base", 0), ("tool", 0), ("sensor", 0), *(("link", j) for j in range(dof))]
+    sites = [(kind, j, k) for kind, j in kinds for k in range(len(COMPONENTS))]
+    return {site: np.ones((3, 40)) for site in [*sites, *(("joint", j, 0) for j in range(dof)), (SCALE, 0, 0)]}
+
+
+def phrases(*given, **more):
+    return {one.driver.phrase for one in quantities(moved(*given, **more), None)}
+
+
+def test_a_slide_is_a_quantity_in_its_own_unit_and_has_no_angle():
+    """A rail that is not straight tilts the base as the arm moves along it."""
+    assert {"slide position of joint 1", "position of joint 2"} <= phrases(3, (0,))
+    assert "position of joint 1" not in phrases(3, (0,))
+    found = components(everywhere(3), moved(3, (0,)), 3)
+    assert "joint1" not in {one.site for one in found}
+    assert "link1" in {one.site for one in found}
+
+
+def test_an_arm_of_one_joint_has_no_links_and_no_other_joints():
+    found = components(everywhere(1), moved(1), 3)
+    assert {one.site for one in found} == {"joint1", "base", "tool", "sensor"}
+    assert phrases(1) == {"position of joint 1"}
+
+
+@pytest.mark.parametrize("known", [{}, {"time": 8.0 * np.arange(40)}])
+def test_only_what_is_recorded_is_a_driver(known):
+    assert {one.driver.quantity for one in quantities(moved(3, **known), None)} == {"position", *known}
+
+
+def test_a_sensor_that_sees_no_orientation_sees_no_turn_of_the_tool():
+    assert {one.name for one in components(everywhere(2), moved(2), 3) if one.site == "tool"} == {"x", "y", "z"}
+    assert {one.name for one in components(everywhere(2), moved(2), 6) if one.site == "tool"} == set(COMPONENTS)
+
+
+def test_what_the_sensor_does_not_see_is_no_component():
+    sites = everywhere(2) | {("link", 0, 3): np.zeros((3, 40))}
+    assert ("link1", "rx") not in {(one.site, one.name) for one in components(sites, moved(2), 3)}
+
+
+def test_every_quantity_that_is_known_is_there_once():
+    rng = np.random.default_rng(4)
+    velocity, rise = rng.uniform(-1.0, 1.0, (2, 3, 40))
+    moving = moved(3, time=8.0 * np.arange(40))._replace(
+        joint_velocity=velocity, direction=np.sign(velocity), joint_temperature_rise=9 * rise
+    )
+    found = [one.driver.phrase for one in quantities(moving, None)]
+    assert len(found) == len(set(found)) == 1 + 4 * 3  # time; positions, velocities, directions and temperatures
+    own = {one.driver.phrase: one.own for one in quantities(moving, None)}
+    assert {"joint2", "link2"} <= own["velocity of joint 2"]
+    assert own["time"] == {""}

@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import GRAVITY, LITE6, Made, moving_motion, quaternions, static_motion, with_effects
+from diagnosis.recorded import GRAVITY, LITE6, Made, moving_motion, static_motion, with_effects
 from domains.pose.documents import OWN, document, refused, stored
 from typed import flat, run
 from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import SCHEMA, model_from_document, read_model
+from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.files import pose_columns, read_motion
-from lite6jax.domains.pose.predict import predict
+from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import pose_columns, predict
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
@@ -100,15 +100,6 @@ def test_rows_where_the_clock_reaches_beyond_the_ends_are_nan(arm, tmp_path):
         np.testing.assert_allclose(poses[~beyond], with_effects(arm, text).poses(motion)[~beyond], rtol=0, atol=1e-11)
 
 
-def test_the_table_has_orientation_where_it_was_recorded(arm):
-    poses = arm.poses(static_motion(9, 5))
-    columns = pose_columns(poses, orientation=True)
-    given = np.stack([columns[name] for name in ("qw", "qx", "qy", "qz")], 1)
-    wanted = quaternions(poses)
-    np.testing.assert_allclose(np.abs(np.sum(given * wanted, 1)), 1.0, atol=1e-12)
-    assert list(pose_columns(poses, orientation=False)) == ["x_m", "y_m", "z_m"]
-
-
 def test_settings_come_from_the_diagnosed_recording_or_the_motions_own_sidecar(arm, tmp_path):
     """Reference temperature and kind of motion: 20 °C instead of 25 is five kelvin of growth more."""
     text, motion = "link_thermal_expansion:expansion_per_K=2.3e-5", static_motion(9, SAMPLES)
@@ -129,18 +120,6 @@ def test_the_kind_of_motion_is_inherited(arm, tmp_path):
     found = predicted(tmp_path, content, motion)
     wanted = with_effects(arm, "joint_backlash:joint=4,gap_rad=1.2e-3").poses(motion)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11)
-
-
-def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
-    """To the accuracy of an efficient estimate: 160 samples of 20 µm leave some micrometres."""
-    made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
-    found = diagnose(made.recording(static_motion(1)), options=FEW)
-    motion = static_motion(10, SAMPLES)
-    poses = predicted(tmp_path, found.to_dict(), motion)
-    off = (poses - made.poses(motion))[:, :3, 3]
-    assert np.sqrt(np.mean(np.sum(off**2, 1))) < 1.2e-5
-    turned = np.einsum("nij,nik->njk", poses[:, :3, :3], made.poses(motion)[:, :3, :3])
-    assert np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)).max() < 6e-5
 
 
 def test_without_noise_the_prediction_is_the_truth(arm, tmp_path):
@@ -176,17 +155,6 @@ def test_an_effect_of_ones_own(arm, tmp_path):
     moved[:, 2] += 3e-4 * np.tanh(moved[:, 2])
     np.testing.assert_allclose(poses, arm.poses({**motion, "joint_position": moved}), rtol=0, atol=1e-11)
     assert "effect 'cable_drag': unknown" in refused(read_model, stored(tmp_path, content))
-
-
-def test_other_settings_of_a_recording(arm):
-    """Directions follow the kind of motion; what was measured of the motion stays."""
-    motion = static_motion(9, SAMPLES)
-    recording = arm.recording(motion)
-    other = recording.made_anew(settings=RecordingSettings(motion="trajectory", reference_temperature_degC=20.0))
-    assert (other.motion, other.settings.reference_temperature_degC) == ("trajectory", 20.0)
-    assert other.joint_velocity is not None
-    np.testing.assert_array_equal(other.direction_of_motion, np.sign(other.joint_velocity))
-    np.testing.assert_array_equal(other.joint_temperature, recording.joint_temperature)
 
 
 # ------------------------------------------------------------------ plain arrays
@@ -259,13 +227,6 @@ def test_one_payload_and_one_direction_serve_all_samples(arm, instant):
     alike["joint_temperature"] = np.full((SAMPLES, 6), 30.0)
     poses = instant.pose(motion["joint_position"], payload=0.4, temperature_rise=5.0, direction=1.0)
     np.testing.assert_allclose(poses, with_effects(arm, *INSTANT).poses(alike), rtol=0, atol=1e-11)
-
-
-def test_poses_are_those_of_predict(arm, instant):
-    motion = static_motion(9, SAMPLES)
-    names = ("joint_temperature", "payload")
-    poses = predict(instant, motion["joint_position"], **{name: motion[name] for name in names})
-    np.testing.assert_allclose(instant.pose(motion["joint_position"], **instants(motion)), poses, rtol=0, atol=1e-14)
 
 
 def test_jit_and_vmap_change_nothing(few):
@@ -519,21 +480,6 @@ def test_register_as_it_is_typed(capsys, arm, tmp_path, orientation):
     assert said == f"{joints}: has no measured positions; a fit needs the columns x_m y_m z_m"
 
 
-def test_register_counts_wild_rows(capsys, arm, tmp_path):
-    motion = static_motion(9, SAMPLES)
-    other = elsewhere(arm)
-    recording = other.recording(motion)
-    position = recording.position.copy()
-    position[[3, 4]] += 0.02
-    path = write_recording(replace(recording, position=position), other.folder / "again.csv", overwrite=True)
-    code, said, _ = run(
-        capsys, "predict", stored(tmp_path, document(arm, [])), path, "--register", "--out", tmp_path / "p.csv"
-    )
-    assert code == 0
-    assert "The registration on 30 rows leaves errors of 0.03" in flat(said)
-    assert "2 rows are outliers and have little weight." in flat(said)
-
-
 def test_a_model_relative_to_a_reference_says_so(arm):
     against = {"file": "gazebo.csv", "rigid": False, "statement": "The model is this arm's own."}
     relative = model_from_document(document(arm, []) | {"against": against})
@@ -566,15 +512,6 @@ def test_a_file_that_is_no_diagnosis(tmp_path, content):
     assert refused(read_model, path) == (
         f"{path}: is no diagnosis (lite6jax/diagnosis/2 with a model); give what `lite6jax diagnose --out` wrote"
     )
-
-
-def test_a_diagnosis_without_a_model(tmp_path):
-    path = stored(tmp_path, {"schema": SCHEMA})
-    assert refused(read_model, path).startswith(f"{path}: is no diagnosis (")
-
-
-def test_no_such_file(tmp_path):
-    assert str(tmp_path / "none.json") in refused(read_model, tmp_path / "none.json")
 
 
 @pytest.mark.parametrize(
@@ -648,12 +585,3 @@ def test_a_model_without_masses_cannot_predict_a_compliance(arm, tmp_path):
     content["model"]["inertia"] = None
     said = refused(lambda: predicted(tmp_path, content, static_motion(9, SAMPLES)))
     assert "joint_compliance:joint2: needs the gravity torque of joint 2" in said
-
-
-def test_a_motion_of_another_arm(arm, tmp_path):
-    motion = static_motion(9, SAMPLES)
-    path = write_recording(Recording.from_arrays(motion["joint_position"][:, :5]), tmp_path / "motion.csv")
-    model = read_model(stored(tmp_path, document(arm, [])))
-    said = refused(read_motion, path, model)
-    assert said.startswith(str(path))
-    assert "has 5 joints (q1 ... q5), the arm has 6" in said

@@ -13,7 +13,6 @@ from diagnosis.recorded import NOISE, Made, moving_motion, quaternions, static_m
 from domains.pose.documents import document, refused, stored
 from typed import flat, run
 
-import lite6jax
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document
@@ -24,7 +23,6 @@ from lite6jax.domains.pose.predict import (
     Derivatives,
     estimated_variance,
     predict,
-    predict_deviations,
     predicted,
 )
 from lite6jax.domains.pose.registration import register_model
@@ -337,7 +335,6 @@ def test_a_document_without_it_is_read(arm):
     assert (bars.position_std, bars.orientation_std, bars.outside) == (None, None, None)
     arrays = {name: motion[name] for name in ARRAYS}
     np.testing.assert_array_equal(bars.poses, predict(model, motion["joint_position"], **arrays))
-    assert predict_deviations(model, model.motion_of(Recording.from_arrays(motion["joint_position"]))) is None
 
 
 @pytest.mark.parametrize(
@@ -454,7 +451,3 @@ def test_the_columns_that_compensate_writes(capsys, arm, content, tmp_path):
     bars = [*(f"{axis}_std_m" for axis in "xyz"), *(f"r{axis}_std_rad" for axis in "xyz"), "outside"]
     assert names[-len(bars) - 1 :] == [*bars, "reason"]
     assert read_recording(out).position is None  # a motion, to be predicted, whose deviations are passed over
-
-
-def test_it_is_a_public_name():
-    assert lite6jax.predicted is predicted

@@ -227,15 +227,6 @@ def test_what_the_references_sidecar_declares_is_kept(arm):
     np.testing.assert_allclose(poses_of(seen.recording), expected, rtol=0, atol=1e-12)
 
 
-def test_table_and_tool_together(arm):
-    seen = compare(arm.recording(STILL), simulator(rigid(LITE6.kinematics) @ placed(z=0.05)))
-    assert codes(seen) == ["other_table", "other_tool"]
-    np.testing.assert_allclose(seen.differences[1]["translation_m"], (0, 0, 0.05), atol=1e-9)
-    assert " RMS" not in differences(seen)[0]  # how much they reduce is said once, of both
-    assert "Together they reduce the position error" in differences(seen)[1]
-    assert seen.remaining.max() < 1e-12
-
-
 def test_a_bent_link_of_the_reference_is_named(arm):
     seen = compare(arm.recording(STILL), simulator(with_effects(arm, BENT).poses(STILL)))
     (entry,), (sentence,) = seen.differences, differences(seen)
@@ -382,15 +373,6 @@ def test_drivers_that_differ_are_reported(arm):
         f"The direction of motion differs in {SAMPLES} rows: there, backlash that both arms have does not cancel.",
         "Only one of the recordings has temperatures: expansion that both arms have does not cancel.",
     ]
-
-
-def test_a_backlash_that_appeared(folder):
-    """Found by the direction of this recording's motion."""
-    worn = "joint_backlash:joint=4,gap_rad=1.2e-3"
-    before = Made(folder, (HARMONIC,), seed=2)
-    after = with_effects(before, HARMONIC, worn)
-    diagnosis, _ = diagnose_against(after.recording(STILL, seed=3), before.recording(STILL, seed=4))
-    check_finding(diagnosis, worn)
 
 
 def test_a_trajectory_keeps_its_motion(folder):

@@ -2,19 +2,19 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from lite6jax.calibration.start import frames_from_poses
-from lite6jax.domains.pose.kinematics import small_displacement
+from lite6jax.calibration.start import frames_from_poses, measured_rotations
+from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
-from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
+from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.recordings import Recording
@@ -33,68 +33,38 @@ class Jump(NamedTuple):
         part: "base", the sensor's frame against the base, or "tool", the measured point on the flange.
         twist: `(6,)` m and rad by which it moved, in its own axes.
         displacement: m by which the poses after it are off, root mean square.
-        p: family-wise.
+        p: family-wise; NaN where its row was given, so that nothing is tested.
     """
 
     sample: int
-    part: Literal["base", "tool"]
+    part: str
     twist: Array
     displacement: float
     p: float
 
 
-@final
-class JumpSearch(NamedTuple):
-    """What a search for jumps found.
-
-    Attributes:
-        jump: the next; None where there is none.
-        p: family-wise, of the best candidate; NaN where there are too few rows to tell.
-        gradual: whether that is more than chance, but no jump.
-    """
-
-    jump: Jump | None
-    p: float
-    gradual: bool
-
-
-def detect_jump(state: Screened, options: ScreeningOptions) -> Detection:
-    """The next row at which a frame jumped; none where the same jump has been corrected before."""
-    if state.corrections.known_jumps is not None:
-        return Detection(_at_row(state, *state.corrections.known_jumps[state.count("frame_jump")], options))
-    searched = seek_jump(state.rigid_arm, options)
-    if searched.jump is not None:
-        place = {"row": int(state.recording.row[searched.jump.sample]), "part": searched.jump.part}
-        known = (fault.numbers for fault in state.found if fault.code == "frame_jump")
-        # what is left after it was corrected is no constant twist
-        return Detection() if any(place.items() <= numbers.items() for numbers in known) else Detection(searched.jump)
-    numbers: dict[str, Any] = {"reason": "gradual" if searched.gradual else "chance", "p_value": searched.p}
-    if np.isnan(searched.p):
-        numbers = {"reason": "too_few_rows"}
-    return not_there("frame_jump", samples=state.recording.samples, **numbers)
+def remove_jumps(state: Screened, options: ScreeningOptions) -> Screened:
+    """The poses after each jump where they would have been without it."""
+    known, most = state.corrections.known_jumps, state.corrections.jumps
+    if known is not None:
+        for row, part in known:
+            jump = _jump_at(state.rigid_arm, row, part, options)
+            if jump is None:
+                break
+            state = _without(state, jump, options)
+        return state
+    for _ in range(options.most_jumps if most is None else most):
+        jump, numbers = seek_jump(state.rigid_arm, options)
+        if jump is None:
+            return state.rule_out("frame_jump", samples=state.recording.samples, **numbers)
+        place = {"row": int(state.recording.row[jump.sample]), "part": jump.part}
+        if any(place.items() <= fault.numbers.items() for fault in state.found if fault.code == "frame_jump"):
+            break  # what is left after it was corrected is no constant twist
+        state = _without(state, jump, options)
+    return state
 
 
-def _at_row(state: Screened, row: int, part: str, options: ScreeningOptions) -> Jump | None:
-    """The jump at a row of the file, its size estimated; None where no row before it, or none after it, is there."""
-    arm = state.rigid_arm
-    sample = int(np.argmax(arm.recording.row >= row)) if (arm.recording.row >= row).any() else 0
-    if not sample:
-        return None
-    few, first = thinned(arm.samples, options), 6 * arm.recording.dof if part == "tool" else 0
-    after, arm = few >= sample, arm.select(few)
-    numbers = slice(first, first + (arm.rows if first else 6))
-    projected = Projected(arm, physics_columns(arm), options)
-    values, covariance, _ = projected.regression(np.where(after, arm.twists[numbers], 0.0))
-    twist = np.zeros(6)
-    twist[: len(values)] = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
-    plain = np.einsum("k,krs->rs", values, arm.plain_twists[numbers])[:3, after]
-    displacement = float(np.sqrt(np.mean(np.sum(plain**2, 0))))
-    p = float("nan")  # its row was given, so that nothing is tested
-    return Jump(sample, "tool" if first else "base", twist, displacement, p)
-
-
-def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
-    """The poses after a jump where they would have been without it."""
+def _without(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
     arm, refined = without_jump(state.rigid_arm, jump, options, state.corrections.beside_physics)
     row, run, k = arm.recording.row, arm.recording.run, jump.sample
     numbers: dict[str, Any] = {"row": int(row[k]), "part": jump.part}
@@ -116,13 +86,44 @@ def _removed(arm: RigidArm, jump: Jump, recording: Recording) -> Recording:
     there, rows = replace(arm, recording=recording), arm.recording.row
     before, sample = (int(np.flatnonzero(recording.row == rows[k])[0]) for k in (max(jump.sample - 1, 0), jump.sample))
     if sample - before > 1:
-        first = 6 * recording.dof if jump.part == "tool" else 0
-        sample = _located(there, before, sample, first, jump.twist[: arm.rows] if first else jump.twist)
+        numbers = _numbers(arm, jump.part)
+        sample = _located(there, before, sample, numbers, jump.twist[: numbers.stop - numbers.start])
     return _displaced_back(there, there, jump._replace(sample=sample), small_displacement(jump.twist))
 
 
-def seek_jump(arm: RigidArm, options: ScreeningOptions) -> JumpSearch:
-    """The row, if any, at which the sensor's frame, the base or the tool jumped.
+def _numbers(arm: RigidArm, part: str) -> slice:
+    """Which of the arm's twists move the base, or the tool as far as it is measured."""
+    last = 6 * arm.recording.dof
+    return slice(0, 6) if part == "base" else slice(last, last + arm.rows)
+
+
+def _displacement(arm: RigidArm, numbers: slice, values: Array, after: NDArray[Any]) -> float:
+    """m, root mean square, of the positions of some samples by a twist."""
+    moved = np.einsum("k,krs->rs", values, arm.plain_twists[numbers])[:3, after]
+    return float(np.sqrt(np.mean(np.sum(moved**2, 0))))
+
+
+def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> Jump | None:
+    """The jump at a row of the file, its size estimated; None where no row before it, or none after it, is there."""
+    later = arm.recording.row >= row
+    sample = int(np.argmax(later))
+    if not sample:
+        return None
+    few, numbers = thinned(arm.samples, options), _numbers(arm, part)
+    after, arm = few >= sample, arm.select(few)
+    projected = Projected(arm, physics_columns(arm), options)
+    values, covariance, _ = projected.regression(np.where(after, arm.twists[numbers], 0.0))
+    known = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
+    return Jump(sample, part, _six(known), _displacement(arm, numbers, values, after), float("nan"))
+
+
+def _six(values: Array) -> Array:
+    """A twist with zeros for what is not measured of it."""
+    return np.pad(values, (0, 6 - len(values)))
+
+
+def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, dict[str, Any]]:
+    """The row, if any, at which the sensor's frame, the base or the tool jumped; else the numbers that rule it out.
 
     The maximum over rows of the score of six numbers that are others after it, beside all physics and a drift that is a
     cubic of time; autocorrelated residuals count as fewer. In a trajectory the jump must be visible between
@@ -134,46 +135,37 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> JumpSearch:
     """
     whole, few = arm, thinned(arm.samples, options)
     arm = arm.select(few)
-    projected = Projected(arm, physics_columns(arm), options)
-    n, last = arm.samples, 6 * arm.recording.dof
+    projected, n = Projected(arm, physics_columns(arm), options), arm.samples
     if projected.freedom < n or n < 4 * options.jump_margin:
-        return JumpSearch(None, np.nan, False)
+        return None, {"reason": "too_few_rows"}
     segment = run_segments(arm.recording.run)
-    found: list[tuple[float, int, Literal["base", "tool"], Array]] = []
-    parts: tuple[tuple[Literal["base", "tool"], slice], ...] = (
-        ("base", slice(0, 6)),
-        ("tool", slice(last, last + arm.rows)),
-    )
-    for part, numbers in parts:
-        columns = arm.twists[numbers]
+    found: list[tuple[float, int, str]] = []
+    for part, advantage in (("base", 1.0), ("tool", options.tool_advantage)):
+        columns = arm.twists[_numbers(arm, part)]
         block = max(1, n // options.jump_blocks)
         starts = np.unique(np.concatenate([np.arange(0, n, block), np.flatnonzero(np.diff(segment)) + 1]))
         k, gain = _best_split(projected, columns, starts, options)
         k, gain = _best_split(projected, columns, np.arange(max(k - block, 1), min(k + block + 1, n)), options)
-        found.append((gain / (1.0 if part == "base" else options.tool_advantage), k, part, columns))
-    _, k, part, columns = max(found, key=lambda item: item[0])
+        found.append((gain / advantage, k, part))
+    _, k, part = max(found, key=lambda item: item[0])
+    numbers = _numbers(arm, part)
+    columns = arm.twists[numbers]
     after = np.where(np.arange(n) >= k, columns, 0.0)
     values, _, statistic = projected.regression(after)
     p = _p_value(projected, after, values, statistic, options)
-    plain = np.einsum(
-        "k,krs->rs", values, arm.plain_twists[:6] if part == "base" else arm.plain_twists[last:][: arm.rows]
-    )
-    displacement = float(np.sqrt(np.mean(np.sum(plain[:3, k:] ** 2, 0))))
+    displacement = _displacement(arm, numbers, values, np.arange(n) >= k)
     sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, columns)[:, k:] ** 2, 0)) / arm.rows)
-    between_runs = arm.recording.motion == "trajectory" and segment[k - 1] != segment[k]
     small = statistic < options.jump_share * projected.freedom
-    if between_runs and not small:
+    if arm.recording.motion == "trajectory" and segment[k - 1] != segment[k] and not small:
         bare = Projected(arm, np.zeros((0, arm.rows, n)), options)
         small = bare.regression(after)[2] < options.jump_share_between_runs * bare.freedom
     if p > options.jump_level or sigmas < options.jump_noise or small:
-        return JumpSearch(None, p, p < options.jump_level)
-    twist = np.zeros(6)
-    twist[: len(values)] = values
+        return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
     if len(few) < whole.samples:
-        k = _located(whole, few[k - 1], few[k], last if part == "tool" else 0, values)
+        k = _located(whole, few[k - 1], few[k], numbers, values)
     if not _sharp(whole, k, run_segments(whole.recording.run), options):
-        return JumpSearch(None, p, True)
-    return JumpSearch(Jump(k, part, twist, displacement, p), p, False)
+        return None, {"reason": "gradual", "p_value": p}
+    return Jump(k, part, _six(values), displacement, p), {}
 
 
 def _p_value(projected: Projected, after: Array, values: Array, statistic: float, options: ScreeningOptions) -> float:
@@ -196,11 +188,11 @@ def _p_value(projected: Projected, after: Array, values: Array, statistic: float
     return at(max(time, model.time))
 
 
-def _located(arm: RigidArm, low: int, high: int, first: int, values: Array) -> int:
-    """The first sample of `(low, high]` after a jump by the numbers of twists from `first` on."""
+def _located(arm: RigidArm, low: int, high: int, numbers: slice, values: Array) -> int:
+    """The first sample of `(low, high]` after a jump by some of the twists."""
     part = arm.select(np.arange(low, high + 1))
     plain = np.sum(part.residuals**2, 0)
-    moved = np.sum((part.residuals + np.einsum("k,krs->rs", values, part.twists[first:][: len(values)])) ** 2, 0)
+    moved = np.sum((part.residuals + np.einsum("k,krs->rs", values, part.twists[numbers])) ** 2, 0)
     return low + 1 + int(np.argmin(np.cumsum(plain - moved)[:-1]))
 
 
@@ -233,16 +225,12 @@ def without_jump(
         moved = replace(moved, recording=recording).fitted(options.most_fitted)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
         projected = Projected(moved, physics, options)
-        last = 6 * arm.recording.dof
-        columns = moved.twists[:6] if jump.part == "base" else moved.twists[last:][: arm.rows]
+        columns = moved.twists[_numbers(arm, jump.part)]
         values, covariance, _ = projected.regression(np.where(np.arange(arm.samples) >= jump.sample, columns, 0.0))
         if np.all(np.abs(values) < options.converged * np.sqrt(np.diagonal(covariance))):
             break
-        small = np.zeros(6)
-        small[: len(values)] = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
-        twist = small_displacement(small)
-    rotation = Rotation.from_matrix(total[:3, :3]).as_rotvec()
-    twist = np.concatenate([total[:3, 3], rotation])
+        twist = small_displacement(_six(np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)))
+    twist = np.concatenate([total[:3, 3], Rotation.from_matrix(total[:3, :3]).as_rotvec()])
     assert moved.recording.position is not None
     assert arm.recording.position is not None
     shift = np.linalg.norm(moved.recording.position - arm.recording.position, axis=1)[jump.sample :]
@@ -251,24 +239,19 @@ def without_jump(
 
 def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Recording:
     """The recording with the poses after a jump by `T` displaced back."""
-    recording, after = arm.recording, np.arange(arm.samples) >= jump.sample
+    recording, after, R = arm.recording, np.arange(arm.samples) >= jump.sample, measured_rotations(arm.recording)
     assert recording.position is not None
     position, quaternion = recording.position.copy(), recording.quaternion
-    R = None if quaternion is None else Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix()
     if jump.part == "base":
         back = fitted.T_sensor_base @ np.linalg.inv(T) @ np.linalg.inv(fitted.T_sensor_base)
         position[after] = position[after] @ back[:3, :3].T + back[:3, 3]
         turned = None if R is None else back[:3, :3] @ R
     else:
         flange, tool = fitted.frames[-1], fitted.T_flange_tool
-        slipped = flange @ T @ tool
-        position[after] -= (slipped - flange @ tool)[after, :3, 3]
-        slip = np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3]
-        turned = None if R is None else R @ slip
-    if R is not None and turned is not None:
-        unit = np.roll(Rotation.from_matrix(np.where(after[:, None, None], turned, R)).as_quat(), 1, axis=1)
-        leading = np.argmax(np.abs(np.sign(unit)), axis=1)
-        quaternion = unit * np.sign(unit[np.arange(len(unit)), leading, None])
+        position[after] -= (flange @ T @ tool - flange @ tool)[after, :3, 3]
+        turned = None if R is None else R @ np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3]
+    if turned is not None:
+        quaternion = unit_quaternions(np.where(after[:, None, None], turned, R))
     return replace(recording, position=position, quaternion=quaternion)
 
 

@@ -7,8 +7,9 @@ where its log-likelihood exceeds that of the recording as it is declared, and of
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, combinations
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,11 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.description import bundled_of
 from lite6jax.calibration.problem import TOLERANCE
-from lite6jax.calibration.start import frames_from_poses
+from lite6jax.calibration.start import frames_from_poses, measured_rotations
+from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.screened import Detection, Screened
+from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -90,14 +92,14 @@ class Change:
         convention = str(self.value)
         if convention.endswith("scalar_last") and quaternion is not None:
             quaternion = quaternion[:, _SCALAR_LAST]
-        R = None if quaternion is None else Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix()
+        R = measured_rotations(replace(recording, quaternion=quaternion))
         if self.code == "mirrored_sensor":
             M = _reflection(convention)
             position, R = position @ M, None if R is None else M @ R @ M
         elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
             R = np.swapaxes(R, 1, 2)
             position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
-        return replace(recording, position=position, quaternion=None if R is None else _quaternions(R))
+        return replace(recording, position=position, quaternion=None if R is None else unit_quaternions(R))
 
     def _joints(self, recording: Recording) -> Recording:
         """What is recorded of each joint, changed as its position is."""
@@ -117,33 +119,6 @@ class Change:
         return with_joints(recording, A, b, effort)
 
 
-@final
-class Comparison(NamedTuple):
-    """How hypotheses compare.
-
-    Attributes:
-        error: m, the median of the nominal arm with the recording as it is declared.
-        limit: m above which it is suspected.
-        found: the hypothesis to be taken; None where nothing is wrong, nothing explains it, or several do alike.
-        corrected_error: m, the median with the best hypothesis, fitted; None where none was tried.
-        alternatives: hypotheses that fit as well; where none is taken, two or more that cannot be told apart.
-        fitted_error: m, the median with the geometry fitted instead; None where that was not tried.
-        unexplained: whether that too is more than any arm has.
-        one_point: whether the positions are one point, so that nothing was compared.
-        other_arm: a bundled arm whose nominal kinematics agree where those of the declared one do not.
-    """
-
-    error: float
-    limit: float
-    found: Hypothesis | None = None
-    corrected_error: float | None = None
-    alternatives: tuple[Hypothesis, ...] = ()
-    fitted_error: float | None = None
-    unexplained: bool = False
-    one_point: bool = False
-    other_arm: str | None = None
-
-
 def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
     """The recording without the faults of a hypothesis."""
     for change in hypothesis:
@@ -151,58 +126,10 @@ def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
     return recording
 
 
-def detect_mismatch(state: Screened, options: ScreeningOptions) -> Detection:
-    """What is wrong with a recording that misses the arm grossly; what was ruled out where nothing is."""
-    compared = compare_hypotheses(state, options)
-    if compared.found or compared.alternatives or compared.other_arm or compared.unexplained:
-        return Detection(compared)
-    numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
-    if compared.fitted_error is not None:
-        numbers["fitted_error_m"] = compared.fitted_error
-    if compared.one_point:
-        numbers["one_point"] = True
-    if compared.corrected_error is not None:
-        numbers["best_alternative_m"] = compared.corrected_error
-    settings = state.rigid_arm.recording.settings
-    missing = {"joint_turns"}  # the screen of turns speaks of these
-    missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
-    missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
-    missing |= {"declared_tool"} if settings.tool == "unknown" else set()
-    missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
-    return Detection(None, tuple(DataFault(code, (), numbers) for code in CODES if code not in missing))
+def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
+    """The recording as the best hypothesis has it, where it misses the arm grossly as it is declared.
 
-
-def correct_mismatch(state: Screened, compared: Comparison, options: ScreeningOptions) -> Screened:
-    """The recording as the best hypothesis has it; as it is where several fit alike, or none does."""
-    arm = state.rigid_arm
-    if compared.other_arm is not None:
-        errors = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
-        named = {"declared": arm.arm.name, "arm": compared.other_arm}
-        return state.corrected(DataFault("other_arm", (), named | errors))
-    if compared.unexplained:
-        errors = {"median_error_m": compared.error, "fitted_error_m": compared.fitted_error}
-        return state.corrected(DataFault("unexplained", (), errors | {"best_alternative_m": compared.corrected_error}))
-    numbers: dict[str, Any] = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
-    numbers["alternatives"] = [
-        [{"fault": change.code, **change.numbers} for change in other] for other in compared.alternatives
-    ]
-    if compared.found is None:
-        return state.corrected(DataFault("undecided", (), numbers))
-    found = compared.found
-    rigid = rigid_arm(undo(found, arm.recording), arm.arm, state.geometry, state.factory)
-    for change in found:
-        own = dict(change.numbers) | (numbers if change is found[-1] else {})
-        if change.code == "declared_frame":
-            own |= _frame_numbers(rigid.T_sensor_base)
-        if change.code == "declared_tool":
-            tool = np.linalg.inv(arm.arm.T_joint_flange) @ rigid.T_flange_tool
-            own["translation_m"] = tool[:3, 3].tolist()
-        state = state.corrected(DataFault(change.code, (), own), rigid=rigid)
-    return state.transformed(lambda recording: undo(found, recording))
-
-
-def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison:
-    """The hypothesis with which a recording fits, where as it is declared it misses grossly.
+    It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
 
     Args:
         state: with a rigid arm that is not fitted yet, of a recording with poses.
@@ -213,32 +140,36 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
     few = _spread_rows(arm, options.column_rows)
     error = _median_error(few)
     if touches_one_point(arm.recording, arm.noise[0]):
-        return Comparison(error, limit, one_point=True)
+        return _rule_out(state, error, limit, one_point=True)
     if error <= limit:
-        return Comparison(error, limit)
+        return _rule_out(state, error, limit)
     allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
     near = _search(few, options, allowed)
     other, left = _nearest_arm(few)
     unfitted = [_median_error(_free_frames(few, undo(h, few.recording))) for h in near]
     if left <= min([allowed, error / options.clearly_nearer, *unfitted]):
-        return Comparison(error, limit, None, left, other_arm=other)
+        numbers = {"declared": arm.arm.name, "arm": other, "median_error_m": error, "corrected_error_m": left}
+        return state.corrected(DataFault("other_arm", (), numbers))
     fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
     errors = [_median_error(fit) for _, fit in fits]
     least = min(errors, default=np.inf)
+    # a chain that is not known may be further from its table than the limit, and fit the recording as it is
+    recorded = arm.fitted(options.most_fitted)
+    fitted_error = _median_error(recorded)
     if least > allowed:
-        fitted = _median_error(arm.fitted(options.most_fitted))
-        beyond = fitted > options.corrected_reach * arm.arm.reach
-        return Comparison(error, limit, None, least if fits else None, fitted_error=fitted, unexplained=beyond)
+        best = {"best_alternative_m": least} if fits else {}
+        if fitted_error <= options.corrected_reach * arm.arm.reach:
+            return _rule_out(state, error, limit, fitted_error_m=fitted_error, **best)
+        numbers = {"median_error_m": error, "fitted_error_m": fitted_error, "best_alternative_m": None} | best
+        return state.corrected(DataFault("unexplained", (), numbers))
     equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
     equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
     equal.sort(key=lambda one: (_outside_limits(state, one[0], options), _simplicity(one[0])))
     chosen, corrected = equal[0]
-    # a chain that is not known may be further from its table than the limit, and fit the recording as it is
-    recorded = arm.fitted(options.most_fitted)
     scale = min(corrected.scale, recorded.scale)
     more = 0.5 * np.log(arm.rows * arm.samples) * (len(corrected.unknown) - len(recorded.unknown))
     if corrected.log_likelihood(scale) - recorded.log_likelihood(scale) < options.trusted_log_likelihood + more:
-        return Comparison(error, limit, fitted_error=_median_error(recorded))
+        return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     distinct, rivals = [chosen], []
     for hypothesis, fit in equal[1:]:
         if any(_whole_turns_apart(hypothesis, other) for other in distinct):
@@ -248,9 +179,34 @@ def compare_hypotheses(state: Screened, options: ScreeningOptions) -> Comparison
         alike &= _outside_limits(state, hypothesis, options) == _outside_limits(state, chosen, options)
         if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.trusted_log_likelihood:
             rivals.append(hypothesis)
+    others = [chosen, *rivals] if rivals else distinct[1:]
+    alternatives = [[{"fault": change.code, **change.numbers} for change in one] for one in others]
+    numbers = {"median_error_m": error, "corrected_error_m": least, "alternatives": alternatives}
     if rivals:
-        return Comparison(error, limit, None, least, (chosen, *rivals))
-    return Comparison(error, limit, chosen, least, tuple(distinct[1:]))
+        return state.corrected(DataFault("undecided", (), numbers))
+    rigid = _rigid(state, undo(chosen, arm.recording))
+    for change in chosen:
+        own = change.numbers | (numbers if change is chosen[-1] else {})
+        if change.code == "declared_frame":
+            turned = Rotation.from_matrix(rigid.T_sensor_base[:3, :3]).as_rotvec()
+            own |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
+        if change.code == "declared_tool":
+            tool = np.linalg.inv(arm.arm.T_joint_flange) @ rigid.T_flange_tool
+            own["translation_m"] = tool[:3, 3].tolist()
+        state = state.corrected(DataFault(change.code, (), own), rigid=rigid)
+    return state.transformed(partial(undo, chosen))
+
+
+def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Screened:
+    """Every hypothesis that the settings and the number of joints leave; the screen of turns speaks of turns."""
+    settings = state.rigid_arm.recording.settings
+    missing = {"joint_turns"}
+    missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
+    missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
+    missing |= {"declared_tool"} if settings.tool == "unknown" else set()
+    missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
+    codes = (code for code in CODES if code not in missing)
+    return state.rule_out(*codes, median_error_m=error, suspected_above_m=limit, **numbers)
 
 
 def touches_one_point(recording: Recording, noise: float) -> bool:
@@ -374,12 +330,11 @@ def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
     """The arm with another recording of as many rows, and frames in closed form as its settings leave them free."""
     flange = frames.chain(arm.links, recording.joint_position, recording.sliding) @ arm.arm.T_joint_flange
     assert recording.position is not None
-    rotation = None if recording.quaternion is None else Rotation.from_quat(np.roll(recording.quaternion, -1, 1))
     known_tool = np.linalg.inv(arm.arm.T_joint_flange) @ arm.T_flange_tool
     T_frame, T_tool = frames_from_poses(
         flange,
         recording.position,
-        None if rotation is None else rotation.as_matrix(),
+        measured_rotations(recording),
         arm.T_sensor_base if recording.settings.pose_frame == "base" else None,
         None if recording.settings.tool == "unknown" else known_tool,
     )
@@ -443,15 +398,3 @@ def _reflection(axes: str) -> Array:
     else:
         M[places] = M[places[::-1]]
     return M
-
-
-def _quaternions(R: Array) -> Array:
-    """`(sample, 4)` unit, scalar first, the first component that is not zero positive."""
-    unit = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
-    leading = np.argmax(np.abs(np.sign(unit)), axis=1)
-    return unit * np.sign(unit[np.arange(len(unit)), leading, None])
-
-
-def _frame_numbers(T: Array) -> dict[str, Any]:
-    """Where the base stands in the frame of the poses: shift in m, and the rotation vector in rad."""
-    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": Rotation.from_matrix(T[:3, :3]).as_rotvec().tolist()}

@@ -1,125 +1,78 @@
 """Another nominal table of the same model than the declared one."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple, final
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.description import VARIANTS, bundled_arms, load_bundled
+from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
-from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
+from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 
 
-@final
-class OtherTable(NamedTuple):
-    """How a nominal table compares with another of the same model.
-
-    Attributes:
-        declared: name of the declared table.
-        name: of the other; None where there is none, or the chain is the arm's own.
-        share: of the way from the declared table to the other at which the data lie, and its standard deviation; None
-            where the chain is fitted.
-        ratios: residual scales with the declared table and the other, over that of a fitted chain; None where it is
-            not fitted.
-        decided: whether the data are of the other.
-        likelier: whether they are likelier with the other, if no physics is at work.
-    """
-
-    declared: str
-    name: str | None
-    share: tuple[float, float] | None = None
-    ratios: tuple[float, float] | None = None
-    decided: bool = False
-    likelier: bool = False
-
-    def numbers(self) -> dict[str, Any]:
-        """Of a fault, as in `DataFault`."""
-        numbers: dict[str, Any] = {"declared": self.declared, "table": self.name, "decided": self.decided}
-        if self.share is not None and np.isfinite(self.share[1]):
-            numbers |= {"share": self.share[0], "share_std": self.share[1]}
-        if self.ratios is not None:
-            numbers |= {"declared_ratio": self.ratios[0], "table_ratio": self.ratios[1]}
-        return numbers
+def tables_of_model(name: str) -> list[Arm]:
+    """The bundled tables of the model that an arm's name begins with: two of a lite6."""
+    model = name.split("_")[0]
+    return [load_bundled(other) for other in bundled_arms() if other.split("_")[0] == model]
 
 
-def detect_other_table(state: Screened, options: ScreeningOptions) -> Detection:
-    """Whether the data are of another table; where they leave it open, the corrections decide."""
-    arm = state.rigid_arm
-    compared = compare_tables(arm, options)
-    if compared.name is None:
-        reason = "own_chain" if arm.exact else "single_table"
-        return not_there("nominal_table", reason=reason, declared=compared.declared)
-    if compared.decided or compared.name == state.corrections.table:
-        return Detection(compared)
-    vague = compared.share is not None and np.isinf(compared.share[1])
-    numbers = compared.numbers() | {"fitted": not arm.exact}
-    reason = "indistinguishable" if vague else "declared_fits"
-    return not_there("nominal_table", reason=reason, likelier=compared.likelier, **numbers)
+def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
+    """Another table of the same model in the place of the one declared, where the data are of that one.
 
-
-def use_other_table(state: Screened, compared: OtherTable, options: ScreeningOptions) -> Screened:
-    """The other table in the sidecar's place, unless the declared chain was asked for."""
-    arm = state.rigid_arm
-    assert compared.name is not None
-    numbers = compared.numbers() | {"used": "none"}
-    recording, nominal, factory = arm.recording, arm.arm, state.factory
-    if not arm.exact or state.geometry == "declared":
-        recording, nominal = with_table(recording, compared.name)
-        factory = None
-        numbers["used"] = "instead_of_file" if arm.exact else "table"
-    fault = DataFault("nominal_table", (), numbers)
-    return replace(state.corrected(fault, recording), arm=nominal, factory=factory)
-
-
-def compare_tables(arm: RigidArm, options: ScreeningOptions) -> OtherTable:
-    """Whether the data are of another table of the same model than the one declared.
-
-    Where the chain is declared and is a published table, the share of the way to the other table is estimated beside
-    all physics; where that leaves it vague, the other table must halve the residuals. Where the chain is fitted, the
-    other table must be likelier than the declared one, and than a fitted chain for its more numbers.
+    Where they leave it open, the corrections decide. A declared chain that was asked for stays. Where it is a published
+    table, the share of the way to the other table is estimated beside all physics; where that leaves it vague, the
+    other table must halve the residuals. Where the chain is fitted, the other table must be likelier than the declared
+    one, and than a fitted chain for its more numbers.
 
     Args:
-        arm: fitted.
+        state: with a fitted arm.
         options: the thresholds.
     """
-    tables = [load_bundled(name) for name in _family(arm.arm.name)]
+    arm = state.rigid_arm
+    tables = tables_of_model(arm.arm.name)
     declared = [arm.arm]
     if arm.exact:
         declared = [t for t in tables if np.abs(t.links - arm.links).max() < options.published_tolerance]
     others = [table for table in tables if declared and table.name != declared[0].name]
     if not others:
-        return OtherTable(arm.arm.name, None)
-    other, name = others[0], declared[0].name
+        reason = "own_chain" if arm.exact else "single_table"
+        return state.rule_out("nominal_table", reason=reason, declared=arm.arm.name)
+    other, vague = others[0], False
+    numbers: dict[str, Any] = {"declared": declared[0].name, "table": other.name}
+    theirs = _with_table(arm, other).fitted(options.most_fitted)
     if arm.exact:
         share, std = _share(arm, other, options)
-        rival = _with_table(arm, other).fitted(options.most_fitted)
-        clear = std < options.share_std or rival.scale < options.table_ratio * arm.scale
+        clear = std < options.share_std or theirs.scale < options.table_ratio * arm.scale
         there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
-        return OtherTable(
-            name, other.name, (share, std), decided=bool(clear and there), likelier=bool(rival.scale < arm.scale)
-        )
-    ours, theirs = (_with_table(arm, table).fitted(options.most_fitted) for table in (arm.arm, other))
-    more = len(arm.unknown) - len(theirs.unknown)
-    fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
-    required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)
-    ratios = (ours.scale / arm.scale, theirs.scale / arm.scale)
-    return OtherTable(name, other.name, ratios=ratios, decided=bool(theirs.log_likelihood(arm.scale) > required))
-
-
-def with_table(recording: Recording, name: str) -> tuple[Recording, Arm]:
-    """The recording with another bundled arm named and no factory calibration, which was not that arm's; the arm."""
-    settings = replace(recording.settings, factory_calibration=None, factory_uncertainty=None)
-    if not settings.arm_is_file:
-        settings = replace(settings, arm=name)
-    return replace(recording, settings=settings), load_bundled(name)
+        decided, likelier, vague = bool(clear and there), bool(theirs.scale < arm.scale), bool(np.isinf(std))
+        numbers |= {"decided": decided} | ({"share": share, "share_std": std} if np.isfinite(std) else {})
+    else:
+        ours = _with_table(arm, arm.arm).fitted(options.most_fitted)
+        more = len(arm.unknown) - len(theirs.unknown)
+        fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
+        required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)
+        decided, likelier = bool(theirs.log_likelihood(arm.scale) > required), False
+        ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}
+        numbers |= {"decided": decided} | ratios
+    if not decided and other.name != state.corrections.table:
+        reason = "indistinguishable" if vague else "declared_fits"
+        return state.rule_out("nominal_table", reason=reason, likelier=likelier, **numbers, fitted=not arm.exact)
+    recording, nominal, factory, used = arm.recording, arm.arm, state.factory, "none"
+    if not arm.exact or state.geometry == "declared":
+        # its factory calibration was not that arm's
+        settings = replace(recording.settings, factory_calibration=None, factory_uncertainty=None)
+        settings = settings if settings.arm_is_file else replace(settings, arm=other.name)
+        recording, nominal, factory = replace(recording, settings=settings), other, None
+        used = "instead_of_file" if arm.exact else "table"
+    fault = DataFault("nominal_table", (), numbers | {"used": used})
+    return replace(state.corrected(fault, recording), arm=nominal, factory=factory)
 
 
 def _share(arm: RigidArm, other: Arm, options: ScreeningOptions) -> tuple[float, float]:
@@ -131,12 +84,6 @@ def _share(arm: RigidArm, other: Arm, options: ScreeningOptions) -> tuple[float,
     column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
     share, std = estimated(arm, physics_columns(arm, skip=("links",)), column, options)
     return float(share[0]), float(std[0])
-
-
-def _family(name: str) -> list[str]:
-    """The bundled tables of a model."""
-    model = name.split("_")[0]
-    return [other for other in bundled_arms() if other == model or (other in VARIANTS and other.startswith(model))]
 
 
 def _with_table(arm: RigidArm, table: Arm) -> RigidArm:

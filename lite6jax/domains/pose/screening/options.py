@@ -17,13 +17,11 @@ class ScreeningOptions:
     # rows
     cluster_distances: float = option(
         5.0,
-        "median distances from the middle of all poses within which a row lies once its unit is corrected",
+        "median distances within which a row lies in its right unit",
         "a row in another unit lies a thousand times further",
     )
     suspect_distances: float = option(
-        10.0,
-        "median distances beyond which a row may be in a unit a thousand times smaller",
-        "no pose of an arm is so far",
+        10.0, "median distances beyond which a row may be in a thousandth of the unit", "no pose of an arm is so far"
     )
     near_share: float = option(
         0.005, "share of the median distance within which of the origin a row may be in a larger unit", "few poses are"
@@ -51,23 +49,17 @@ class ScreeningOptions:
     )
     # columns
     suspect_reach: float = option(
-        0.01,
-        "share of the reach that the median error exceeds before columns are suspected",
-        "physics hardly moves an arm so far",
+        0.01, "share of the reach above which a median error is suspect", "physics hardly moves an arm so far"
     )
     suspect_noise: float = option(10.0, "the same in standard deviations of the sensor", "noise alone is below four")
     column_gain: float = option(
-        5.0,
-        "ratio by which a correction of columns must reduce the median error",
-        "set on wrong columns beside large physics",
+        5.0, "ratio by which a correction must reduce the median error", "set on wrong columns beside large physics"
     )
     corrected_reach: float = option(
         0.05, "share of the reach that the median error may have then", "the effect of a clock offset in a fast motion"
     )
     equal_ratio: float = option(
-        1.5,
-        "ratio of median errors below which two corrections are indistinguishable",
-        "errors of wrong columns differ more",
+        1.5, "ratio of median errors below which two corrections are alike", "errors of wrong columns differ more"
     )
     equal_noise: float = option(
         0.1, "the same as a difference, in standard deviations of the sensor", "below the scatter of a median"
@@ -92,20 +84,14 @@ class ScreeningOptions:
         0.7, "ratio by which another change must reduce the error, or the search ends", "a right change halves it"
     )
     trusted_log_likelihood: float = option(
-        5.703782474656201,
-        "log-likelihood that a correction of what a file or its sidecar declares must gain",
-        "log 300: one file in some hundred is wrong",
+        5.703782474656201, "log-likelihood that a correction must gain", "log 300: one file in some hundred is wrong"
     )
     # nominal table
     published_tolerance: float = option(
-        2e-5,
-        "m and rad within which a calibration is a published table",
-        "angles of four decimals move a link by 8.4e-6 m",
+        2e-5, "m and rad within which a chain is a published table", "angles of four decimals move a link by 8.4e-6 m"
     )
     share_std: float = option(
-        0.1,
-        "standard deviation of the share of the way to the other table above which it is vague",
-        "a tenth of the way",
+        0.1, "standard deviation of the share of the way to another table that is vague", "a tenth of the way"
     )
     share_tolerance: float = option(
         0.1, "distance of the share from 1, beside four standard deviations", "arms differ from their table"
@@ -114,9 +100,7 @@ class ScreeningOptions:
         6.0, "standard deviations of the share from 0", "the tables differ by little more than physics"
     )
     table_ratio: float = option(
-        0.5,
-        "residual scale over that with the declared table at which a vague share is decided",
-        "physics rarely halves it",
+        0.5, "residual scale over the declared table's at which a vague share is decided", "physics rarely halves it"
     )
     # frame jumps
     most_jumps: int = option(3, "jumps that are corrected", "a mount that slips more often must be repaired")
@@ -128,17 +112,13 @@ class ScreeningOptions:
         1.0, "standard deviations of the sensor by which a jump displaces the rows after it", "less does no harm"
     )
     jump_share: float = option(
-        0.03,
-        "squares that a jump explains over the residual degrees of freedom",
-        "set on recordings with physics and no jump",
+        0.03, "squares that a jump explains over the residual degrees of freedom", "set on recordings without a jump"
     )
     jump_share_between_runs: float = option(
         2.0, "the same without any physics where a moving arm begins another run", "all conditions change there"
     )
     jump_window: int = option(
-        12,
-        "rows on either side of a jump in a trajectory that show it beside the motion",
-        "a quarter of a second at 50 Hz",
+        12, "rows on either side that show a jump in a trajectory", "a quarter of a second at 50 Hz"
     )
     jump_sharpness: float = option(
         1.5, "ratio of the step at a row to the largest elsewhere in a trajectory", "an arm's own physics is smooth"
@@ -155,9 +135,7 @@ class ScreeningOptions:
         1e-4, "probability of the best candidate by chance", "three shapes are tested in each recording"
     )
     settling_share: float = option(
-        0.01,
-        "share of the residual degrees of freedom that unsettled read-outs explain",
-        "poses in an order mimic less",
+        0.01, "share of the degrees of freedom that unsettled read-outs explain", "poses in an order mimic less"
     )
     outlier_squares: float = option(
         30.0, "squared residual per number, over the scale, beyond which a row is far off", "5.5 standard deviations"
@@ -171,9 +149,7 @@ class ScreeningOptions:
     )
     separate_level: float = option(1e-4, "probability of that difference by chance", "as settling_level")
     next_move_share: float = option(
-        0.1,
-        "share of what the last move explains that the next explains beyond it",
-        "the order of poses then depends on where they are",
+        0.1, "share that the next move explains beyond the last", "the order of poses then depends on where they are"
     )
     next_move_level: float = option(1e-6, "probability of that by chance", "as jump_level")
     numbers_per_piece: int = option(
@@ -194,9 +170,7 @@ class ScreeningOptions:
     most_fitted: int = option(2000, "rows that fit the rigid arm, spread evenly", "more change no decision")
     most_samples: int = option(1500, "samples on which columns of physics are compared", "more change no decision")
     observable_share: float = option(
-        1e-6,
-        "share of the square of a column outside the span of the known ones below which it is confounded",
-        "a thousandth of its length",
+        1e-6, "share of a column's square outside the known ones that is confounded", "a thousandth of its length"
     )
     huber_sigmas: float = option(
         4.0, "standard deviations per number beyond which a sample counts less", "one normal sample in 16 000"

@@ -1,4 +1,7 @@
-"""Faults that the rows of a recording show without a fit: order, repeats, units, turns, commands for measurements."""
+"""Faults that the rows of a recording show without a fit: order, repeats, units, turns, commands for measurements.
+
+Each function is a screen: it returns the state with its fault corrected, or with the numbers that rule it out.
+"""
 
 from dataclasses import replace
 
@@ -8,8 +11,8 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
-from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
+from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.recordings import repeated_rows, time_disorder
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
 
@@ -19,32 +22,22 @@ _GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
 """Spacing of commands in rad, and the unit in which it is round."""
 
 
-def detect_time_order(state: Screened, options: ScreeningOptions) -> Detection:
-    """Rows whose time is before that of an earlier row of their run."""
+def sort_rows(state: Screened, options: ScreeningOptions) -> Screened:
+    """The rows of each run by time, where one is before an earlier row."""
     recording = state.recording
     disorder = time_disorder(recording)
-    if disorder.rows.size:
-        return Detection(disorder)
-    return not_there("time_order", samples=recording.samples, timed=recording.time is not None)
-
-
-def sort_rows(state: Screened, disorder: TimeDisorder, options: ScreeningOptions) -> Screened:
-    """The rows of each run by time."""
+    if not disorder.rows.size:
+        return state.rule_out("time_order", samples=recording.samples, timed=recording.time is not None)
     numbers = {"largest_step_back_s": disorder.largest_step_back_s}
     fault = DataFault("time_order", row_numbers(disorder.rows), numbers)
-    return state.corrected(fault, state.recording.sorted_by_time())
+    return state.corrected(fault, recording.sorted_by_time())
 
 
-def detect_repeats(state: Screened, options: ScreeningOptions) -> Detection:
-    """Rows that repeat an earlier one in joints and pose, to the last digit."""
+def drop_repeats(state: Screened, options: ScreeningOptions) -> Screened:
+    """Each row once: rows that repeat an earlier one in joints and pose, to the last digit, are dropped."""
     repeated = repeated_rows(state.recording)
-    if repeated.rows.size:
-        return Detection(repeated)
-    return not_there("repeated_rows", samples=state.recording.samples)
-
-
-def drop_repeats(state: Screened, repeated: RepeatedRows, options: ScreeningOptions) -> Screened:
-    """Each row once."""
+    if not repeated.rows.size:
+        return state.rule_out("repeated_rows", samples=state.recording.samples)
     kept = np.ones(state.recording.samples, bool)
     kept[repeated.samples] = False
     first = repeated.first_rows[np.argsort(repeated.rows)]
@@ -52,9 +45,9 @@ def drop_repeats(state: Screened, repeated: RepeatedRows, options: ScreeningOpti
     return state.corrected(fault, state.recording.select(kept))
 
 
-def detect_position_unit(state: Screened, options: ScreeningOptions) -> Detection:
-    """Rows a thousand times too far away, or too near."""
-    position = state.recording.position
+def convert_positions(state: Screened, options: ScreeningOptions) -> Screened:
+    """Positions in m, where some rows are a thousand times too far away or too near."""
+    recording, position = state.recording, state.recording.position
     assert position is not None
     middle = np.median(position, axis=0)
     size = max(float(np.median(np.linalg.norm(position - middle, axis=1))), 1e-6)
@@ -67,26 +60,20 @@ def detect_position_unit(state: Screened, options: ScreeningOptions) -> Detectio
     near = np.linalg.norm(position, axis=1) < options.near_share * size
     near &= distance(position * 1000) < options.near_distances * size
     near &= np.mean(near) < options.most_in_another_unit  # positions of one point are near themselves in any unit
-    if (far | near).any():
-        return Detection(np.where(far, 1e3, np.where(near, 1e-3, 1.0)))
-    largest = float(distance(position).max())
-    return not_there("position_unit", largest_distance_m=largest, median_distance_m=size)
-
-
-def convert_positions(state: Screened, factor: Array, options: ScreeningOptions) -> Screened:
-    """Positions `(sample, 3)` divided by the factor `(sample,)` by which each row is too large."""
-    recording = state.recording
-    assert recording.position is not None
+    if not (far | near).any():
+        largest = float(distance(position).max())
+        return state.rule_out("position_unit", largest_distance_m=largest, median_distance_m=size)
+    factor = np.where(far, 1e3, np.where(near, 1e-3, 1.0))
     numbers = {"factor": float(factor.max() if factor.max() > 1 else factor.min())}
     fault = DataFault("position_unit", row_numbers(recording.row[factor != 1]), numbers)
-    return state.corrected(fault, replace(recording, position=recording.position * (1 / factor)[:, None]))
+    return state.corrected(fault, replace(recording, position=position * (1 / factor)[:, None]))
 
 
-def detect_commanded(state: Screened, options: ScreeningOptions) -> Detection:
-    """Whether joints are round numbers, or the same to the last digit at each return to a pose."""
+def note_commanded(state: Screened, options: ScreeningOptions) -> Screened:
+    """As it is, where joints are round numbers or exactly the same at each return to a pose: they were commanded."""
     recording = state.recording
     if recording.settings.joint_source == "commanded":
-        return not_there("commanded_joints", reason="declared")
+        return state.rule_out("commanded_joints", reason="declared")
     values = np.unique(np.abs(recording.joint_position))
     values = values[values > options.grid_smallest_rad]
 
@@ -97,28 +84,15 @@ def detect_commanded(state: Screened, options: ScreeningOptions) -> Detection:
     largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
     named = {"grid_rad": grid, "grid_unit": unit}
     if values.size >= options.grid_positions and largest == 1.0:
-        return Detection({"reason": "grid", "distinct_positions": int(values.size), **named})
-    noise = recording.settings.joint_noise_rad
-    if noise > 0:
-        exact, near = _returns(recording, options)
-        if exact >= options.exact_returns and exact == near:
-            return Detection({"reason": "returns", "returns": exact, "joint_noise_rad": noise})
-    return not_there("commanded_joints", reason="not_round", share=largest, **named)
-
-
-def note_commanded(state: Screened, numbers: dict[str, object], options: ScreeningOptions) -> Screened:
-    """As it is: what was not measured cannot be restored."""
-    return state.corrected(DataFault("commanded_joints", (), numbers))
-
-
-def _returns(recording: Recording, options: ScreeningOptions) -> tuple[int, int]:
-    """How many samples of a static recording repeat an earlier one's joints exactly, and how many nearly."""
-    if recording.motion != "static":
-        return 0, 0
-    q = recording.joint_position
-    exact = len(q) - _distinct(q)
-    near = len(q) - _distinct(np.round(q, options.return_decimals))
-    return exact, max(exact, near)
+        numbers = {"reason": "grid", "distinct_positions": int(values.size), **named}
+        return state.corrected(DataFault("commanded_joints", (), numbers))
+    noise, q = recording.settings.joint_noise_rad, recording.joint_position
+    if noise > 0 and recording.motion == "static":
+        exact, near = len(q) - _distinct(q), len(q) - _distinct(np.round(q, options.return_decimals))
+        if exact >= max(options.exact_returns, near):
+            numbers = {"reason": "returns", "returns": exact, "joint_noise_rad": noise}
+            return state.corrected(DataFault("commanded_joints", (), numbers))
+    return state.rule_out("commanded_joints", reason="not_round", share=largest, **named)
 
 
 def _distinct(rows: Array) -> int:
@@ -128,44 +102,33 @@ def _distinct(rows: Array) -> int:
     return pa.table(columns, names).group_by(names).aggregate([]).num_rows
 
 
-def detect_computed(state: Screened, options: ScreeningOptions) -> Detection:
-    """Whether the chain reproduces the poses to their rounding, as it does what a controller computes."""
+def note_computed(state: Screened, options: ScreeningOptions) -> Screened:
+    """As it is, where the chain reproduces the poses to their rounding: a controller computed them."""
     arm, recording = state.rigid_arm, state.recording
     if recording.settings.pose_source == "controller_fk":
-        return not_there("computed_pose", reason="declared")
+        return state.rule_out("computed_pose", reason="declared")
     error, position = float(np.median(arm.distance)), recording.position
     assert position is not None
     computed = computed_by_controller(error, position, recording.joint_position)
     computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
     if not computed or float(np.median(arm.turn)) > options.computed_rad:
-        return not_there("computed_pose", reason="measured")
-    return Detection({"median_error_m": error, "chain": "factory" if arm.exact else "nominal"})
-
-
-def note_computed(state: Screened, numbers: dict[str, object], options: ScreeningOptions) -> Screened:
-    """As it is: what was not measured cannot be restored."""
+        return state.rule_out("computed_pose", reason="measured")
+    numbers = {"median_error_m": error, "chain": "factory" if arm.exact else "nominal"}
     return state.corrected(DataFault("computed_pose", (), numbers))
 
 
-def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
-    """Joints that wrap round in a trajectory, or are beyond their limits by whole turns."""
+def remove_turns(state: Screened, options: ScreeningOptions) -> Screened:
+    """Joints without whole turns, where they wrap round in a trajectory or are beyond their limits by such turns."""
     recording, slack = state.recording, options.limit_slack_rad
     limits = state.rigid_arm.arm.joint_limits
-    low, high = limits.T
     q = without_turns(recording, limits, slack)
-    if (np.abs(q - recording.joint_position) > 1.0).any():
-        return Detection(q)
-    beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
-    outside = float(np.max(beyond, initial=-np.inf))
-    return not_there("joint_turns", outside_limits_rad=outside if outside > slack else 0.0)
-
-
-def remove_turns(state: Screened, q: Array, options: ScreeningOptions) -> Screened:
-    """Joint positions `(sample, joint)` without the turns; velocities and directions with them."""
-    assert state.arm is not None
-    recording, limits = state.recording, state.arm.joint_limits
     changed = np.abs(q - recording.joint_position) > 1.0
+    if not changed.any():
+        low, high = limits.T
+        beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
+        outside = float(np.max(beyond, initial=-np.inf))
+        return state.rule_out("joint_turns", outside_limits_rad=outside if outside > slack else 0.0)
     joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
     fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
     state = state.corrected(fault, at_positions(recording, q))
-    return state.transformed(lambda r: at_positions(r, without_turns(r, limits, options.limit_slack_rad)))
+    return state.transformed(lambda r: at_positions(r, without_turns(r, limits, slack)))

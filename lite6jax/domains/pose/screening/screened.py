@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
@@ -97,24 +97,8 @@ class Screened:
             rigid = replace(rigid, recording=recording)
         return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault))
 
-    def cleared(self, faults: tuple[DataFault, ...]) -> "Screened":
-        """With faults ruled out, but for those of which one was found before."""
-        codes = {fault.code for fault in self.found}
-        return replace(self, ruled_out=(*self.ruled_out, *(fault for fault in faults if fault.code not in codes)))
-
-
-class Detection(NamedTuple):
-    """What a detector found in a recording.
-
-    Attributes:
-        evidence: what the correction needs; None where nothing was found.
-        ruled_out: what was tested for and not found.
-    """
-
-    evidence: Any = None
-    ruled_out: tuple[DataFault, ...] = ()
-
-
-def not_there(code: str, **numbers: Any) -> Detection:
-    """A detection of nothing, with the numbers that rule the fault out."""
-    return Detection(None, (DataFault(code, (), numbers),))
+    def rule_out(self, *codes: str, **numbers: Any) -> "Screened":
+        """With faults ruled out by the same numbers, but for those of which one was found before."""
+        found = {fault.code for fault in self.found}
+        ruled_out = (DataFault(code, (), numbers) for code in codes if code not in found)
+        return replace(self, ruled_out=(*self.ruled_out, *ruled_out))

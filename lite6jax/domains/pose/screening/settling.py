@@ -11,7 +11,7 @@ from scipy.special import bdtrc, chdtri, ndtr
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
-from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
+from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments
@@ -23,73 +23,60 @@ Shape = Literal["move", "velocity", "constant", "rows"]
 
 @final
 class Unsettled(NamedTuple):
-    """What a search for unsettled read-outs found.
+    """Joints that were read before the arm had settled.
 
     Attributes:
         shape: "move", a share of each move was left; "velocity", a time at the recorded velocity; "constant", the same
-            angle after each move; "rows", a share of the move in some rows; or None.
+            angle after each move; "rows", a share of the move in some rows.
         joints: concerned, from 0.
         rest: `(joint,)` share, s or rad.
         std: of it.
-        correction: `(sample, joint)` rad to be added.
         samples: concerned.
-        p: family-wise, of the best candidate if nothing was found; NaN where there are too few rows to tell.
-        ordered: whether one was rejected because the moves that follow explain the poses as well.
     """
 
-    shape: Shape | None
+    shape: Shape
     joints: tuple[int, ...]
     rest: Array
     std: Array
-    correction: Array
     samples: NDArray[np.integer]
-    p: float
-    ordered: bool = False
 
 
-def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
-    """Joints of a static recording that were read before the arm had settled."""
+def settle_joints(state: Screened, options: ScreeningOptions) -> Screened:
+    """The joints of a static recording with the rest of their moves added, where they were read too early.
+
+    Single rows are left, as they count for little.
+    """
     samples = state.recording.samples
     if state.recording.motion != "static":
-        return not_there("unsettled_readouts", reason="moving", samples=samples)
+        return state.rule_out("unsettled_readouts", reason="moving", samples=samples)
     if not state.corrections.settling:
-        return Detection()
-    searched = seek_unsettled(state.rigid_arm, options)
-    if searched.shape is not None:
-        return Detection(searched)
-    if np.isnan(searched.p):
-        return not_there("unsettled_readouts", reason="too_few_rows", samples=samples)
-    reason = "ordered_poses" if searched.ordered else "chance"
-    return not_there("unsettled_readouts", reason=reason, samples=samples, p_value=searched.p)
-
-
-def estimated(fault: DataFault) -> int:
-    """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
-    if fault.numbers["shape"] == "rows":
-        return 0
-    return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
-
-
-def settle_joints(state: Screened, found: Unsettled, options: ScreeningOptions) -> Screened:
-    """The joints with the rest of their moves added; single rows are left, as they count for little."""
-    arm, rows = state.rigid_arm, ()
-    numbers: dict[str, Any] = {
-        "shape": found.shape,
-        "joints": [joint + 1 for joint in found.joints],
-        "all_joints": len(found.joints) == arm.recording.dof,
-    }
+        return state
+    arm = state.rigid_arm
+    found, ruled_out = seek_unsettled(arm, options)
+    if found is None:
+        return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
+    joints = [j + 1 for j in found.joints]
+    numbers: dict[str, Any] = {"shape": found.shape, "joints": joints, "all_joints": len(joints) == len(found.rest)}
     if found.shape == "rows":
         rows = row_numbers(arm.recording.row[found.samples])
         return state.corrected(DataFault("unsettled_readouts", rows, numbers | {"rest": float(found.rest[0])}))
     arm, found = settled(arm, found, options)
     largest = int(np.argmax(np.abs(found.rest)))
+    correction = _rests(state.recording)[found.shape] * found.rest
     numbers |= {
         "rest": float(found.rest[largest]),
         "rest_std": float(found.std[largest]),
-        "largest_rms_rad": float(np.sqrt(np.mean(found.correction**2, 0)).max()),
+        "largest_rms_rad": float(np.sqrt(np.mean(correction**2, 0)).max()),
     }
-    state = state.corrected(DataFault("unsettled_readouts", rows, numbers), rigid=arm)
-    return state.transformed(partial(_settled_rows, found.shape or "move", found.rest))
+    state = state.corrected(DataFault("unsettled_readouts", (), numbers), rigid=arm)
+    return state.transformed(partial(_settled_rows, found.shape, found.rest))
+
+
+def count_numbers(fault: DataFault) -> int:
+    """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
+    if fault.numbers["shape"] == "rows":
+        return 0
+    return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
 
 
 def _settled_rows(shape: Shape, rest: Array, recording: Recording) -> Recording:
@@ -97,69 +84,71 @@ def _settled_rows(shape: Shape, rest: Array, recording: Recording) -> Recording:
     return replace(recording, joint_position=recording.joint_position + _rests(recording)[shape] * rest)
 
 
-def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> Unsettled:
-    """Whether the joints of a static recording were read before the arm had come to rest.
+def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled | None, dict[str, Any]]:
+    """Whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
     velocity, or an angle. No effect depends on where the arm was before but backlash, whose sign is the opposite; all
-    are estimated beside each other.
+    are estimated beside each other. Where the moves that follow explain the poses too, nothing is said: the order of
+    the poses is tied to where they are, and it is something else that depends on that.
 
     Args:
         arm: fitted.
         options: the thresholds.
     """
-    recording = arm.recording
-    dof, n = recording.dof, arm.samples
-    none = Unsettled(None, (), np.zeros(dof), np.zeros(dof), np.zeros((n, dof)), np.zeros(0, int), 1.0)
-    if recording.motion != "static" or n < 3:
-        return none
+    recording, dof = arm.recording, arm.recording.dof
+    too_few = {"reason": "too_few_rows"}
+    if arm.samples < 3:
+        return None, too_few
     single = _unsettled_rows(arm, options)
     if single is not None:
-        return single
-    every = _rests(recording)
-    few = thinned(n, options)
-    shapes, future, arm = (
-        {name: shape[few] for name, shape in every.items()},
-        _next_moves(recording)[few],
-        arm.select(few),
-    )
+        return single, {}
+    few = thinned(arm.samples, options)
+    shapes, arm = {name: shape[few] for name, shape in _rests(recording).items()}, arm.select(few)
+    # from where each joint is in the row after; zero in the last row of a run
+    future = -moves(recording)
+    future[_first_rows(recording)] = 0.0
+    future = np.roll(future, -1, axis=0)[few]
     columns = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
     known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
     tests, least, ordered = len(shapes) * (1 + dof), 1.0, False
     found: list[tuple[float, Unsettled]] = []
-    for name in every:
-        others = [columns[other] for other in shapes if other != name]
+    for name, own in columns.items():
+        others = [columns[other] for other in columns if other != name]
         projected = Projected(arm, np.concatenate([known, *others]), options)
         if projected.freedom < arm.samples:
-            return none._replace(p=np.nan)
-        each, covariance, separate = projected.regression(columns[name])
-        one, spread, common = projected.regression(columns[name].sum(0, keepdims=True))
-        p_one = float(ndtr(-one[0] / np.sqrt(spread[0, 0]))) * tests
-        p_each = ndtr(-each / np.sqrt(np.diagonal(covariance))) * tests
-        p = min(p_one, float(p_each.min()))
-        least = min(least, p)
-        if p > options.settling_level:
+            return None, too_few
+        each, covariance, separate = projected.regression(own)
+        one, variance, common = projected.regression(own.sum(0, keepdims=True))
+        std = np.sqrt(np.diagonal(covariance))
+        p_one = float(ndtr(-one[0] / np.sqrt(variance[0, 0]))) * tests
+        p_each = ndtr(-each / std) * tests
+        least = min(least, p_one, float(p_each.min()))
+        if min(p_one, float(p_each.min())) > options.settling_level:
             continue
-        rest, std = np.full(dof, one[0]), np.full(dof, np.sqrt(spread[0, 0]))
-        concerned, explained = np.ones(dof, bool), common
-        apart = separate - common > max(
-            chdtri(max(dof - 1, 1), options.separate_level), options.separate_share * separate
-        )
-        if p_one > options.settling_level or apart:
+        chance = chdtri(max(dof - 1, 1), options.separate_level)
+        if p_one > options.settling_level or separate - common > max(chance, options.separate_share * separate):
             concerned = p_each < options.settling_level
-            rest, std = np.where(concerned, each, 0.0), np.sqrt(np.diagonal(covariance))
+            rest = np.where(concerned, each, 0.0)
             explained = float(np.sum((rest / std) ** 2))
+        else:
+            rest, std = np.full(dof, one[0]), np.full(dof, np.sqrt(variance[0, 0]))
+            concerned, explained = np.ones(dof, bool), common
         if explained < options.settling_share * projected.freedom:
             continue
-        after = future if name == "move" else np.sign(future)
-        if name != "velocity" and _explained_by_next(projected, columns[name], after, options):
-            ordered = True
-            continue
+        if name != "velocity":
+            after = future if name == "move" else np.sign(future)
+            both = projected.regression(np.concatenate([own, arm.joints * after.T[:, None]]))[2]
+            chance = chdtri(len(own), options.next_move_level)
+            if both - separate > max(chance, options.next_move_share * separate):
+                ordered = True
+                continue
         joints = tuple(int(j) for j in np.flatnonzero(concerned))
         if joints:
-            unsettled = Unsettled(name, joints, rest, std, every[name] * rest, np.arange(n), min(p, 1.0))
-            found.append((separate, unsettled))
-    return max(found, key=lambda item: item[0])[1] if found else none._replace(p=min(least, 1.0), ordered=ordered)
+            found.append((separate, Unsettled(name, joints, rest, std, np.arange(recording.samples))))
+    if found:
+        return max(found, key=lambda item: item[0])[1], {}
+    return None, {"reason": "ordered_poses" if ordered else "chance", "p_value": min(least, 1.0)}
 
 
 def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
@@ -167,7 +156,7 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
     few, step = thinned(arm.samples, options), found.rest
-    shape = _rests(arm.recording)[found.shape or "move"]
+    shape = _rests(arm.recording)[found.shape]
     start = arm.recording
     for _ in range(options.refinements):
         rest = rest + step
@@ -187,7 +176,7 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
             break
         step = np.zeros_like(rest)
         step[concerned] = np.where(np.isfinite(std), values, 0.0)
-    return arm, found._replace(rest=rest, correction=shape * rest)
+    return arm, found._replace(rest=rest)
 
 
 def _rests(recording: Recording) -> dict[Shape, Array]:
@@ -201,9 +190,13 @@ def _rests(recording: Recording) -> dict[Shape, Array]:
 def moves(recording: Recording) -> Array:
     """`(sample, joint)` rad from where each joint was in the row before; from zero in the first row of a run."""
     q = recording.joint_position
-    first = np.concatenate([[True], np.diff(run_segments(recording.run)) != 0])
     before = np.concatenate([np.zeros((1, q.shape[1])), q[:-1]])
-    return q - np.where(first[:, None], 0.0, before)
+    return q - np.where(_first_rows(recording)[:, None], 0.0, before)
+
+
+def _first_rows(recording: Recording) -> NDArray[np.bool_]:
+    """`(sample,)`, those that begin a run."""
+    return np.concatenate([[True], np.diff(run_segments(recording.run)) != 0])
 
 
 def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
@@ -217,22 +210,6 @@ def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
         if pieces >= options.fewest_pieces and len(knots) > 1:
             out.append(column * np.stack([np.interp(q, knots, hat) for hat in np.eye(len(knots))])[:, None])
     return np.concatenate(out)
-
-
-def _explained_by_next(projected: Projected, columns: Array, future: Array, options: ScreeningOptions) -> bool:
-    """Whether the moves that follow explain the poses too, beside those that led there: then the order of the poses is
-    tied to where they are, and it is something else that depends on that."""
-    past = projected.regression(columns)[2]
-    both = projected.regression(np.concatenate([columns, projected.arm.joints * future.T[:, None]]))[2]
-    chance = chdtri(len(columns), options.next_move_level)
-    return bool(both - past > max(chance, options.next_move_share * past))
-
-
-def _next_moves(recording: Recording) -> Array:
-    """`(sample, joint)` rad from where each joint is in the row after; zero in the last row of a run."""
-    back = -moves(recording)
-    back[np.concatenate([[True], np.diff(run_segments(recording.run)) != 0])] = 0.0
-    return np.roll(back, -1, axis=0)
 
 
 def _unsettled_rows(arm: RigidArm, options: ScreeningOptions) -> Unsettled | None:
@@ -254,5 +231,4 @@ def _unsettled_rows(arm: RigidArm, options: ScreeningOptions) -> Unsettled | Non
     if p > options.settling_level or hit.sum() < options.outlier_rows:
         return None
     rest = np.full(recording.dof, float(np.median(share[hit])))
-    none = np.zeros_like(recording.joint_position)
-    return Unsettled("rows", tuple(range(recording.dof)), rest, np.zeros_like(rest), none, rows[hit], p)
+    return Unsettled("rows", tuple(range(recording.dof)), rest, np.zeros_like(rest), rows[hit])
