@@ -24,10 +24,21 @@ from lite6jax.diagnosis.document import (
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
-from lite6jax.effects.dynamic.friction import CoulombFriction, StribeckFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import FIELDS, JointSpring, RotorInertia
-from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffect, UnnamedTorque, direction
+from lite6jax.effects.dynamic import (
+    FIELDS,
+    CoulombFriction,
+    Dynamics,
+    JointSpring,
+    LinkCom,
+    LinkMass,
+    OfJoint,
+    RotorInertia,
+    StribeckFriction,
+    TorqueEffect,
+    UnnamedTorque,
+    ViscousFriction,
+    direction,
+)
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
 from lite6jax.estimation.terms import Term

@@ -13,11 +13,14 @@ from lite6jax.arms.dh import hayati_to_six_parameter
 from lite6jax.arms.se3 import base_frame, cross, displace, turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
-from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import (
+from lite6jax.effects.kinematic import (
     BaseDrift,
+    FrameOffset,
     GravityDirection,
+    JointCompliance,
+    JointHarmonic,
+    LinkCompliance,
+    LinkThermalExpansion,
     MeasurementScale,
     PayloadCom,
     PayloadError,

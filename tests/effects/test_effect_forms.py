@@ -13,20 +13,22 @@ from lite6jax.effects import kernels, user_effects
 from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
-from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
-from lite6jax.effects.kinematic.joints import (
+from lite6jax.effects.kinematic import (
+    AxisWobble,
+    BaseCompliance,
+    BaseDrift,
+    FrameOffset,
+    GravityDirection,
+    JointBacklash,
     JointCompliance,
     JointCoupling,
     JointHarmonic,
     JointLag,
     JointThermalOffset,
     JointWarmUp,
-)
-from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import (
-    BaseCompliance,
-    BaseDrift,
-    GravityDirection,
+    JointWindup,
+    LinkCompliance,
+    LinkThermalExpansion,
     PayloadCom,
     SensorDrift,
     TimeOffset,
@@ -97,7 +99,7 @@ def test_effects_as_text(text, effect, values):
     np.testing.assert_allclose(numbers, values, rtol=1e-15, atol=1e-19)
 
 
-NAMES = ", ".join(catalogue_module.BUILT_IN)
+NAMES = ", ".join(catalogue_module.POSE_EFFECTS)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +259,7 @@ def test_text_that_is_no_effect(text, message):
                 "where": {"joint": 1, "source_joint": 2},
                 "parameters": {"coupling": 1, "source_joint": 3.0},
             },
-            "joint_coupling:joint1: source_joint 3 beside joint 2; give one of them",
+            "joint_coupling:joint1: source_joint 3 beside the fixed source_joint 2; give one of them",
         ),
     ],
 )

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.torque_effect import JointTorque
+from lite6jax.effects.dynamic import JointTorque
 from lite6jax.effects.effect import Coordinate
 
 
@@ -77,7 +77,7 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     ("change", "message"),
     [
         (("speed * abs(speed)", "speed[:2]"), "AirDrag.* fails on a trial motion|could not"),
-        (("return values[0]", "return 1.0 + values[0]"), "gives torques at zero"),
+        (("return values[0]", "return 1.0 + values[0]"), "changes torques at zero"),
         (("return values[0]", "return values[0] ** 2"), "is not proportional to its coordinates"),
         (('"air_drag"', '"viscous_friction"'), "has the name of a built-in effect"),
         (("abs(speed)", "nothing"), "fails on a trial motion"),

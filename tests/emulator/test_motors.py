@@ -9,8 +9,8 @@ from emulated import CONTROL_PORT, new_address, read_reports
 from scipy.stats import kstest
 
 from lite6jax.controller import protocol
+from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines
 from lite6jax.emulator.body import Load, Sample
@@ -48,7 +48,7 @@ def by_pinocchio(body, sample, ddq, payload, center):
 
 
 def with_effects(body, *texts, **changed):
-    return replace(body, torque_effects=tuple(parse_effect(text, BUILT_IN) for text in texts), **changed)
+    return replace(body, torque_effects=tuple(parse_effect(text, TORQUE_EFFECTS) for text in texts), **changed)
 
 
 def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):

@@ -34,7 +34,7 @@ def test_the_engine_names_no_robot(path):
     ("source", "found"),
     [
         ("x = 1  # of the joint", {"joint"}),
-        ("from lite6jax.effects.kinematic.joints import JointHarmonic", {"joints", "JointHarmonic"}),
+        ("from lite6jax.effects.kinematic import JointHarmonic", {"joints", "JointHarmonic"}),
         ("def normal(equations): return equations", set()),
     ],
 )

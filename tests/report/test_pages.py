@@ -17,8 +17,7 @@ import lite6jax
 from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.diagnosis.partial_residuals import finding_curves
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
+from lite6jax.effects.dynamic import CoulombFriction, UnnamedTorque, ViscousFriction
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.errors import InputError
 from lite6jax.recordings import write_recording

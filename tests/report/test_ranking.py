@@ -8,7 +8,6 @@ import pytest
 from diagnosed import documented
 
 from lite6jax.effects import catalogue
-from lite6jax.effects.dynamic import catalogue as dynamic
 from lite6jax.report import ranking
 from lite6jax.report.ranking import Files, steps
 from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
@@ -24,7 +23,9 @@ def words_of(document, *files):
     return [shlex.split(step.command)[1:] for step in steps(document, Files(*files))]
 
 
-@pytest.mark.parametrize(("known", "remedies"), [(catalogue.BUILT_IN, OF_POSES), (dynamic.BUILT_IN, OF_TORQUES)])
+@pytest.mark.parametrize(
+    ("known", "remedies"), [(catalogue.POSE_EFFECTS, OF_POSES), (catalogue.TORQUE_EFFECTS, OF_TORQUES)]
+)
 def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
     assert set(remedies) == set(known)
     for name, remedy in remedies.items():

@@ -14,15 +14,13 @@ from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
     each_posture,
-    interpolant,
     low_pass,
     runs_of,
     sample_rate,
     smoothed,
     without_ends,
 )
-from lite6jax.effects.dynamic.motors import declared_torque
-from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
+from lite6jax.effects.dynamic import Dynamics, declared_torque, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -172,30 +170,6 @@ class TorqueRows:
     def measured(self) -> Array:
         """`(joint, kept)` Nm, filtered."""
         return self.filter(self.torque)
-
-    def later(self, torque: Array, offsets: Array) -> tuple[Array, Array]:
-        """Torques filtered, at another time than that of each sample that is kept, and their derivatives by time.
-
-        Beyond the ends of a run they keep their last value.
-
-        Args:
-            torque: `(joint, sample)` Nm.
-            offsets: `(joint,)` s after the sample.
-
-        Returns:
-            `(joint, kept sample)` Nm and Nm/s.
-        """
-        assert self.recording.time is not None
-        time, kept = self.recording.time, self.filter.kept
-        value, slope = (np.zeros((len(torque), len(kept))) for _ in range(2))
-        filtered = self.filter.whole(torque)
-        for offset in np.unique(offsets):
-            joints = np.flatnonzero(offsets == offset)
-            for rows, spline in interpolant(filtered[joints], time, self.filter.runs):
-                here = np.flatnonzero((kept >= rows.start) & (kept < rows.stop))
-                at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
-                value[np.ix_(joints, here)], slope[np.ix_(joints, here)] = spline(at), spline(at, 1)
-        return value, slope
 
 
 def require_joints(recording: Recording, arm: Arm) -> None:

@@ -8,7 +8,7 @@ from diagnosis.recorded import OPTIONS, Made, static_motion
 
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.links import LinkCompliance
+from lite6jax.effects.kinematic import LinkCompliance
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.search import Selection, at_estimate

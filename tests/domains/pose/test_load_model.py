@@ -12,8 +12,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
-from lite6jax.effects.kinematic.surroundings import PayloadError
+from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, PayloadError
 from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates, with_alternative

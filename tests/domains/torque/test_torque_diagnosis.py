@@ -19,7 +19,7 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording, read_recording
