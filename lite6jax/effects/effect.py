@@ -100,8 +100,11 @@ class Effect(ABC):
     """A field that is reported as a parameter too, without uncertainty."""
     searched: ClassVar[bool] = False
     """Whether `fixed` is a number that a search chooses; None in the field makes it the last coordinate."""
-    periodic: ClassVar[bool] = False
-    """Whether a spectrum of orders finds that number, rather than a few values that are tried one by one."""
+
+    @property
+    def periodic(self) -> bool:
+        """Whether a spectrum of orders finds the chosen number, rather than a few values that are tried one by one."""
+        return False
 
     @property
     def site(self) -> str:
@@ -358,9 +361,14 @@ class Wave(OfJoint, ABC):
     order: float | None
     fixed: ClassVar[str | None] = "order"
     searched: ClassVar[bool] = True
-    periodic: ClassVar[bool] = True
     amplitude: ClassVar[Coordinate]
     """As of a revolute joint, its name without a prefix, such as `_rad`."""
+
+    @property
+    @final
+    def periodic(self) -> bool:
+        """A spectrum of orders finds it."""
+        return True
 
     @property
     @final

@@ -1,6 +1,7 @@
 """Effects on torques that a user defines: checked when read, found, written, and read again with their file."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,40 +11,13 @@ from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.effects import user_effects
 from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
 
-OWN = '''
-from dataclasses import dataclass
-from typing import ClassVar, final
-
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic import JointTorque
-from lite6jax.effects.effect import Coordinate
-
-
-@final
-@dataclass(frozen=True)
-class AirDrag(JointTorque):
-    """τ += d·q̇·abs(q̇)."""
-
-    name: ClassVar[str] = "air_drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
-
-    @property
-    def drivers(self):
-        return (Driver("velocity", self.joint),)
-
-    def at_joint(self, values, dynamics):
-        speed = dynamics.velocity(self.joint)
-        return values[0] * speed * abs(speed)
-
-
-EFFECTS = [AirDrag(joint) for joint in range(1, 7)]
-'''
+BLOCKS = re.findall(r"```python\n(.*?)```", user_effects.__doc__, re.DOTALL)
+OWN = f"{BLOCKS[0].split('@final')[0]}\n{BLOCKS[2]}\nEFFECTS = [AirDrag(joint) for joint in range(1, 7)]\n"
+"""The effect on torques that the documents show."""
 
 
 def written(tmp_path, text=OWN):

@@ -8,7 +8,6 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
@@ -422,32 +421,14 @@ def _each(runs: NDArray[np.integer]) -> list[slice]:
 
 def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:
     """Each run low-passed on its own, without shift in time."""
-    sections = _sections(cutoff, rate)
+    sections = scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos")
     out = np.array(rows, float)
     for part in _each(runs):
         length = part.stop - part.start
         if length >= _FEWEST:
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
-            out[..., part] = _both_ways(sections, rows[..., part], pad)
+            out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], padlen=pad)
     return out
-
-
-def _both_ways(sections: tuple[Array, Array], rows: Array, pad: int) -> Array:
-    """As `scipy.signal.sosfiltfilt` with an odd extension, which computes the steady state anew in each call."""
-    sos, steady = sections
-    steady = steady.reshape(len(sos), *(1,) * (rows.ndim - 1), 2)
-    before, after = rows[..., pad:0:-1], rows[..., -2 : -pad - 2 : -1]
-    out = np.concatenate([2 * rows[..., :1] - before, rows, 2 * rows[..., -1:] - after], -1)
-    for _ in range(2):
-        out = scipy.signal.sosfilt(sos, out, zi=steady * out[..., :1])[0][..., ::-1]
-    return out[..., pad : out.shape[-1] - pad]
-
-
-@cache
-def _sections(cutoff: float, rate: float) -> tuple[Array, Array]:
-    """Second-order sections, and their steady state at a constant of 1."""
-    sos = np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
-    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:

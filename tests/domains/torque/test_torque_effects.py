@@ -174,10 +174,6 @@ def test_a_process_of_load_and_position_is_of_the_torque_that_the_joint_bears(sc
         (lambda: CoupledFriction(2, 2), "name the outer joint as joint"),
         (lambda: TorqueRipple(1, 0.0), "order is 0; give a positive number"),
         (lambda: UnnamedTorque(1, "time", 1.0, 1.0), "are not those of 1 drivers; give lower < upper of each"),
-        (lambda: UnnamedTorque(1, "time and payload", 0.0, 1.0, "line*line"), "are not those of 2 drivers"),
-        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, "smooth*line"), "'smooth\\*line' is not possible with 1 drivers"),
-        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, rolloff=(3.0, 2.0)), "give corner and slope of a spectrum"),
-        (lambda: UnnamedTorque(1, "tide", 0.0, 1.0), "driver 'tide': unknown"),
     ],
 )
 def test_impossible_effects(make, message):
