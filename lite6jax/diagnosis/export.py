@@ -179,7 +179,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
         elif isinstance(effect, LinkMass | LinkCom):
-            links[effect.link - 1] += effect.numbers(values, links)
+            links[effect.link - 1] += effect.inertial(values, links)
         else:
             assert isinstance(effect, TorqueEffect)
             left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")

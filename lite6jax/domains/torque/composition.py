@@ -73,7 +73,7 @@ def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer
         `(joint, sample)` Nm and Nm/s; of runs that are too short to say, as they are and zero.
     """
     value, slope = np.array(torque), np.zeros(torque.shape)
-    for offset in np.unique(offsets):
+    for offset in np.unique(offsets).tolist():
         joints = np.flatnonzero(offsets == offset)
         for rows, spline in interpolant(torque[joints], time, runs):
             t, part = time[rows], torque[joints, rows]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
-from lite6jax.arms.dynamics import inverse_dynamics, regressor
+from lite6jax.arms.dynamics import regressor
 from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.dynamic import TILT, direction, point_mass
+from lite6jax.effects.dynamic import TILT, direction
 
 Array = NDArray[np.floating]
 
@@ -75,8 +75,7 @@ class Samples:
         self.likeliest: Hypothesis = ()  # what it leaves is the noise of them all
         kept = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
         at, motion = data.filter.kept[kept], data.motion
-        moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
-        self.moved = np.stack([np.asarray(x)[:, at] for x in moved])
+        self.moved = data.bodies.moved[..., at]
         self.measured = data.measured[:, kept]
         self.payload = np.asarray(motion.payload)[at] * np.ones(len(at))
         self.size = np.std(self.measured, axis=1)
@@ -159,14 +158,7 @@ class Samples:
     def rigid(self, moved: Array, gravity: Array) -> Array:
         """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
         bodies = self.data.bodies
-        sliding, (q, dq, ddq) = bodies.motion.sliding.joints, moved
-        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, q, dq, ddq, gravity, sliding))
-        if self.payload.any():
-            unit = np.zeros_like(bodies.links)
-            unit[-1] = point_mass(1.0, bodies.payload_center)
-            per_kg = inverse_dynamics(bodies.kinematics, unit, q, dq, ddq, gravity, sliding)
-            torque = torque + self.payload * np.asarray(per_kg)
-        return torque
+        return bodies.rigid(moved, gravity, bodies.links, self.payload)
 
     def _moved(self, hypothesis: Hypothesis) -> tuple[Array, Array]:
         """The motion `(3, joint, sample)` and gravity `(3,)` of a hypothesis."""

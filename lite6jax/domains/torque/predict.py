@@ -127,8 +127,8 @@ def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -
     Raises:
         InputError: no times, more gaps than motion, or a driver that the model needs and the motion lacks.
     """
-    motion, even = _motion_of(model, recording)
-    return _at_rows(_torques(model, *_along(model, even)), even, motion)
+    bare = replace(model, uncertainty=None) if isinstance(model, DiagnosedMotors) else model
+    return predicted_torques(bare, recording).torque
 
 
 def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
@@ -141,10 +141,11 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path)
     """
     motion, even = _motion_of(model, recording)
     bodies, runs = _along(model, even)
-    std, outside = _bars(model, bodies, runs)
-    torque = _at_rows(_torques(model, bodies, runs), even, motion)
-    if std is None or outside is None:
-        return TorquePrediction(torque, std, outside, model.sliding)
+    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
+    torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
+    if model.uncertainty is None:
+        return TorquePrediction(torque, None, None, model.sliding)
+    std, outside = _bars(model, model.uncertainty, bodies, dynamics, runs)
     flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
     return TorquePrediction(torque, _at_rows(std, even, motion), flags, model.sliding)
 
@@ -208,11 +209,6 @@ def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, R
     return moved, chosen.runs
 
 
-def _torques(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> Array:
-    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
-    return shown_torques(model.terms, model.values, dynamics, time, runs).T
-
-
 def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
     """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say.
 
@@ -228,13 +224,11 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
     return delayed(torque, offsets, time, runs)[0] if offsets.any() else torque
 
 
-def _bars(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> tuple[Array, Flags] | tuple[None, None]:
-    """Standard deviations `(sample, joint)` Nm, and whether a row is outside; None where nothing is known of it."""
-    known = model.uncertainty
-    if known is None:
-        return None, None
-    dynamics, recorded, slides = bodies.dynamics(model.links), known.recorded, model.arm.slides
-    states = states_of(dynamics)
+def _bars(
+    model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+) -> tuple[Array, Flags]:
+    """Standard deviations `(sample, joint)` Nm, and whether a row is outside."""
+    recorded, slides, states = known.recorded, model.arm.slides, bodies.moved
     beyond: dict[str, Array] = {}
     ranges = (recorded.joints, recorded.velocities, recorded.accelerations)
     for quantity, state, limits in zip(_LEAST, states, ranges, strict=True):

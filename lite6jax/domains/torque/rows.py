@@ -1,7 +1,7 @@
 """The rows of a torque recording: its motion, its rigid-body dynamics and its torques, filtered alike."""
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import final
 
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, regressor
+from lite6jax.arms.dynamics import inverse_dynamics, link_parameters, regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -53,11 +53,16 @@ class RigidBodies:
     kinematics: Array
     drives: Array | float = 0.0
 
+    @property
+    def moved(self) -> Array:
+        """`(3, joint, sample)`: position, velocity and acceleration of each joint."""
+        m = self.motion
+        return np.stack([np.asarray(part) for part in (m.joint_position, m.joint_velocity, m.joint_acceleration)])
+
     @cached_property
     def regressor(self) -> Array:
         """`(joint, 10 joint, sample)`, torques by each inertial number."""
-        q, dq, ddq = self._moved
-        return np.asarray(regressor(self.kinematics, q, dq, ddq, self.gravity, self.motion.sliding.joints))
+        return np.asarray(regressor(self.kinematics, *self.moved, self.gravity, self.motion.sliding.joints))
 
     def of_inertia(self, numbers: Array) -> Array:
         """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
@@ -67,58 +72,45 @@ class RigidBodies:
     def of_payload(self) -> Array:
         """Torques `(joint, sample)` by the payload as declared row by row."""
         payload = np.asarray(self.motion.payload)
-        if not payload.any():
-            return np.zeros((len(self.links), self.motion.samples))
+        return self.of_inertia(self._at_flange) * payload if payload.any() else np.zeros(self.moved.shape[1:])
+
+    @property
+    def _at_flange(self) -> Array:
+        """`(joint, 10)`, inertial numbers of a kilogram at the payload's centre."""
         unit = np.zeros_like(self.links)
         unit[-1] = point_mass(1.0, self.payload_center)
-        return self.of_inertia(unit) * payload
+        return unit
+
+    def rigid(self, moved: Array, gravity: Array, links: Array, payload: Array) -> Array:
+        """Torques `(joint, sample)` of links `(joint, 10)` and payloads `(sample,)` kg in any motion and gravity.
+
+        Args:
+            moved: `(3, joint, sample)`, as of `moved`.
+            gravity: `(3,)` m/s² in the base frame.
+            links: their inertial numbers.
+            payload: of each sample.
+        """
+        sliding = self.motion.sliding.joints
+        torque = np.asarray(inverse_dynamics(self.kinematics, links, *moved, gravity, sliding))
+        if payload.any():
+            per_kg = inverse_dynamics(self.kinematics, self._at_flange, *moved, gravity, sliding)
+            torque = torque + payload * np.asarray(per_kg)
+        return torque
 
     def dynamics(self, links: Array) -> Dynamics:
         """The dynamics of an arm whose links have these inertial numbers `(joint, 10)`."""
+        still = self.moved * np.array([1.0, 0.0, 0.0])[:, None, None]
+        payload = np.asarray(self.motion.payload)
         return Dynamics(
             motion=self.motion,
             torque=self.of_inertia(links) + self.of_payload,
             links=links,
             payload_center=self.payload_center,
             of_inertia=self.of_inertia,
-            of_gravity=partial(self._torque_at_rest, links),
+            of_gravity=lambda gravity: self.rigid(still, gravity, links, payload),
             gravity=self.gravity,
             drives=self.drives,
         )
-
-    def _torque_at_rest(self, links: Array, gravity: Array) -> Array:
-        """Torques `(joint, sample)`: linear in gravity, so that those of three directions give all."""
-        return np.tensordot(gravity, self._per_axis(links), 1)
-
-    def _per_axis(self, links: Array) -> Array:
-        """Torques `(axis, joint, sample)` at rest by a gravity of 1 m/s² along each axis of the base."""
-        key = links.tobytes()
-        known = self._known.get(key)
-        if known is None:
-            q = self._moved[0]
-            still = np.zeros_like(q)
-            numbers = links.copy()
-            found = []
-            payload = np.asarray(self.motion.payload)
-            unit = point_mass(1.0, self.payload_center)
-            for axis in np.eye(3):
-                at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis, self.motion.sliding.joints))
-                torque = np.einsum("jps,p->js", at_rest, numbers.ravel())
-                found.append(torque + np.einsum("jps,p->js", at_rest[:, -10:], unit) * payload)
-            known = np.stack(found)
-            self._known.clear()
-            self._known[key] = known
-        return known
-
-    @cached_property
-    def _known(self) -> dict[bytes, Array]:
-        return {}
-
-    @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
-        m = self.motion
-        q, dq, ddq = map(np.asarray, (m.joint_position, m.joint_velocity, m.joint_acceleration))
-        return q, dq, ddq
 
 
 @final
