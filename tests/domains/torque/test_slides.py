@@ -179,10 +179,7 @@ FORMULAS = {
     "stribeck_friction:joint=3,velocity_m_per_s=0.05,stribeck_N=4": lambda F, t, q, v, a: (
         4 * np.exp(-((v / 0.05) ** 2)) * np.tanh(v / 2e-4)
     ),
-    "load_friction:joint=3,coefficient=0.1": lambda F, t, q, v, a: 0.1 * abs(F) * np.tanh(v / 2e-4),
     "friction_temperature:joint=3,viscous_N_s_per_m_K=-0.5": lambda F, t, q, v, a: -0.5 * 3 * t * v,
-    "torque_offset:joint=3,offset_N=2": lambda F, t, q, v, a: 2 + 0 * t,
-    "torque_scale:joint=3,scale=0.1": lambda F, t, q, v, a: 0.1 * F,
     "rotor_inertia:joint=3,mass_kg=7": lambda F, t, q, v, a: 7 * a,
     "joint_spring:joint=3,stiffness_N_per_m=90,rest_m=0.1": lambda F, t, q, v, a: 90 * (q - 0.1),
     "torque_ripple:joint=3,period_m=0.02,amplitude_N=3,phase_rad=0.7": lambda F, t, q, v, a: (
@@ -381,14 +378,8 @@ class Drag(JointTorque):
     """A user's own effect."""
 
     name: ClassVar[str] = "drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_N", "N", 1.0),)
-
-    @property
-    def drivers(self):
-        return (self.own_driver("velocity"),)
+    quantities: ClassVar[tuple] = ("velocity",)
+    numbers: ClassVar[tuple] = (Coordinate("drag_Nm", "Nm", 1.0),)
 
     def at_joint(self, values, dynamics):
         speed = dynamics.velocity(self.joint)

@@ -217,12 +217,6 @@ def test_swapped_columns_are_exchanged():
     np.testing.assert_array_equal(screened.data.torque, straight)
 
 
-def test_a_reversed_sign_is_turned():
-    recording, arm = recorded(seed=7, change=lambda tau: tau * [1, -1, 1, 1, 1, 1])
-    screened = screen_torques(recording, arm)
-    assert [(f.code, f.numbers) for f in screened.found] == [("reversed_torque", {"joints": [2]})]
-
-
 def test_spikes_are_said_with_their_rows():
     def spiked(tau):
         tau[[50, 400], 1] += 20.0
