@@ -167,7 +167,10 @@ SHARP = 0.0
 @final
 @dataclass(frozen=True)
 class ViscousFriction(JointTorque):
-    """τ += b·q̇ (P. Hamon et al., IROS 2010, eq. 6, as Coulomb friction and that of the load)."""
+    """τ += b·q̇.
+
+    P. Hamon et al., IROS 2010, eq. 6, with Coulomb friction and that of the load.
+    """
 
     name: ClassVar[str] = "viscous_friction"
     specificity: ClassVar[int] = 1

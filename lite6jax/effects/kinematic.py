@@ -67,7 +67,10 @@ class JointOffset(JointEffect):
 @final
 @dataclass(frozen=True)
 class JointScale(_Proportional):
-    """δq = s·q: the encoder's radian is another, or the metre of a screw's lead or of a scale that grew."""
+    """δq = s·q: the encoder's radian is another.
+
+    Of a prismatic joint the metre is, as of a screw's lead or of a scale that grew.
+    """
 
     name: ClassVar[str] = "joint_scale"
     specificity: ClassVar[int] = 1
@@ -78,7 +81,10 @@ class JointScale(_Proportional):
 @final
 @dataclass(frozen=True)
 class JointCompliance(_Proportional):
-    """δq = c·τ: the gear, screw or belt gives way to the torque, or the force, that gravity exerts on it."""
+    """δq = c·τ: the gear gives way to the torque that gravity exerts on it.
+
+    Of a prismatic joint a screw, belt or rack gives way to the force along the joint's axis.
+    """
 
     name: ClassVar[str] = "joint_compliance"
     specificity: ClassVar[int] = 2
