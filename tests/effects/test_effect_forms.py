@@ -489,15 +489,6 @@ def test_a_process_deflects_by_its_functions_and_survives_its_file(effect):
     np.testing.assert_array_equal(numbers, values)
 
 
-def test_of_a_product_a_number_of_each_driver_scales_the_other():
-    """What is proportional to a load at each position."""
-    driver = "position of joint 2 and gravity torque of joint 2"
-    both = Unnamed("joint2", driver, -1.0, 1.0, "smooth*line", further=(-2.0, 2.0))
-    at = np.stack([np.full(3, 0.4), [-2.0, 0.0, 1.5]])
-    low, middle, high = (RNG.uniform(-1, 1, both.size) @ np.asarray(both.functions_at(at))).tolist()
-    assert high - middle == pytest.approx(0.75 * (middle - low))
-
-
 def example():
     """The file that the documentation of user effects shows."""
     return user_effects.__doc__.split("```python\n")[1].split("```")[0]

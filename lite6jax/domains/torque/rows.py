@@ -1,7 +1,7 @@
 """The rows of a torque recording: its motion, its rigid-body dynamics and its torques, filtered alike."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import jax
@@ -107,7 +107,7 @@ class RigidBodies:
             links=links,
             payload_center=self.payload_center,
             of_inertia=self.of_inertia,
-            of_gravity=lambda gravity: self.rigid(still, gravity, links, payload),
+            of_gravity=partial(self.rigid, still, links=links, payload=payload),
             gravity=self.gravity,
             drives=self.drives,
         )
