@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
-from lite6jax.arms.dynamics import regressor
+from lite6jax.arms.dynamics import inverse_dynamics, regressor
 from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
@@ -157,8 +157,12 @@ class Samples:
 
     def rigid(self, moved: Array, gravity: Array) -> Array:
         """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
-        bodies = self.data.bodies
-        return bodies.rigid(moved, gravity, bodies.links, self.payload)
+        bodies, sliding = self.data.bodies, self.data.arm.sliding
+        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, *moved, gravity, sliding))
+        if self.payload.any():
+            per_kg = inverse_dynamics(bodies.kinematics, bodies.at_flange, *moved, gravity, sliding)
+            torque = torque + self.payload * np.asarray(per_kg)
+        return torque
 
     def _moved(self, hypothesis: Hypothesis) -> tuple[Array, Array]:
         """The motion `(3, joint, sample)` and gravity `(3,)` of a hypothesis."""

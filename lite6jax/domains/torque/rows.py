@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import inverse_dynamics, link_parameters, regressor
+from lite6jax.arms.dynamics import link_parameters, regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -72,42 +72,31 @@ class RigidBodies:
     def of_payload(self) -> Array:
         """Torques `(joint, sample)` by the payload as declared row by row."""
         payload = np.asarray(self.motion.payload)
-        return self.of_inertia(self._at_flange) * payload if payload.any() else np.zeros(self.moved.shape[1:])
+        return self.of_inertia(self.at_flange) * payload if payload.any() else np.zeros(self.moved.shape[1:])
 
     @property
-    def _at_flange(self) -> Array:
+    def at_flange(self) -> Array:
         """`(joint, 10)`, inertial numbers of a kilogram at the payload's centre."""
         unit = np.zeros_like(self.links)
         unit[-1] = point_mass(1.0, self.payload_center)
         return unit
 
-    def rigid(self, moved: Array, gravity: Array, links: Array, payload: Array) -> Array:
-        """Torques `(joint, sample)` of links `(joint, 10)` and payloads `(sample,)` kg in any motion and gravity.
-
-        Args:
-            moved: `(3, joint, sample)`, as of `moved`.
-            gravity: `(3,)` m/s² in the base frame.
-            links: their inertial numbers.
-            payload: of each sample.
-        """
-        sliding = self.motion.sliding.joints
-        torque = np.asarray(inverse_dynamics(self.kinematics, links, *moved, gravity, sliding))
-        if payload.any():
-            per_kg = inverse_dynamics(self.kinematics, self._at_flange, *moved, gravity, sliding)
-            torque = torque + payload * np.asarray(per_kg)
-        return torque
+    def of_gravity(self, links: Array, gravity: Array) -> Array:
+        """Torques `(joint, sample)` at rest of links `(joint, 10)` with the payload, by a gravity `(3,)` m/s²."""
+        q = self.moved[0]
+        at_rest = np.asarray(regressor(self.kinematics, q, 0 * q, 0 * q, gravity, self.motion.sliding.joints))
+        torque, per_kg = (np.einsum("jps,p->js", at_rest, each.ravel()) for each in (links, self.at_flange))
+        return torque + per_kg * np.asarray(self.motion.payload)
 
     def dynamics(self, links: Array) -> Dynamics:
         """The dynamics of an arm whose links have these inertial numbers `(joint, 10)`."""
-        still = self.moved * np.array([1.0, 0.0, 0.0])[:, None, None]
-        payload = np.asarray(self.motion.payload)
         return Dynamics(
             motion=self.motion,
             torque=self.of_inertia(links) + self.of_payload,
             links=links,
             payload_center=self.payload_center,
             of_inertia=self.of_inertia,
-            of_gravity=partial(self.rigid, still, links=links, payload=payload),
+            of_gravity=partial(self.of_gravity, links),
             gravity=self.gravity,
             drives=self.drives,
         )
