@@ -87,7 +87,8 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
 
 def _exerted(entry: Entry) -> str:
     """What the motors exert that a finding acts on: forces of prismatic joints, or torques, which may be both."""
-    if entry.get("where", {}).get("of_slide"):
+    in_metres = any(name.endswith(("_m", "_m_per_N")) for name in entry.get("parameters", ()))
+    if entry["effect"].startswith("joint_") and (in_metres or "slide position" in str(entry.get("driver"))):
         return "force"
     return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
 

@@ -208,3 +208,12 @@ def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
     for line in lines[:4]:
         assert line[line.index("--effects") + 1] == str(mine)
     assert "--effects" not in lines[4]
+
+
+def test_a_prismatic_joint_has_a_screw_and_no_gear():
+    backlash = {"effect": "joint_backlash", "site": "joint3", "parameters": {"gap_m": {"value": 1e-3, "std": 1e-4}}}
+    assert cause_of(backlash) == "joint 3 has play in its screw, belt or rack"
+    assert "Service the screw, the belt or the guide" in remedy_of(backlash).action
+    scale = {"effect": "joint_scale", "site": "joint3", "driver": "slide position of joint 3", "parameters": {}}
+    assert cause_of(scale) == "joint 3 moves by another length than its encoder says"
+    assert cause_of(scale | {"driver": "position of joint 3"}) == "joint 3 turns by another angle than its encoder says"
