@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         twist as twist,
     )
     from lite6jax.effects.drivers import Driver as Driver
-    from lite6jax.effects.dynamic.torque_effect import (
+    from lite6jax.effects.dynamic import (
         Dynamics as Dynamics,
         JointTorque as JointTorque,
         TorqueEffect as TorqueEffect,
@@ -115,7 +115,7 @@ _NAMES = {
     "lite6jax.domains.torque.predict": ("predict_torques", "predicted_torques"),
     "lite6jax.effects.deflection": ("Deflection", "place_at_joint", "twist"),
     "lite6jax.effects.drivers": ("Driver",),
-    "lite6jax.effects.dynamic.torque_effect": ("Dynamics", "JointTorque", "TorqueEffect"),
+    "lite6jax.effects.dynamic": ("Dynamics", "JointTorque", "TorqueEffect"),
     "lite6jax.effects.effect": ("Bending", "Coordinate", "Effect", "JointEffect"),
     "lite6jax.effects.motion": ("Motion",),
     "lite6jax.effects.statics": ("Loads",),

@@ -84,14 +84,14 @@ def test_the_screens_are_documented_in_their_order():
 
 
 def test_the_effects_and_faults_of_torques_are_documented():
-    from lite6jax.effects.dynamic.catalogue import BUILT_IN
+    from lite6jax.effects.catalogue import TORQUE_EFFECTS
     from lite6jax.report.faults import TORQUE_FAULTS
 
     text = (ROOT / "docs/reference/torques.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
-    assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
+    assert [row[0] for row in sections["Effects"]] == list(TORQUE_EFFECTS)
     assert {row[0] for row in sections["Data faults"]} == {*TORQUE_FAULTS, "joint_turns"}  # which poses name as well
-    for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
+    for effect, (_, _, _, parameters, *_) in zip(TORQUE_EFFECTS.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue
         given = {name: 2 for name in ("joint", "link") if name in effect.__dataclass_fields__}

@@ -10,7 +10,6 @@ from typed import flat, run
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.effects import catalogue
 from lite6jax.effects.drivers import QUANTITIES
-from lite6jax.effects.dynamic import catalogue as dynamic
 
 WIDTHS = [40, 60, 200]
 
@@ -20,8 +19,8 @@ def test_every_effect_of_both_catalogues_is_listed(capsys):
     assert code == 0
     listed = json.loads(out)
     assert [(entry["domain"], entry["name"]) for entry in listed] == [
-        *(("kinematic", name) for name in catalogue.BUILT_IN),
-        *(("dynamic", name) for name in dynamic.BUILT_IN),
+        *(("kinematic", name) for name in catalogue.POSE_EFFECTS),
+        *(("dynamic", name) for name in catalogue.TORQUE_EFFECTS),
     ]
     found = {(entry["domain"], entry["name"]): entry for entry in listed}
     assert found["kinematic", "joint_compliance"] == {
@@ -52,7 +51,7 @@ def test_effects_are_readable_on_any_terminal(capsys, width):
     code, out, _ = run(capsys, "effects", width=width)
     assert code == 0
     assert max(map(cell_len, out.splitlines())) <= width
-    for name in (*catalogue.BUILT_IN, *dynamic.BUILT_IN):
+    for name in (*catalogue.POSE_EFFECTS, *catalogue.TORQUE_EFFECTS):
         assert any(line.startswith(name) for line in out.splitlines()), name
     assert "the gear gives way to the torque that gravity" in flat(out)
     only = run(capsys, "effects", "--domain", "dynamic", width=width)[1]

@@ -126,46 +126,6 @@ def test_torques_of_a_driven_arm_belong_to_the_instant_of_its_motion(name):
     assert np.sqrt(np.mean(left**2)) < 0.005
 
 
-# name: site, numbers, and the formula written down a second time, of (motion, load)
-FORMULAS = {
-    "coulomb_friction": ({"coulomb_Nm": 0.5}, lambda m, load: 0.5 * np.tanh(m.dq[:, 2] / 0.002)),
-    "stribeck_friction": (
-        {"stribeck_Nm": 0.4, "velocity_rad_per_s": 0.1},
-        lambda m, load: 0.4 * np.exp(-((m.dq[:, 2] / 0.1) ** 2)) * np.tanh(m.dq[:, 2] / 0.002),
-    ),
-    "load_friction": ({"coefficient": 0.1}, lambda m, load: 0.1 * abs(load) * np.tanh(m.dq[:, 2] / 0.002)),
-    "friction_temperature": (
-        {"viscous_Nm_s_per_rad_K": 0.02},
-        lambda m, load: 0.02 * (m.temperature[:, 2] - 25) * m.dq[:, 2],
-    ),
-    "torque_offset": ({"offset_Nm": -0.3}, lambda m, load: -0.3),
-    "torque_scale": ({"scale": 0.1}, lambda m, load: 0.1 * load),
-    "torque_ripple": (
-        {"amplitude_Nm": 0.2, "order": 7.0, "phase_rad": 0.5},
-        lambda m, load: 0.2 * np.sin(7 * m.q[:, 2] + 0.5),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", FORMULAS)
-def test_effects_of_a_joint_add_what_their_formula_says(name):
-    setup, motion = a_scene(warming=True)
-    values, formula = FORMULAS[name]
-    base = torques(setup, (), motion)
-    added = torques(setup, (Hidden(name, "joint3", values),), motion) - base
-    np.testing.assert_allclose(added[:, 2], formula(motion, base[:, 2]), atol=1e-12)
-    assert not np.delete(added, 2, 1).any()
-
-
-def test_coupled_friction_is_felt_by_both_joints():
-    setup, motion = a_scene()
-    values = {"viscous_Nm_s_per_rad": 0.1, "coulomb_Nm": 0.2, "source_joint": 5.0}
-    added = torques(setup, (Hidden("coupled_friction", "joint6", values),), motion) - torques(setup, (), motion)
-    both = motion.dq[:, 4] + motion.dq[:, 5]
-    wanted = 0.1 * both + 0.2 * np.tanh(both / 0.002)
-    np.testing.assert_allclose(added, np.column_stack([np.zeros((len(both), 4)), wanted, wanted]), atol=1e-12)
-
-
 def test_a_torque_stamped_t_belongs_to_the_motion_at_t_and_the_offset():
     setup, motion = a_scene()
     shifted = torques(setup, (Hidden("time_offset", "clock", {"offset_s": 0.05}),), motion)
@@ -180,14 +140,6 @@ def test_the_torque_of_one_joint_belongs_to_the_motion_before():
     late = torques(setup, (Hidden("torque_lag", "joint3", {"lag_s": 0.05}), *others), motion)
     np.testing.assert_allclose(late[5:, 2], plain[:-5, 2], atol=1e-9)
     np.testing.assert_array_equal(np.delete(late, 2, 1), np.delete(plain, 2, 1))
-
-
-def test_scale_comes_after_friction():
-    setup, motion = a_scene()
-    friction = Hidden("viscous_friction", "joint2", {"viscous_Nm_s_per_rad": 0.5})
-    scale = Hidden("torque_scale", "joint2", {"scale": 0.1})
-    both = torques(setup, (scale, friction), motion)[:, 1]
-    np.testing.assert_allclose(both, 1.1 * torques(setup, (friction,), motion)[:, 1], atol=1e-12)
 
 
 # family: numbers of its form, and its formula written down a second time, of (motion, rigid load, torque)
@@ -536,16 +488,6 @@ def spoiled(fault, seed=5, seconds=10.0):
     read = motion.q, motion.dq, torques(setup, (), motion)
     drawn = (faults.spoil(plan, np.random.default_rng(k), setup, motion, read) for k in range(seed, seed + 50))
     return setup, motion, read, next(filter(None, drawn))
-
-
-@pytest.mark.parametrize(("fault", "count"), [("swapped_torques", 2), ("reversed_torque", 1)])
-def test_a_wrong_column_is_where_it_is_said_to_be(fault, count):
-    _, _, (q, _, torque), wrong = spoiled(fault)
-    assert len(wrong.joints) == count
-    assert (np.flatnonzero((wrong.torque != torque).any(0)) + 1).tolist() == sorted(wrong.joints)
-    at = [joint - 1 for joint in wrong.joints]
-    np.testing.assert_array_equal(wrong.torque[:, at], torque[:, at[::-1]] if count == 2 else -torque[:, at])
-    np.testing.assert_array_equal(wrong.q, q)
 
 
 @pytest.mark.parametrize("fault", sorted(set(plans.DATA_FAULTS)))

@@ -16,7 +16,7 @@ from typed import flat, refused, run
 
 from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report import statements
 from lite6jax.report.viewer import (

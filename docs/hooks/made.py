@@ -25,7 +25,6 @@ from lite6jax.cli import main
 from lite6jax.cli.program import COMMANDS
 from lite6jax.controller import rows
 from lite6jax.effects import catalogue, drivers, user_effects
-from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
@@ -274,12 +273,12 @@ def diagnoses_table() -> str:
 
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
-    return _effects(catalogue.BUILT_IN, _looks("poses"), remedies.OF_POSES)
+    return _effects(catalogue.POSE_EFFECTS, _looks("poses"), remedies.OF_POSES)
 
 
 def torque_effects() -> str:
     """The catalogue of effects on torques."""
-    return _effects(torque_catalogue.BUILT_IN, _looks("torques"), remedies.OF_TORQUES)
+    return _effects(catalogue.TORQUE_EFFECTS, _looks("torques"), remedies.OF_TORQUES)
 
 
 def own_effect(place: int = 0) -> str:
@@ -352,7 +351,7 @@ def _formula(kind: type[Effect]) -> str:
 
 def _parameters(effect: Effect) -> Iterable[tuple[str, str]]:
     bounds = {coordinate.name: coordinate for coordinate in effect.coordinates}
-    for name in effect.reporting.names(effect):
+    for name in effect.parameters:
         limits = bounds.get(name)
         if limits is None or not np.isfinite([limits.lower, limits.upper]).all():
             yield f"`{name}`", ""

@@ -16,7 +16,7 @@ with import_lazily():
     from lite6jax.arms import description, files
     from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export
-    from lite6jax.effects import listing
+    from lite6jax.effects import catalogue
     from lite6jax.report import listings, screen
 
 
@@ -112,7 +112,7 @@ class Effects:
 
     def run(self) -> int:
         """Prints."""
-        found = [effect for effect in listing.listed() if self.domain in (None, effect.domain)]
+        found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
         if self.json:
             _print_json([effect.to_dict() for effect in found])
         else:

@@ -111,7 +111,8 @@ class Simulate:
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
         written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]
         command.check_outputs(written, [self.source, self.factory, self.effects], self.force)
-        arm, (physics, values) = files.read_arm(self.source), self._physics()
+        arm = files.read_arm(self.source)
+        physics, values = self._physics(arm.sliding)
         declared, kinematics = self._geometry(arm)
         motion = simulation.draw_motion(
             arm,
@@ -160,9 +161,9 @@ class Simulate:
         noisy = chosen.sensor.with_noise(position_noise, orientation, math.radians(self.joint_noise))
         return chosen._replace(sensor=noisy)
 
-    def _physics(self) -> "tuple[composition.Physics, np.ndarray]":
+    def _physics(self, sliding: tuple[int, ...]) -> "tuple[composition.Physics, np.ndarray]":
         kinds = catalogue.kinds_of(command.load_own_effects(self.effects))
-        parsed = [serialization.parse_effect(text, kinds) for text in self.effect]
+        parsed = [serialization.parse_effect(text, kinds, sliding=sliding) for text in self.effect]
         for effect, _ in parsed:
             if self.warm_up is None and any(d.quantity.startswith("temperature") for d in effect.drivers):
                 raise InputError(f"{effect.label}: depends on temperatures that rise; add --warm-up 15")

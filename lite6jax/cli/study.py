@@ -96,7 +96,8 @@ class Setup:
         setup = self._of_readings(arm) if self.reads else self._of_poses(arm)
         if not self.effect:
             return setup
-        effects, values = zip(*(serialization.parse_effect(text, neutral=True) for text in self.effect), strict=True)
+        parsed = (serialization.parse_effect(text, neutral=True, sliding=arm.sliding) for text in self.effect)
+        effects, values = zip(*parsed, strict=True)
         try:
             return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
         except InputError as error:
@@ -277,7 +278,8 @@ class Identify:
                     f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a set-up"
                     " but --effect"
                 )
-            effects = [serialization.parse_effect(text, neutral=True)[0] for text in self.setup.effect]
+            sliding = recording.sliding
+            effects = [serialization.parse_effect(text, neutral=True, sliding=sliding)[0] for text in self.setup.effect]
             found = identify.identify_recording(
                 recording, nominal, geometry=self.geometry, effects=effects, seed=self.seed
             )
@@ -462,7 +464,8 @@ class Design:
             found = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
             one, other = self.discriminate
-            rivals = serialization.parse_effect(one), serialization.parse_effect(other, neutral=True)[0]
+            hidden = serialization.parse_effect(one, sliding=arm.sliding)
+            rivals = hidden, serialization.parse_effect(other, neutral=True, sliding=arm.sliding)[0]
             found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[poses.shortest_round(found.joint_position)]
         settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")

@@ -17,7 +17,7 @@ from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
 from lite6jax.design.determination import BaseParameter, Determination, determination_of, narrow_joints
 from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
-from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED
+from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]

@@ -14,11 +14,9 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
-from lite6jax.effects.dynamic.motors import TorqueTimeOffset
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic.surroundings import GravityDirection, PayloadError, TimeOffset
+from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
 from lite6jax.progress import Stage

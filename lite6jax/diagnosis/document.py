@@ -27,9 +27,8 @@ from lite6jax.diagnosis.schema import (
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.torque.predict import DiagnosedMotors, link_sites, with_free_numbers
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
-from lite6jax.effects.catalogue import kinds_of
+from lite6jax.effects.catalogue import TORQUE_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of
@@ -227,7 +226,7 @@ def torque_model_from_document(
         links = np.asarray(model.links, float)
         if len(links) != arm.dof:
             raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-        found, numbers = _effects(model.effects, torque_kinds_of(effects), arm.dof, arm.sliding)
+        found, numbers = _effects(model.effects, kinds_of(effects, TORQUE_EFFECTS), arm.dof, arm.sliding)
         terms, values = Terms(found), join(numbers)
         return DiagnosedMotors(
             arm=arm,

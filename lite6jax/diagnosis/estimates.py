@@ -49,10 +49,10 @@ def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | Non
     Of an effect with an order or a speed that a search chose, its size is what is compared.
     """
     for finding in result.findings:
-        if finding.effect == effect or (effect.choice is not None and finding.effect.label == effect.label):
+        if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):
             return _of(True, finding.effect, finding.values, finding.covariance)
     candidates: tuple[Effect, ...] = result.problem.candidates
-    if (effect not in candidates and effect.choice is None) or effect in result.confounded:
+    if (effect not in candidates and not effect.searched) or effect in result.confounded:
         return None
     beside = fit_with_effect(result, effect)
     part = beside.terms.slices[-1]
@@ -77,7 +77,7 @@ def fit_with_effect(
 
 def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:
     parameters = effect.reported(values, covariance)
-    if effect.choice is not None:
+    if effect.searched:
         size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
         values, covariance = np.array([size.value]), np.array([[size.std**2]])
     return Known(found, values, covariance, parameters)

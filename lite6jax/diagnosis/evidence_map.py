@@ -16,17 +16,21 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.friction import (
+from lite6jax.effects.dynamic import (
     CoulombFriction,
     CoupledFriction,
+    Dynamics,
     FrictionTemperature,
     LoadFriction,
+    Scaling,
     StribeckFriction,
+    TorqueEffect,
+    UnnamedTorque,
     ViscousFriction,
+    direction,
 )
-from lite6jax.effects.dynamic.torque_effect import Dynamics, Scaling, TorqueEffect, UnnamedTorque, direction
 from lite6jax.effects.kernels import orders_of
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.evidence import Marginal, log_orders, of_process

@@ -24,10 +24,21 @@ from lite6jax.diagnosis.document import (
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
-from lite6jax.effects.dynamic.friction import CoulombFriction, StribeckFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import FIELDS, JointSpring, RotorInertia
-from lite6jax.effects.dynamic.torque_effect import Dynamics, OfJoint, TorqueEffect, UnnamedTorque, direction
+from lite6jax.effects.dynamic import (
+    FIELDS,
+    CoulombFriction,
+    Dynamics,
+    JointSpring,
+    LinkCom,
+    LinkMass,
+    OfJoint,
+    RotorInertia,
+    StribeckFriction,
+    TorqueEffect,
+    UnnamedTorque,
+    ViscousFriction,
+    direction,
+)
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
 from lite6jax.estimation.terms import Term
@@ -168,7 +179,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
         elif isinstance(effect, LinkMass | LinkCom):
-            links[effect.link - 1] += effect.numbers(values, links)
+            links[effect.link - 1] += effect.inertial(values, links)
         else:
             assert isinstance(effect, TorqueEffect)
             left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")

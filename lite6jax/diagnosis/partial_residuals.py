@@ -18,10 +18,10 @@ from lite6jax.domains.pose.columns import site_of
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.torque_effect import JointTorque, Scaling, TorqueEffect, UnnamedTorque
+from lite6jax.effects.dynamic import JointTorque, Scaling, TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kernels import orders_of
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 

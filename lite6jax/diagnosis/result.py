@@ -23,7 +23,7 @@ from lite6jax.domains.uncertainty import freed
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.concentration import Concentration, concentration

@@ -23,12 +23,12 @@ from lite6jax.diagnosis.estimates import (
 from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.torque.families import driver_values
+from lite6jax.domains.torque.composition import read_driver
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect, UnnamedTorque
+from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
@@ -347,7 +347,7 @@ def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
     """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
     data, dynamics = result.problem.data, result.problem.dynamics
-    values = [row for driver in effect.drivers if (row := driver_values(driver, dynamics)) is not None]
+    values = [row for driver in effect.drivers if (row := read_driver(driver, dynamics)) is not None]
     if len(values) < len(effect.drivers):
         return None
     return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]

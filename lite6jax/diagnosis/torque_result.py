@@ -12,8 +12,8 @@ from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
-from lite6jax.effects.dynamic.catalogue import torque_catalogue
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
+from lite6jax.effects.catalogue import torque_catalogue
+from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.effect import Effect, slides
 from lite6jax.results import PublicResult
 from lite6jax.search.state import Alternative

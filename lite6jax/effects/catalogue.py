@@ -1,56 +1,48 @@
-"""The catalogue: every effect that the library can test, and those that a recording leaves untestable."""
+"""The catalogue: every effect that the library can test, at every site of an arm, and what of it a recording shows."""
 
+import inspect
+import re
 import types
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import MISSING, asdict, dataclass, fields
+from itertools import product
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from lite6jax.arms.arm import joint_size
+from lite6jax.effects import dynamic, kinematic
 from lite6jax.effects.composition import missing
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic import bounds
-from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
-from lite6jax.effects.kinematic.joints import (
-    JointCompliance,
-    JointCoupling,
-    JointHarmonic,
-    JointLag,
-    JointOffset,
-    JointScale,
-    JointThermalOffset,
-    JointWarmUp,
-    SlideBacklash,
-    SlideCompliance,
-    SlideOffset,
-    SlideScale,
-)
-from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import (
-    BaseCompliance,
-    BaseDrift,
-    GravityDirection,
-    MeasurementScale,
-    PayloadCom,
-    PayloadError,
-    SensorDrift,
-    TimeOffset,
-    ToolCompliance,
-    ToolOffset,
-)
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Loads
 
-_ALL: tuple[type[Effect], ...] = (
-    *(JointOffset, JointScale, JointCompliance, JointHarmonic, JointBacklash, JointLag, JointCoupling),
-    *(LinkCompliance, LinkThermalExpansion, FrameOffset, BaseCompliance, BaseDrift, ToolOffset),
-    *(MeasurementScale, TimeOffset, PayloadError, JointThermalOffset, JointWarmUp, JointWindup, AxisWobble),
-    *(ToolCompliance, GravityDirection, PayloadCom, SensorDrift, Unnamed),
-    *(SlideOffset, SlideScale, SlideCompliance, SlideBacklash),
-)
-BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
-"""The classes of the catalogue by name."""
+POSE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
+    kind.name: kind
+    for kind in (
+        *(kinematic.JointOffset, kinematic.JointScale, kinematic.JointCompliance, kinematic.JointHarmonic),
+        *(kinematic.JointBacklash, kinematic.JointLag, kinematic.JointCoupling, kinematic.LinkCompliance),
+        *(kinematic.LinkThermalExpansion, kinematic.FrameOffset, kinematic.BaseCompliance, kinematic.BaseDrift),
+        *(kinematic.ToolOffset, kinematic.MeasurementScale, kinematic.TimeOffset, kinematic.PayloadError),
+        *(kinematic.JointThermalOffset, kinematic.JointWarmUp, kinematic.JointWindup, kinematic.AxisWobble),
+        *(kinematic.ToolCompliance, kinematic.GravityDirection, kinematic.PayloadCom, kinematic.SensorDrift),
+        Unnamed,
+    )
+})  # fmt: skip
+"""The classes of effects on poses by name."""
+TORQUE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
+    kind.name: kind
+    for kind in (
+        *(dynamic.ViscousFriction, dynamic.CoulombFriction, dynamic.StribeckFriction, dynamic.LoadFriction),
+        *(dynamic.FrictionTemperature, dynamic.CoupledFriction, dynamic.TorqueOffset, dynamic.TorqueScale),
+        *(dynamic.RotorInertia, dynamic.JointSpring, dynamic.TorqueRipple, dynamic.LinkMass, dynamic.LinkCom),
+        *(dynamic.PayloadTorque, dynamic.BaseTilt, dynamic.PayloadBody, dynamic.TorqueTimeOffset),
+        *(dynamic.TorqueLag, dynamic.UnnamedTorque),
+    )
+})  # fmt: skip
+"""The classes of effects on torques by name."""
 
 _FRICTIONS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of the largest gravity torque of a joint: between two of them a step or a play is about the same."""
@@ -58,6 +50,8 @@ _TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Shares of a recording's duration: a shorter warm-up is over at once, and a longer one is a drift."""
 _LEAST_TORQUE = 5e-3
 """Of the largest torque on any joint: an axis that is upright but for its making bears less."""
+_SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Shares of a joint's largest speed that the speeds of such friction are tried at."""
 
 
 class Untestable(NamedTuple):
@@ -67,10 +61,27 @@ class Untestable(NamedTuple):
     driver: Driver
 
 
+def kinds_of(effects: Iterable[Effect] = (), built_in: Mapping[str, type[Effect]] = POSE_EFFECTS) -> dict[str, type]:
+    """The classes of a catalogue and of a user's `effects`, by name."""
+    return {**built_in, **{effect.name: type(effect) for effect in effects}}
+
+
+def untestable(effects: Iterable[Effect], motion: Motion, loads_known: bool) -> list[Untestable]:
+    """The effects of which a motion lacks a driver, with the driver.
+
+    Args:
+        effects: the candidates.
+        motion: what was recorded.
+        loads_known: whether the masses of the arm's links are known.
+    """
+    lacking = ((effect, missing(effect, motion, loads_known)) for effect in effects)
+    return [Untestable(effect, driver) for effect, driver in lacking if driver is not None]
+
+
 def catalogue(
     dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False, sliding: Sequence[int] = ()
 ) -> tuple[Effect, ...]:
-    """Every named effect of an arm at every site, without those of `shaped`.
+    """Every named effect on poses of an arm at every site, without those of `shaped`.
 
     Args:
         dof: number of joints.
@@ -78,25 +89,25 @@ def catalogue(
         turned_tool: whether the tool's orientation is measured.
         sliding: the prismatic joints, counted from 0.
     """
-    links, slides = range(1, dof + 1), [joint + 1 for joint in sliding]
+    k, links, slides = kinematic, range(1, dof + 1), [joint + 1 for joint in sliding]
     joints = [joint for joint in links if joint not in slides]
-    simple = (JointOffset, JointScale, JointCompliance, JointBacklash, JointLag, JointThermalOffset, AxisWobble)
+    of_any = (k.JointOffset, k.JointScale, k.JointCompliance, k.JointBacklash)
     return (
-        *(kind(joint) for kind in simple for joint in joints),
-        *(JointHarmonic(joint, order) for joint in joints for order in orders),
-        *(JointCoupling(joint, source) for joint in joints for source in joints if source != joint),
-        *(kind(joint) for kind in (SlideOffset, SlideScale, SlideCompliance, SlideBacklash) for joint in slides),
-        *(LinkCompliance(link) for link in links),
-        *(LinkThermalExpansion(link) for link in (None, *range(1, dof))),
-        *(FrameOffset(link) for link in (None, *links)),
-        *(BaseCompliance(), BaseCompliance(cross=True), BaseCompliance(cross=True, shift=True), BaseDrift()),
-        *(ToolOffset(turned_tool), ToolCompliance(), MeasurementScale(), SensorDrift(), TimeOffset()),
-        *(PayloadError(), PayloadCom(), GravityDirection()),
+        *(kind(joint) for kind in (*of_any, k.JointLag, k.JointThermalOffset, k.AxisWobble) for joint in joints),
+        *(k.JointHarmonic(joint, order) for joint in joints for order in orders),
+        *(k.JointCoupling(joint, source) for joint in joints for source in joints if source != joint),
+        *(kind(joint, of_slide=True) for kind in of_any for joint in slides),
+        *(k.LinkCompliance(link) for link in links),
+        *(k.LinkThermalExpansion(link) for link in (None, *range(1, dof))),
+        *(k.FrameOffset(link) for link in (None, *links)),
+        *(k.BaseCompliance(), k.BaseCompliance(cross=True), k.BaseCompliance(cross=True, shift=True), k.BaseDrift()),
+        *(k.ToolOffset(turned_tool), k.ToolCompliance(), k.MeasurementScale(), k.SensorDrift(), k.TimeOffset()),
+        *(k.PayloadError(), k.PayloadCom(), k.GravityDirection()),
     )
 
 
 def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
-    """Named effects with a number in which they are not linear, at a few of its values, as far as a motion shows them.
+    """Effects on poses with a number in which they are not linear, at a few of its values, as a motion shows them.
 
     The friction of loaded backlash and of wind-up is tried at shares of the joint's largest gravity torque, that of
     backlash at zero too; the time constant of warm-up at shares of the duration, where no temperature is recorded.
@@ -113,16 +124,16 @@ def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
         if slides[joint - 1] or torque <= _LEAST_TORQUE * largest.max():
             continue
         frictions = [_short(share * torque) for share in _FRICTIONS]
-        found.append(JointBacklash(joint, 0.0))
+        found.append(kinematic.JointBacklash(joint, 0.0))
         if motion.direction is not None:
-            found += [JointBacklash(joint, friction) for friction in frictions]
-        found += [JointWindup(joint, friction) for friction in frictions]
+            found += [kinematic.JointBacklash(joint, friction) for friction in frictions]
+        found += [kinematic.JointWindup(joint, friction) for friction in frictions]
     if motion.time is not None and motion.temperature_rise is None:
         duration = float(np.ptp(np.asarray(motion.time)))
         constants = [_short(share * duration) for share in _TIME_CONSTANTS]
-        possible = [constant for constant in constants if constant >= bounds.WARM_UP[0]]
+        possible = [constant for constant in constants if constant >= kinematic.WARM_UP[0]]
         turning = np.flatnonzero(~slides) + 1
-        found += [JointWarmUp(int(joint), constant) for joint in turning for constant in possible]
+        found += [kinematic.JointWarmUp(int(joint), constant) for joint in turning for constant in possible]
     return tuple(found)
 
 
@@ -130,18 +141,105 @@ def _short(number: float) -> float:
     return float(f"{number:.3g}")
 
 
-def untestable(effects: Iterable[Effect], motion: Motion, loads_known: bool) -> list[Untestable]:
-    """The effects of which a motion lacks a driver, with the driver.
+def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.TorqueEffect, ...]:
+    """Every named effect on torques of an arm at every site, without those of `torque_shaped` and ripple.
 
     Args:
-        effects: the candidates.
-        motion: what was recorded.
-        loads_known: whether the masses of the arm's links are known.
+        dof: number of joints.
+        sliding: the prismatic joints, counted from 0.
     """
-    lacking = ((effect, missing(effect, motion, loads_known)) for effect in effects)
-    return [Untestable(effect, driver) for effect, driver in lacking if driver is not None]
+    d, joints, of_slide = dynamic, range(1, dof + 1), {joint: joint - 1 in sliding for joint in range(1, dof + 1)}
+    frictions = (d.ViscousFriction, d.CoulombFriction, d.LoadFriction, d.FrictionTemperature)
+    motors = (d.TorqueOffset, d.TorqueScale, d.RotorInertia, d.JointSpring, d.TorqueLag)
+    pairs = ((joint, source) for joint in joints for source in range(1, joint))
+    return (
+        *(kind(joint, of_slide=of_slide[joint]) for kind in (*frictions, *motors) for joint in joints),
+        # one motor drives two joints of one kind
+        *(d.CoupledFriction(a, b, of_slide=of_slide[a]) for a, b in pairs if of_slide[a] == of_slide[b]),
+        *(kind(link) for kind in (d.LinkMass, d.LinkCom) for link in joints),
+        *(d.PayloadTorque(), d.PayloadBody(), d.BaseTilt(), d.TorqueTimeOffset()),
+    )
 
 
-def kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
-    """The classes of the catalogue and of a user's `effects`, by name."""
-    return {**BUILT_IN, **{effect.name: type(effect) for effect in effects}}
+def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
+    """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them.
+
+    A speed that a joint passes within one sample where it reverses is not seen.
+    """
+    assert motion.joint_velocity is not None
+    velocity = np.asarray(motion.joint_velocity)
+    fastest = np.abs(velocity).max(1)
+    step, reverses = np.abs(np.diff(velocity)), velocity[:, 1:] * velocity[:, :-1] < 0
+    passed = [float(np.median(own[at])) if at.any() else 0.0 for own, at in zip(step, reverses, strict=True)]
+    tried = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
+    found: list[dynamic.TorqueEffect] = []
+    limits = {dynamic.StribeckFriction: dynamic.STRIBECK, dynamic.CoulombFriction: dynamic.TRANSITION}
+    for (kind, bounds), (joint, speed) in product(limits.items(), tried):
+        slides = joint - 1 in motion.sliding.joints
+        low, high = (joint_size(bound, "rad/s", slides) for bound in bounds)
+        if max(low, passed[joint - 1]) <= speed <= high:
+            found.append(kind(joint, speed, of_slide=slides))
+    return tuple(found)
+
+
+# ------------------------------------------------------------------ a list for people
+
+
+@final
+@dataclass(frozen=True)
+class Listed:
+    """One effect of a catalogue.
+
+    Attributes:
+        domain: `kinematic` (moves the tool) or `dynamic` (adds to the motors' torques).
+        name: as in files and with `simulate --effect`.
+        sites: where it may act: `jointN`, `linkN`, `links`, `base`, `tool`, `sensor`, `clock`, `payload`.
+        drivers: the quantities on which it depends; "any" of a function without a name.
+        parameters: the numbers that a diagnosis reports, each with its unit in its name; none without a name.
+        units: of the numbers that a fit moves.
+        description: the first line of its documentation.
+    """
+
+    domain: str
+    name: str
+    sites: tuple[str, ...]
+    drivers: tuple[str, ...]
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    description: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return asdict(self)
+
+
+def listed() -> list[Listed]:
+    """Every effect of both catalogues, in their order."""
+    made = [*catalogue(2), *torque_catalogue(2)]  # two joints are enough for an effect of one by another
+    return [
+        _listed(kind, [effect for effect in made if type(effect) is kind])
+        for built_in in (POSE_EFFECTS, TORQUE_EFFECTS)
+        for kind in built_in.values()
+    ]
+
+
+def _listed(kind: type[Effect], made: list[Effect]) -> Listed:
+    description = " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
+    if kind.nonparametric:
+        sites = ("jointN",) if kind.domain == "dynamic" else ("jointN", "linkN", "base", "tool", "sensor")
+        return Listed(kind.domain, kind.name, sites, ("any",), (), (), description)
+    if not made:  # one that is tried at values that a recording shows
+        made = [kind(**{field.name: 1 for field in fields(kind) if field.default is MISSING})]  # type: ignore[arg-type]
+
+    def once(values: Iterable[str]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(values))
+
+    return Listed(
+        domain=kind.domain,
+        name=kind.name,
+        sites=once(re.sub(r"\d+", "N", effect.site) for effect in made),
+        drivers=once(driver.quantity for effect in made for driver in effect.drivers),
+        parameters=once(name for effect in made for name in effect.parameters),
+        units=once(number.unit for effect in made for number in effect.coordinates),
+        description=description,
+    )

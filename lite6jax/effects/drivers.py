@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
+from lite6jax.arms.arm import joint_unit
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import library_of
 from lite6jax.effects.motion import Motion, since_reversal
@@ -16,7 +17,8 @@ class _Source(NamedTuple):
     """How to read a quantity.
 
     `values` gives an array with one row per joint or link where `place` names one of these, else a single row. `remedy`
-    says how to record the quantity; `loaded` marks those that follow from the loads of gravity.
+    says how to record the quantity; `loaded` marks those that follow from the loads of gravity. `at_slide` is what the
+    quantity is called at a prismatic joint, where it has another unit.
     """
 
     values: Callable[[Motion, Loads | None], Array | None]
@@ -24,114 +26,105 @@ class _Source(NamedTuple):
     place: str
     remedy: str
     loaded: bool = False
+    at_slide: str = ""
 
 
-def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
+def _joint_temperatures(motion: Motion) -> Array | None:
     """Of each joint; of the whole arm where only that is known."""
     if motion.joint_temperature_rise is None and motion.temperature_rise is not None:
         return jnp.broadcast_to(motion.temperature_rise, motion.joint_position.shape)
     return motion.joint_temperature_rise
 
 
-def _travel(motion: Motion, _: Loads | None) -> Array | None:
-    return None if motion.joint_velocity is None else since_reversal(motion)
+def _of_motion(read: Callable[[Motion], Array | None]) -> Callable[[Motion, Loads | None], Array | None]:
+    return lambda motion, _: read(motion)
 
 
-def _distance(motion: Motion, _: Loads | None) -> Array | None:
-    seen = motion.measured_position
-    return None if seen is None else library_of(seen).sqrt((seen**2).sum(0))
+def _of_loads(read: Callable[[Loads], Array | None]) -> Callable[[Motion, Loads | None], Array | None]:
+    return lambda _, loads: None if loads is None else read(loads)
 
 
-def _azimuth(motion: Motion, _: Loads | None) -> Array | None:
-    seen = motion.measured_position
-    return None if seen is None else library_of(seen).arctan2(seen[1], seen[0])
+def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | None], Array | None]:
+    """What follows from the measured position; `read` takes NumPy or JAX's, and `(3, sample)` m."""
+
+    def values(motion: Motion, _: Loads | None) -> Array | None:
+        seen = motion.measured_position
+        return None if seen is None else read(library_of(seen), seen)
+
+    return values
 
 
-def _elevation(motion: Motion, _: Loads | None) -> Array | None:
-    seen = motion.measured_position
-    if seen is None:
-        return None
-    xp = library_of(seen)
-    return xp.arctan2(seen[2], xp.hypot(seen[0], seen[1]))
-
-
-def _component(k: int) -> Callable[[Motion, Loads | None], Array | None]:
-    return lambda motion, _: None if motion.measured_position is None else motion.measured_position[k]
-
-
-def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
-    return lambda _, loads: None if loads is None or loads.payload_moment is None else loads.payload_moment[k]
-
-
-_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
-_TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
-_SLIDE_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_m_per_s …"
-_SIGHT = "the measured positions, in the axes of a sensor whose z is upright; record x_m, y_m, z_m"
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
+_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
+_ACCELERATIONS = "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …"
+_TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
+_MEASURED = "the measured positions; record x_m, y_m, z_m"
+_FROM_SENSOR = "the measured positions, from the sensor's origin; record x_m, y_m, z_m"
+_SIGHT = "the measured positions, in the axes of a sensor whose z is upright; record x_m, y_m, z_m"
+
+_speed = _of_motion(lambda m: None if m.joint_velocity is None else abs(m.joint_velocity))
+_travel = _of_motion(lambda m: None if m.joint_velocity is None else since_reversal(m))
 _SOURCES = {
-    "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
-    "slide position": _Source(
-        lambda m, _: m.joint_position, "m", "joint", "the positions of prismatic joints; add q1_m …"
+    "position": _Source(
+        _of_motion(lambda m: m.joint_position), "rad", "joint", "the joint positions; add q1_rad …",
+        at_slide="slide position",
     ),
     "direction of motion": _Source(
-        lambda m, _: m.direction, "1", "joint", "the directions of motion; keep the rows in the order of recording"
+        _of_motion(lambda m: m.direction), "1", "joint",
+        "the directions of motion; keep the rows in the order of recording",
     ),
     "velocity": _Source(
-        lambda m, _: m.joint_velocity,
-        "rad/s",
-        "joint",
-        _VELOCITIES,
+        _of_motion(lambda m: m.joint_velocity), "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"
     ),
-    "speed": _Source(
-        lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity),
-        "rad/s",
-        "joint",
-        _VELOCITIES,
-    ),
-    "slide velocity": _Source(lambda m, _: m.joint_velocity, "m/s", "joint", _SLIDE_VELOCITIES),
-    "slide speed": _Source(
-        lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity), "m/s", "joint", _SLIDE_VELOCITIES
-    ),
-    "travel since reversal": _Source(_travel, "rad", "joint", _TRAVELS),
-    "slide travel since reversal": _Source(_travel, "m", "joint", _TRAVELS),
+    "speed": _Source(_speed, "rad/s", "joint", _VELOCITIES, at_slide="slide speed"),
+    "travel since reversal": _Source(_travel, "rad", "joint", _TRAVELS, at_slide="slide travel since reversal"),
     "acceleration": _Source(
-        lambda m, _: m.joint_acceleration,
-        "rad/s²",
-        "joint",
-        "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …",
+        _of_motion(lambda m: m.joint_acceleration), "rad/s²", "joint", _ACCELERATIONS, at_slide="slide acceleration"
     ),
-    "slide acceleration": _Source(
-        lambda m, _: m.joint_acceleration,
-        "m/s²",
-        "joint",
-        "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_m_per_s2 …",
+    "gravity torque": _Source(_of_loads(lambda l: l.torque), "Nm", "joint", _MASSES, True, at_slide="gravity force"),
+    "gravity moment x": _Source(_of_loads(lambda l: l.moment[:, 0]), "Nm", "link", _MASSES, True),
+    "gravity moment y": _Source(_of_loads(lambda l: l.moment[:, 1]), "Nm", "link", _MASSES, True),
+    "base moment x": _Source(_of_loads(lambda l: l.base_moment[0]), "Nm", "", _MASSES, True),
+    "base moment y": _Source(_of_loads(lambda l: l.base_moment[1]), "Nm", "", _MASSES, True),
+    "tool moment x": _Source(
+        _of_loads(lambda l: None if l.payload_moment is None else l.payload_moment[0]), "Nm", "", _MASSES, True
     ),
-    "gravity torque": _Source(lambda _, l: None if l is None else l.torque, "Nm", "joint", _MASSES, True),
-    "gravity force": _Source(lambda _, l: None if l is None else l.torque, "N", "joint", _MASSES, True),
-    "gravity moment x": _Source(lambda _, l: None if l is None else l.moment[:, 0], "Nm", "link", _MASSES, True),
-    "gravity moment y": _Source(lambda _, l: None if l is None else l.moment[:, 1], "Nm", "link", _MASSES, True),
-    "base moment x": _Source(lambda _, l: None if l is None else l.base_moment[0], "Nm", "", _MASSES, True),
-    "base moment y": _Source(lambda _, l: None if l is None else l.base_moment[1], "Nm", "", _MASSES, True),
+    "tool moment y": _Source(
+        _of_loads(lambda l: None if l.payload_moment is None else l.payload_moment[1]), "Nm", "", _MASSES, True
+    ),
     "temperature rise": _Source(
-        lambda m, _: m.temperature_rise, "K", "", "a temperature; record temp1_degC … or ambient_degC"
+        _of_motion(lambda m: m.temperature_rise), "K", "", "a temperature; record temp1_degC … or ambient_degC"
     ),
-    "tool moment x": _Source(_payload_moment(0), "Nm", "", _MASSES, True),
-    "tool moment y": _Source(_payload_moment(1), "Nm", "", _MASSES, True),
     "temperature": _Source(
-        _joint_temperatures, "K", "joint", "the temperature of each joint; record temp1_degC … or ambient_degC"
+        _of_motion(_joint_temperatures), "K", "joint",
+        "the temperature of each joint; record temp1_degC … or ambient_degC",
     ),
-    "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
-    "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
-    **{
-        f"measured position {axis}": _Source(_component(k), "m", "", "the measured positions; record x_m, y_m, z_m")
-        for k, axis in enumerate("xyz")
-    },
+    "time": _Source(_of_motion(lambda m: m.time), "s", "", "the times of the samples; record time_s"),
+    "payload": _Source(_of_motion(lambda m: m.payload), "kg", "", "the payload; add payload_kg"),
+    "measured position x": _Source(_of_sight(lambda xp, seen: seen[0]), "m", "", _MEASURED),
+    "measured position y": _Source(_of_sight(lambda xp, seen: seen[1]), "m", "", _MEASURED),
+    "measured position z": _Source(_of_sight(lambda xp, seen: seen[2]), "m", "", _MEASURED),
     "measured position's distance": _Source(
-        _distance, "m", "", "the measured positions, from the sensor's origin; record x_m, y_m, z_m"
+        _of_sight(lambda xp, seen: xp.sqrt((seen**2).sum(0))), "m", "", _FROM_SENSOR
     ),
-    "measured position's azimuth": _Source(_azimuth, "rad", "", _SIGHT),
-    "measured position's elevation": _Source(_elevation, "rad", "", _SIGHT),
+    "measured position's azimuth": _Source(
+        _of_sight(lambda xp, seen: xp.arctan2(seen[1], seen[0])), "rad", "", _SIGHT
+    ),
+    "measured position's elevation": _Source(
+        _of_sight(lambda xp, seen: xp.arctan2(seen[2], xp.hypot(seen[0], seen[1]))), "rad", "", _SIGHT
+    ),
+}  # fmt: skip
+_OF_SLIDE = {quantity: source.at_slide for quantity, source in _SOURCES.items() if source.at_slide}
+_GENERALISED = {own: quantity for quantity, own in _OF_SLIDE.items()}
+_SOURCES |= {
+    source.at_slide: source._replace(
+        unit=joint_unit(source.unit, True), remedy=joint_unit(source.remedy, True), at_slide=""
+    )
+    for source in tuple(_SOURCES.values())
+    if source.at_slide
 }
+QUANTITIES = tuple(_SOURCES)
+"""The quantities that a driver can be."""
 
 
 @final
@@ -228,25 +221,9 @@ class Driver:
         return values[self.place - 1] if self.place else values
 
 
-QUANTITIES = tuple(_SOURCES)
-"""The quantities that a driver can be."""
-
-
 def place_of(quantity: str) -> str:
     """What a quantity is of: a `joint`, a `link`, or, empty, the whole arm."""
     return _SOURCES[quantity].place
-
-
-_OF_SLIDE = {
-    "position": "slide position",
-    "velocity": "slide velocity",
-    "speed": "slide speed",
-    "travel since reversal": "slide travel since reversal",
-    "acceleration": "slide acceleration",
-    "gravity torque": "gravity force",
-}
-"""Of a quantity of a revolute joint, that of a prismatic one: in other units."""
-_GENERALISED = {own: quantity for quantity, own in _OF_SLIDE.items()}
 
 
 def joint_driver(quantity: str, joint: int, slides: bool) -> Driver:

@@ -1,20 +1,23 @@
 """What an effect is: a small pure function of a motion, with a site, drivers, numbers to fit and a neutral value."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, final
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import Deflection, place_at_joint
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.deflection import Deflection, library_of, place_at_joint
+from lite6jax.effects.drivers import Driver, joint_driver, place_of
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.errors import InputError
+
+UNINFORMED_PHASE = np.pi / np.sqrt(3)
+"""The standard deviation of an angle of which nothing is known."""
 
 
 class Coordinate(NamedTuple):
@@ -38,6 +41,22 @@ class Coordinate(NamedTuple):
     upper: float = np.inf
     linear: bool = True
 
+    def at_slide(self) -> "Coordinate":
+        """That of a prismatic joint, given as that of a revolute one; `spread` was measured and stays as it is."""
+        typical, lower, upper = (joint_size(size, self.unit, True) for size in (self.typical, self.lower, self.upper))
+        name, unit = joint_unit(self.name, True), joint_unit(self.unit, True)
+        return Coordinate(name, unit, typical, self.spread, lower, upper, self.linear)
+
+
+def symmetric(name: str, unit: str, typical: float, most: float, **others: Any) -> Coordinate:
+    """A `Coordinate` of either sign, at most `most` in size."""
+    return Coordinate(name, unit, typical, lower=-most, upper=most, **others)
+
+
+def positive(name: str, unit: str, typical: float, most: float, **others: Any) -> Coordinate:
+    """A `Coordinate` that cannot be negative."""
+    return Coordinate(name, unit, typical, lower=0.0, upper=most, **others)
+
 
 class Estimate(NamedTuple):
     """A parameter's value and standard deviation."""
@@ -46,101 +65,9 @@ class Estimate(NamedTuple):
     std: float
 
 
-class Reporting(NamedTuple):
-    """How an effect's coordinates, in which it is smooth at neutral, relate to the parameters that people read.
-
-    Attributes:
-        names: of an effect, the names of the parameters.
-        parameters: of an effect and `values` `(coordinate,)`, the parameters and their derivatives
-            `(parameter, coordinate)`.
-        values: the inverse, of an effect and parameters by name; those not given are zero.
-    """
-
-    names: "Callable[[Effect], tuple[str, ...]]"
-    parameters: "Callable[[Effect, NDArray], tuple[NDArray, NDArray]]"
-    values: "Callable[[Effect, Mapping[str, float]], NDArray]"
-
-
-def _coordinate_names(effect: "Effect") -> tuple[str, ...]:
-    return tuple(coordinate.name for coordinate in effect.coordinates)
-
-
-DIRECT = Reporting(
-    names=_coordinate_names,
-    parameters=lambda effect, values: (values, np.eye(len(values))),
-    values=lambda effect, given: np.array([given.get(name, 0.0) for name in _coordinate_names(effect)]),
-)
-"""The coordinates are the parameters."""
-
-
-def with_field(field: str) -> Reporting:
-    """The coordinates, and after them a number that is a field of the effect where it is fixed, without uncertainty.
-
-    Args:
-        field: its name as a field and as a parameter; None there says that it is a coordinate, or that it is none.
-    """
-
-    def names(effect: "Effect") -> tuple[str, ...]:
-        return (*_coordinate_names(effect), *(() if getattr(effect, field) is None else (effect.own(field),)))
-
-    def parameters(effect: "Effect", values: NDArray) -> tuple[NDArray, NDArray]:
-        fixed = [number for number in (getattr(effect, field),) if number is not None]
-        return np.append(values, fixed), np.eye(len(values) + len(fixed), len(values))
-
-    def values(effect: "Effect", given: Mapping[str, float]) -> NDArray:
-        fixed, name = getattr(effect, field), effect.own(field)
-        if fixed is not None and given.get(name, fixed) != fixed:
-            raise InputError(
-                f"{effect.label}: {name} {given[name]:g} beside the fixed {name} {fixed:g}; give one of them"
-            )
-        return DIRECT.values(effect, given)
-
-    return Reporting(names, parameters, values)
-
-
 def slides(effect: "Effect") -> bool:
     """Whether an effect is one of a prismatic joint."""
     return bool(getattr(effect, "of_slide", False))
-
-
-class Choice(NamedTuple):
-    """A number of an effect that a search chooses from a spectrum, such as a harmonic's order.
-
-    Attributes:
-        number: of an effect, its chosen number; None where it is free.
-        searched: of an effect, whether the number is one of many: the first orders have names of their own.
-        released: the same effect with the number as its last coordinate.
-        held: the same effect with the number fixed.
-        periodic: whether a spectrum of orders finds it, rather than a few values that are tried one by one.
-    """
-
-    number: "Callable[[Effect], float | None]"
-    searched: "Callable[[Effect], bool]"
-    released: "Callable[[Effect], Effect]"
-    held: "Callable[[Effect, float], Effect]"
-    periodic: bool = False
-
-
-def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None, unit: str = "1") -> Choice:
-    """A number that is a field of the effect and is tried at a few values, while the rest is linear.
-
-    Args:
-        field: its name; None there says that it is not fixed.
-        lower: the least that it can be when it is fixed.
-        released: of an effect, the same with the number as its last coordinate; that with None in the field where not
-            given.
-        unit: of `lower`, at a revolute joint.
-    """
-    return Choice(
-        number=lambda effect: getattr(effect, field),
-        searched=lambda effect: getattr(effect, field) is not None,
-        released=released or (lambda effect: replace(effect, **{field: None})),
-        held=lambda effect, number: replace(effect, **{field: max(number, joint_size(lower, unit, slides(effect)))}),
-    )
-
-
-UNINFORMED_PHASE = np.pi / np.sqrt(3)
-"""The standard deviation of an angle of which nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +76,9 @@ class Effect(ABC):
 
     A final subclass is a frozen dataclass whose fields say where it acts; its numbers are not in it, but are given to
     its functions as `values` `(coordinate,)`, in the order of `coordinates`; at zero it changes nothing.
+
+    Most effects state `at`, `quantities` and `numbers`, from which their site, drivers and coordinates follow in the
+    units of their joint. Others define these properties themselves.
     """
 
     name: ClassVar[str]
@@ -160,28 +90,38 @@ class Effect(ABC):
     """Whether nearly every arm has it: its choice costs ln 2."""
     nonparametric: ClassVar[bool] = False
     """Whether it is a Gaussian process rather than a named effect."""
-    choice: ClassVar[Choice | None] = None
-    reporting: ClassVar[Reporting] = DIRECT
-    special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
-    """Of an effect, those that are this one with some of its numbers zero; None where there are none."""
-
-    counted: "ClassVar[Callable[[Any], int] | None]" = None
-    """How many numbers it has, where thousands of such effects are counted; None to count its coordinates."""
+    at: ClassVar[str] = ""
+    """Its site; `joint` or `link` where the field of that name says which."""
+    quantities: ClassVar[tuple[str, ...]] = ()
+    """What it depends on, as of a revolute joint, at its own joint or link."""
+    numbers: ClassVar[tuple[Coordinate, ...]] = ()
+    """Its coordinates, as of a revolute joint. One that is also a field is none where that field is given."""
+    fixed: ClassVar[str | None] = None
+    """A field that is reported as a parameter too, without uncertainty."""
+    searched: ClassVar[bool] = False
+    """Whether `fixed` is a number that a search chooses; None in the field makes it the last coordinate."""
 
     @property
-    @abstractmethod
+    def periodic(self) -> bool:
+        """Whether a spectrum of orders finds the chosen number, rather than a few values that are tried one by one."""
+        return False
+
+    @property
     def site(self) -> str:
         """`joint2`, `link3`, `links`, `base`, `tool`, `sensor`, `clock` or `payload`."""
+        return f"{self.at}{getattr(self, self.at, '')}"
 
     @property
-    @abstractmethod
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The numbers that a fit moves."""
+        free = (number for number in self.numbers if getattr(self, number.name, None) is None)
+        return tuple(number.at_slide() for number in free) if slides(self) else tuple(free)
 
     @property
-    @abstractmethod
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
+        own = getattr(self, self.at, 0)
+        return tuple(joint_driver(each, own if place_of(each) else 0, slides(self)) for each in self.quantities)
 
     @final
     def own(self, name: str) -> str:
@@ -191,7 +131,7 @@ class Effect(ABC):
     @property
     def size(self) -> int:
         """How many numbers it has."""
-        return len(self.coordinates) if self.counted is None else self.counted(self)
+        return len(self.coordinates)
 
     @property
     def label(self) -> str:
@@ -205,35 +145,71 @@ class Effect(ABC):
         return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
 
     @property
-    @final
-    def periodic(self) -> bool:
-        """Whether a spectrum of orders finds it."""
-        return self.choice is not None and self.choice.periodic
-
-    @property
-    @final
     def chosen(self) -> float | None:
         """The number that a search chose from many instead of fitting it, or None."""
-        return self.choice.number(self) if self.choice is not None and self.choice.searched(self) else None
+        return self.fixed_number if self.searched else None
 
     @property
-    @final
+    def fixed_number(self) -> float | None:
+        """What the field `fixed` says; None where it says nothing, or there is none."""
+        return None if self.fixed is None else getattr(self, self.fixed)
+
+    @property
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero."""
-        return () if self.special_cases is None else self.special_cases(self)
+        return ()
 
-    @final
     def released(self) -> "Effect":
         """The same effect with its chosen number as its last coordinate."""
-        assert self.choice is not None
-        return self.choice.released(self)
+        assert self.searched
+        assert self.fixed is not None
+        return replace(self, **{self.fixed: None})
 
     @final
-    def held(self, number: float) -> "Effect":
-        """The same effect with its chosen number fixed."""
-        assert self.choice is not None
-        return self.choice.held(self, number)
+    def held(self, number: float) -> Self:
+        """The same effect with its chosen number fixed, at the least that it can be where it is less."""
+        assert self.fixed is not None
+        return replace(self, **{self.fixed: max(number, self.released().coordinates[-1].lower)})
 
+    @final
+    def require_fixed(self, zero: bool = False) -> None:
+        """Refuses a fixed number that is negative or not finite, or zero where that is not possible.
+
+        Raises:
+            InputError: as said.
+        """
+        number = getattr(self, self.fixed or "")
+        if number is not None and not (0 < number < np.inf or (zero and number == 0)):
+            wanted = "zero or a positive number" if zero else "a positive number"
+            raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {wanted}")
+
+    # ------------------------------------------------------------------ what people read
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of the parameters that people read: the coordinates and the fixed number, if nothing else."""
+        names = tuple(coordinate.name for coordinate in self.coordinates)
+        return names if self.fixed_number is None else (*names, self.own(self.fixed or ""))
+
+    def to_parameters(self, values: NDArray) -> tuple[NDArray, NDArray]:
+        """The parameters of `values` `(coordinate,)`, and their derivatives `(parameter, coordinate)`."""
+        number = [] if self.fixed_number is None else [self.fixed_number]
+        return np.append(values, number), np.eye(len(values) + len(number), len(values))
+
+    def from_parameters(self, given: Mapping[str, float]) -> NDArray:
+        """The inverse, of parameters by name; those not given are zero.
+
+        Raises:
+            InputError: a number that is not possible, or another one than the fixed one.
+        """
+        number, name = self.fixed_number, self.own(self.fixed or "")
+        if number is not None and given.get(name, number) != number:
+            raise InputError(
+                f"{self.label}: {name} {given[name]:g} beside the fixed {name} {number:g}; give one of them"
+            )
+        return np.array([given.get(coordinate.name, 0.0) for coordinate in self.coordinates])
+
+    @final
     def reported(self, values: ArrayLike, covariance: ArrayLike | None = None) -> dict[str, Estimate]:
         """The parameters that people read, with standard deviations to first order.
 
@@ -242,20 +218,23 @@ class Effect(ABC):
             covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
         """
         values = np.asarray(values, float)
-        parameters, jacobian = self.reporting.parameters(self, values)
+        parameters, jacobian = self.to_parameters(values)
         C = np.zeros((values.size, values.size)) if covariance is None else np.asarray(covariance, float)
-        std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, C, jacobian), 0.0))
-        names = self.reporting.names(self)
-        std = [min(s, UNINFORMED_PHASE) if name == "phase_rad" else s for name, s in zip(names, std, strict=True)]
-        return {name: Estimate(float(p), float(s)) for name, p, s in zip(names, parameters, std, strict=True)}
+        stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, C, jacobian), 0.0))
+        found = zip(self.parameters, parameters, stds, strict=True)
+        return {
+            name: Estimate(float(p), float(min(std, UNINFORMED_PHASE) if name == "phase_rad" else std))
+            for name, p, std in found
+        }
 
+    @final
     def values_of(self, parameters: Mapping[str, float]) -> NDArray:
         """The values `(coordinate,)` of parameters by name, the inverse of `reported`; those not given are zero.
 
         Raises:
             InputError: an unknown name, none at all, or a number that is not finite or not possible.
         """
-        names = self.reporting.names(self)
+        names = self.parameters
         unknown = [name for name in parameters if name not in names]
         if unknown:
             raise InputError(f"{self.label}: has no {unknown[0]!r}; it takes {', '.join(names)}")
@@ -264,13 +243,16 @@ class Effect(ABC):
         for name, value in parameters.items():
             if not np.isfinite(value):
                 raise InputError(f"{self.label}: {name} is {value}; give a finite number")
-        return self.reporting.values(self, parameters)
+        return self.from_parameters(parameters)
 
     @property
     def joints_needed(self) -> int:
         """How many joints an arm has at least that can have this effect."""
         digits = "".join(character for character in self.site if character.isdecimal())
         return max([int(digits or 0), *(driver.place for driver in self.drivers)])
+
+
+# ------------------------------------------------------------------ on poses
 
 
 class Bending(Effect, ABC):
@@ -296,6 +278,10 @@ class Altering(Effect, ABC):
 class Loading(Altering, ABC):
     """An effect by which other loads act on the arm than those declared. It shows through compliances alone."""
 
+    def alter(self, values: Array, motion: Motion) -> Motion:
+        """The motion as it is: most such effects are of masses or of gravity."""
+        return motion
+
     @abstractmethod
     def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
         """The masses and gravity as they really were."""
@@ -306,28 +292,36 @@ class Loading(Altering, ABC):
         return jnp.zeros(motion.samples, bool)
 
 
+# ------------------------------------------------------------------ of joints
+
+
 @dataclass(frozen=True)
-class JointEffect(Bending, ABC):
-    """An effect that adds to one joint's position.
+class OfJoint(Effect, ABC):
+    """An effect at a joint, in the units of that joint: those of a prismatic joint follow from a revolute one's.
 
     Attributes:
         joint: counted from 1.
+        of_slide: whether the joint is prismatic; a model, or the arm of a command, says it.
     """
 
     joint: int
+    of_slide: bool = field(default=False, kw_only=True)
 
-    of_slide: ClassVar[bool | None] = False
-    """Whether the joint is prismatic; None for either."""
+    at: ClassVar[str] = "joint"
+
+    @final
+    def own_driver(self, quantity: str) -> Driver:
+        """A quantity of this joint, such as `velocity`."""
+        return joint_driver(quantity, self.joint, self.of_slide)
+
+
+@dataclass(frozen=True)
+class JointEffect(OfJoint, Bending, ABC):
+    """An effect that adds to one joint's position."""
 
     @abstractmethod
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         """`(sample,)` rad, m of a prismatic joint, that add to what the encoder says."""
-
-    @property
-    @final
-    def site(self) -> str:
-        """`jointN`."""
-        return f"joint{self.joint}"
 
     @final
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
@@ -341,18 +335,109 @@ def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
     Raises:
         InputError: as said.
     """
-    of_slide = getattr(effect, "of_slide", None)
-    if of_slide is None:
+    if not isinstance(effect, OfJoint):
         return
-    acting = ("joint",) if isinstance(effect, JointEffect) else ("joint", "source_joint")
-    joints = [getattr(effect, name) for name in acting if hasattr(effect, name)]
-    others = [joint for joint in joints if (joint - 1 in sliding) != of_slide]
-    if not others:
-        return
-    own, other = ("prismatic", "revolute") if of_slide else ("revolute", "prismatic")
-    if isinstance(effect, JointEffect):
-        prefix = "joint_" if of_slide else "slide_"
-        remedy = f"an effect whose name begins with {prefix} (`lite6jax effects` lists them)"
-    else:
-        remedy = "joints of one kind" if len(others) < len(joints) else f"of_slide={not of_slide}"
-    raise InputError(f"{effect.label}: is of a {own} joint, and joint {others[0]} is {other}; give {remedy}")
+    joints = [effect.joint, *([effect.source_joint] if hasattr(effect, "source_joint") else [])]  # type: ignore[attr-defined]
+    others = [joint for joint in joints if (joint - 1 in sliding) != effect.of_slide]
+    if others:
+        own, other = ("prismatic", "revolute") if effect.of_slide else ("revolute", "prismatic")
+        remedy = "joints of one kind" if len(others) < len(joints) else f"of_slide={not effect.of_slide}"
+        raise InputError(f"{effect.label}: is of a {own} joint, and joint {others[0]} is {other}; give {remedy}")
+
+
+# ------------------------------------------------------------------ waves
+
+_ROUNDING = 1e-12
+"""Relative: an order is stored beside its inverse."""
+
+
+class Wave(OfJoint, ABC):
+    """An effect A·sin(n·q + φ) with the order n, or A·sin(2π·q/p + φ) along a prismatic joint, with the period p.
+
+    Its coordinates are A cos φ and A sin φ, in which it is linear, and after them n where the field `order` does not
+    fix it. Along a prismatic joint n counts cycles per metre, and people read p = 1/n, such as the lead of a screw.
+    """
+
+    order: float | None
+    fixed: ClassVar[str | None] = "order"
+    searched: ClassVar[bool] = True
+    amplitude: ClassVar[Coordinate]
+    """As of a revolute joint, its name without a prefix, such as `_rad`."""
+
+    @property
+    @final
+    def periodic(self) -> bool:
+        """A spectrum of orders finds it."""
+        return True
+
+    @property
+    @final
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Those of sine and cosine, and the order where it is not fixed."""
+        one = self.amplitude.at_slide() if self.of_slide else self.amplitude
+        waves = tuple(one._replace(name=wave + one.name) for wave in ("sine", "cosine"))
+        order = Coordinate("order", "1/m" if self.of_slide else "1", 0.1, lower=0.0, linear=False)
+        return waves if self.order is not None else (*waves, order)
+
+    @final
+    def order_in(self, values: Any) -> Any:
+        """The order, as it is fixed or as the last of `values`."""
+        return values[-1] if self.order is None else self.order
+
+    @final
+    def of_position(self, values: Array, position: Array) -> Array:
+        """`(sample,)`, by `values` `(coordinate,)` at positions of the joint."""
+        turned = self.order_in(values) * wave_angle(position, self.of_slide)
+        xp = library_of(turned)
+        return values[0] * xp.sin(turned) + values[1] * xp.cos(turned)
+
+    @property
+    @final
+    def parameters(self) -> tuple[str, ...]:
+        """Order or period, amplitude and phase."""
+        return ("period_m" if self.of_slide else "order", self.own("amplitude" + self.amplitude.name), "phase_rad")
+
+    @final
+    def to_parameters(self, values: NDArray) -> tuple[NDArray, NDArray]:
+        """As of any effect."""
+        order = self.order_in(values)
+        sine, cosine = values[:2]
+        size, phase = np.hypot(sine, cosine), np.arctan2(cosine, sine)
+        jacobian = np.zeros((3, values.size))
+        jacobian[0, 2:] = 1.0
+        if self.of_slide:  # of no order, as of an effect that is neutral, there is no period
+            order = 1 / order if order else 0.0
+            jacobian[0, 2:] = -(order**2)
+        # at no amplitude the phase is anything: a huge derivative, which `reported` takes for no knowledge
+        along = np.array([sine, cosine]) / size if size else np.array([1.0, 0.0])
+        jacobian[1, :2] = along
+        jacobian[2, :2] = np.array([-along[1], along[0]]) / max(size, 1e-300)
+        return np.array([order, size, np.pi if phase == -np.pi else phase]), jacobian
+
+    @final
+    def from_parameters(self, given: Mapping[str, float]) -> NDArray:
+        """As of any effect."""
+        repeats, amplitude, _ = self.parameters
+        fixed = None if self.order is None else (1 / self.order if self.of_slide else self.order)
+        if repeats not in given and fixed is None:
+            of_slide = "no period is given; say after which length the force repeats, as period_m=0.005"
+            of_turn = "no order is given; say how often the error comes in a turn, as order=2"
+            raise InputError(f"{self.label}: {of_slide if self.of_slide else of_turn}")
+        number = given.get(repeats, fixed)
+        assert number is not None
+        if self.of_slide and not number > 0:
+            raise InputError(f"{self.label}: {repeats} is {number:g}; give a positive length")
+        if fixed is not None and abs(number - fixed) > _ROUNDING * abs(fixed):
+            raise InputError(
+                f"{self.label}: {repeats} {number:g} beside the fixed {repeats} {fixed:g}; give one of them"
+            )
+        size, phase = given.get(amplitude, 0.0), given.get("phase_rad", 0.0)
+        if size < 0:
+            raise InputError(f"{self.label}: {amplitude} is {size:g}; make it positive and add pi to phase_rad")
+        order = [] if fixed is not None else [1 / number if self.of_slide else number]
+        return np.array([size * np.cos(phase), size * np.sin(phase), *order])
+
+
+def wave_angle(position: Any, of_slide: bool) -> Any:
+    """The angle in rad of which an order counts the waves: a joint's position, or one turn a metre of a slide."""
+    return 2 * np.pi * position if of_slide else position

@@ -87,7 +87,21 @@ class Process:
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
-    counted = staticmethod(lambda effect: effect.functions)
+
+    @property
+    def size(self) -> int:
+        """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
+        return self.functions
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coefficients."""
+        return self.coefficients
+
+    @cached_property
+    def coefficients(self) -> tuple[Coordinate, ...]:
+        """The coordinates, made once."""
+        raise NotImplementedError
 
     @property
     def bounds(self) -> tuple[float, ...]:
@@ -176,19 +190,13 @@ class Unnamed(Process, Bending):
         """Of what it adds."""
         return _MEASURES.get(self.component, ("rad", ""))[0]
 
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coefficients."""
-        return self._coordinates
-
     @cached_property
-    def _coordinates(self) -> tuple[Coordinate, ...]:
+    def coefficients(self) -> tuple[Coordinate, ...]:
+        """The coordinates, made once."""
         unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
-        deviations = np.full(self.functions, np.inf if self.spread is None else self.spread)
-        return tuple(
-            Coordinate(f"coefficient{k + 1}{end}", unit, 1e-4, float(deviation), -_MOST, _MOST)
-            for k, deviation in enumerate(deviations)
-        )
+        spread = np.inf if self.spread is None else float(self.spread)
+        names = (f"coefficient{k + 1}{end}" for k in range(self.functions))
+        return tuple(Coordinate(name, unit, 1e-4, spread, -_MOST, _MOST) for name in names)
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""

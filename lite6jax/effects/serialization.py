@@ -3,15 +3,15 @@
 import ast
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_unit
-from lite6jax.effects.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.friction import SHARP
+from lite6jax.effects.catalogue import POSE_EFFECTS
+from lite6jax.effects.dynamic import SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.schema import Positive, Strict, check
@@ -23,10 +23,10 @@ _TYPES = {
     bool: "true or false",
     tuple: "a list of numbers",
 }
-_TRANSITION = "transition_rad_per_s"
-"""The field of Coulomb friction that says nothing where it is sharp."""
 _OF_SLIDE = "of_slide"
 """The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
+_FORMER = "slide_"
+"""What names of effects at prismatic joints began with in earlier files, where `joint_` now has `of_slide`."""
 
 
 class _Estimate(Strict):
@@ -36,37 +36,34 @@ class _Estimate(Strict):
     std: Positive = 0.0
 
 
-def _written(effect: Effect | type[Effect]) -> list[Field[Any]]:
-    """The fields that say what an effect is; the others say how a search came to it."""
-    return [field for field in fields(effect) if field.compare]  # type: ignore[arg-type]
+def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> tuple[type[Effect], bool]:
+    """The class of a name, and whether the name says that the joint is prismatic."""
+    if isinstance(name, str) and name.startswith(_FORMER) and name not in kinds:
+        present = "joint_" + name.removeprefix(_FORMER)
+        if present in kinds:
+            return kinds[present], True
+    if not isinstance(name, str) or name not in kinds:
+        raise InputError(f"effect {name!r}: unknown; the catalogue has {', '.join(kinds)}")
+    return kinds[name], False
 
 
 def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[type, ...]]:
     """The fields of an effect's class as they are written, and the types that each accepts."""
     hints = typing.get_type_hints(kind)
-    return {
-        joint_unit(field.name, of_slide): (tuple,)
-        if typing.get_origin(hint := hints[field.name]) is tuple
-        else typing.get_args(hint) or (hint,)
-        for field in _written(kind)
-    }
 
+    def accepted(hint: Any) -> tuple[type, ...]:
+        return (tuple,) if typing.get_origin(hint) is tuple else typing.get_args(hint) or (hint,)
 
-def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
-    if not isinstance(name, str) or name not in kinds:
-        raise InputError(f"effect {name!r}: unknown; the catalogue has {', '.join(kinds)}")
-    return kinds[name]
+    return {joint_unit(field.name, of_slide): accepted(hints[field.name]) for field in fields(kind)}  # type: ignore[arg-type]
 
 
 def _keys(kind: type[Effect], of_slide: bool = False) -> str:
     """The keys that the text form of an effect accepts, for messages."""
     taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
-    required = [f.name for f in _written(kind) if f.default is MISSING]
+    required = [field.name for field in fields(kind) if field.default is MISSING]  # type: ignore[arg-type]
+    given: dict[str, Any] = {name: number for number, name in enumerate(required, 1)}
     try:
-        example = kind(
-            **{name: number for number, name in enumerate(required, 1)}, **({_OF_SLIDE: True} if of_slide else {})
-        )
-        parameters = example.reporting.names(example)
+        parameters = kind(**given, **({_OF_SLIDE: True} if of_slide else {})).parameters
     except (InputError, TypeError):  # fields that are not numbers and determine the parameters
         parameters = ("its parameters",)
     return ", ".join([*taken, *(name for name in parameters if name not in taken)])
@@ -91,16 +88,19 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
         if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
             raise InputError(f"{kind.name}: {name} is {value}; joints and links count from 1")
         checked[name] = value
-    for field in _written(kind):
-        if field.default is MISSING and field.name not in checked:
-            raise InputError(f"{kind.name}: {field.name} is not given; the keys are {_keys(kind, of_slide)}")
-    of_field = {joint_unit(field.name, of_slide): field.name for field in _written(kind)}
-    return kind(**{of_field[name]: value for name, value in checked.items()})
+    found = {}
+    for field in fields(kind):  # type: ignore[arg-type]
+        name = joint_unit(field.name, of_slide)
+        if name in checked:
+            found[field.name] = checked[name]
+        elif field.default is MISSING:
+            raise InputError(f"{kind.name}: {name} is not given; the keys are {_keys(kind, of_slide)}")
+    return kind(**found)
 
 
 def parse_effect(
     text: str,
-    kinds: Mapping[str, type[Effect]] = BUILT_IN,
+    kinds: Mapping[str, type[Effect]] = POSE_EFFECTS,
     neutral: bool = False,
     sliding: tuple[int, ...] = (),
 ) -> tuple[Effect, NDArray]:
@@ -112,14 +112,14 @@ def parse_effect(
         text: name, colon, key=value separated by commas.
         kinds: the known effects by name.
         neutral: whether all parameters may be missing.
-        sliding: the prismatic joints of the arm, counted from 0: numbers of effects on their forces are in m and N,
+        sliding: the prismatic joints of the arm, counted from 0: numbers of effects on them are in m and N,
             such as `viscous_friction:joint=3,viscous_N_s_per_m=20`.
 
     Raises:
         InputError: an unknown name or key, with the accepted ones; a repeated key; a missing value.
     """
     name, _, rest = text.partition(":")
-    kind = _kind(name.strip(), kinds)
+    kind, former = _kind(name.strip(), kinds)
     written: dict[str, str] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         key, _, value = (part.strip() for part in item.partition("="))
@@ -128,20 +128,19 @@ def parse_effect(
         if key in written:
             raise InputError(f"{kind.name}: {key} is given twice; keep one")
         written[key] = value
-    of_slide = _OF_SLIDE in _field_types(kind) and written.get("joint") in {str(joint + 1) for joint in sliding}
+    at_slide = former or written.get("joint") in {str(joint + 1) for joint in sliding}
+    of_slide = _OF_SLIDE in _field_types(kind) and at_slide
     taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
     place: dict[str, Any] = {key: _literal(value) for key, value in written.items() if key in taken}
     effect = _build(kind, place | ({_OF_SLIDE: True} if of_slide else {}))
     numbers = {}
-    for key, value in written.items():
-        if key in taken:
-            continue
-        if key not in effect.reporting.names(effect):
+    for key in (key for key in written if key not in taken):
+        if key not in effect.parameters:
             raise InputError(f"{kind.name}: the key {key!r} is unknown; the keys are {_keys(kind, of_slide)}")
         try:
-            numbers[key] = float(value)
+            numbers[key] = float(written[key])
         except ValueError as error:
-            raise InputError(f"{kind.name}: {key} is {value!r}; give a number") from error
+            raise InputError(f"{kind.name}: {key} is {written[key]!r}; give a number") from error
     if not numbers and neutral:
         return effect, np.zeros(effect.size)
     if not numbers:
@@ -164,21 +163,22 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
         values: `(coordinate,)`.
         covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
     """
-    where = {field.name: getattr(effect, field.name) for field in _written(effect)}
-    if not where.get(_OF_SLIDE, True):
-        del where[_OF_SLIDE]
-    if where.get(_TRANSITION) == SHARP:
-        del where[_TRANSITION]
-    given = {effect.own(name): value for name, value in where.items() if value not in (None, ())}
+    where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
+    silent = {_OF_SLIDE: False, "transition_rad_per_s": SHARP}  # fields that say nothing at these values
+    given = {
+        effect.own(name): list(value) if isinstance(value, tuple) else value
+        for name, value in where.items()
+        if value not in (None, ()) and (name not in silent or value != silent[name])
+    }
     return {
         "effect": effect.name,
         "site": effect.site,
-        "where": {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()},
+        "where": given,
         "parameters": {name: e._asdict() for name, e in effect.reported(values, covariance).items()},
     }
 
 
-def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN) -> tuple[Effect, NDArray]:
+def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = POSE_EFFECTS) -> tuple[Effect, NDArray]:
     """The inverse of `effect_as_dict`; a parameter may also be a plain number, and `site` may be missing.
 
     Raises:
@@ -189,12 +189,12 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     unknown = [name for name in document if name not in ("effect", "site", "where", "parameters")]
     if unknown:
         raise InputError(f"effect: the key {unknown[0]!r} is unknown; the keys are effect, site, where, parameters")
-    kind = _kind(document.get("effect"), kinds)
+    kind, former = _kind(document.get("effect"), kinds)
     where, parameters = document.get("where", {}), document.get("parameters", {})
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
-    effect = _build(kind, where)
+    effect = _build(kind, {**where, _OF_SLIDE: True} if former else where)
     if document.get("site", effect.site) != effect.site:
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
     numbers = {}

@@ -9,7 +9,7 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from lite6jax import Coordinate, Driver, JointEffect
+from lite6jax import Coordinate, JointEffect
 
 
 @final
@@ -18,14 +18,8 @@ class CableDrag(JointEffect):
     \"\"\"δq = d·tanh(q): a cable that pulls the joint back.\"\"\"
 
     name: ClassVar[str] = "cable_drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_rad", "rad", 1e-4),)
-
-    @property
-    def drivers(self):
-        return (Driver("position", self.joint),)
+    quantities: ClassVar[tuple] = ("position",)
+    numbers: ClassVar[tuple] = (Coordinate("drag_rad", "rad", 1e-4),)
 
     def angle(self, values, motion, loads):
         return values[0] * jnp.tanh(motion.joint_position[self.joint - 1])
@@ -37,7 +31,7 @@ EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
 An effect of a link, the base, the tool or the sensor says where it acts, and displaces that frame by a twist:
 
 ```python
-from lite6jax import Bending, Coordinate, Deflection, Driver, place_at_joint, twist
+from lite6jax import Bending, Coordinate, Deflection, place_at_joint, twist
 
 
 @final
@@ -48,18 +42,9 @@ class LinkSag(Bending):
     link: int
 
     name: ClassVar[str] = "link_sag"
-
-    @property
-    def site(self):
-        return f"link{self.link}"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("sag_m_per_kg", "m/kg", 1e-4),)
-
-    @property
-    def drivers(self):
-        return (Driver("payload"),)
+    at: ClassVar[str] = "link"
+    quantities: ClassVar[tuple] = ("payload",)
+    numbers: ClassVar[tuple] = (Coordinate("sag_m_per_kg", "m/kg", 1e-4),)
 
     def deflect(self, values, motion, loads):
         sunk = twist(motion.samples, z=-values[0] * motion.payload)
@@ -70,7 +55,7 @@ An effect on torques is evaluated in NumPy; `dynamics` has the motion, the joint
 torques (`lite6jax.Dynamics`):
 
 ```python
-from lite6jax import Coordinate, Driver, JointTorque
+from lite6jax import Coordinate, JointTorque
 
 
 @final
@@ -79,28 +64,23 @@ class AirDrag(JointTorque):
     \"\"\"τ += d·q̇·abs(q̇).\"\"\"
 
     name: ClassVar[str] = "air_drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
-
-    @property
-    def drivers(self):
-        return (Driver("velocity", self.joint),)
+    quantities: ClassVar[tuple] = ("velocity",)
+    numbers: ClassVar[tuple] = (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
 
     def at_joint(self, values, dynamics):
         speed = dynamics.velocity(self.joint)
         return values[0] * speed * abs(speed)
 ```
 
-At a prismatic joint it is `AirDrag(3, of_slide=True)`, and a force. `self.number(…)` in place of `Coordinate(…)` and
-`self.own_driver("velocity")` then take the units of the joint by themselves.
+At a prismatic joint it is `AirDrag(3, of_slide=True)`, and a force: `quantities` and `numbers` are stated as of a
+revolute joint, and take the units of a prismatic one by themselves. Where they depend on the fields of the effect,
+define the properties `drivers` and `coordinates` instead, and `site` where `at` does not say it.
 """
 
 import sys
 import traceback
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,12 +88,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.dynamic.catalogue import BUILT_IN as TORQUES
-from lite6jax.effects.dynamic.torque_effect import Dynamics, TorqueEffect
+from lite6jax.effects.dynamic import Dynamics, TorqueEffect
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
-from lite6jax.effects.motion import Motion, Sliding, motion_of
+from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Loads, inertia_of
 from lite6jax.errors import InputError, require_type
 from lite6jax.storage import read_text
@@ -188,14 +167,10 @@ def _fault(effect: Any) -> str | None:
         return f"{kind.__name__} is not frozen; write @dataclass(frozen=True) above the class"
     if not isinstance(getattr(kind, "name", None), str):
         return f'{kind.__name__} has no name; write name: ClassVar[str] = "…" in the class'
-    if kind.name in (TORQUES if isinstance(effect, TorqueEffect) else BUILT_IN):
+    if kind.name in (TORQUE_EFFECTS if isinstance(effect, TorqueEffect) else POSE_EFFECTS):
         return f"{kind.__name__} has the name of a built-in effect, {kind.name}; choose another"
     try:
-        _check_names(effect)
-        if isinstance(effect, TorqueEffect):
-            _check_torque(effect)
-        else:
-            _check_at_zero(effect)
+        _check(effect)
     except InputError as error:
         return str(error)
     except Exception as error:
@@ -203,51 +178,15 @@ def _fault(effect: Any) -> str | None:
     return None
 
 
-def _check_names(effect: Effect) -> None:
+def _check(effect: Bending | Altering | TorqueEffect) -> None:
+    """Evaluates an effect on a small motion that has every driver: shapes, at zero, and for proportionality."""
     names = [coordinate.name for coordinate in effect.coordinates]
     if not names or len(set(names)) != len(names):
         raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
-
-
-def _check_torque(effect: TorqueEffect) -> None:
-    """Evaluates an effect on torques on a small motion that has every driver, at zero and for proportionality."""
+    if not effect.site:
+        raise InputError(f'{type(effect).__name__} has no site; write at: ClassVar[str] = "base", or another site')
     dof, samples = max(effect.joints_needed, 2), 3
-    row = np.arange(1.0, samples + 1)
-    q = np.linspace(0.1, 1.0, samples * dof).reshape(dof, samples)
-    motion = motion_of(q.T, joint_velocity=q.T, time=row, ambient_temperature=row, payload=row)
-    moved = jax.tree.map(np.asarray, motion)._replace(joint_acceleration=q, direction=np.sign(q))
-    dynamics = Dynamics(
-        motion=moved,
-        torque=q,
-        links=np.ones((dof, 10)),
-        payload_center=np.zeros(3),
-        of_inertia=lambda numbers: np.asarray(numbers).sum(1, keepdims=True) * row,
-        of_gravity=lambda gravity: np.sum(gravity) * q,
-        gravity=np.array([0.0, 0.0, -9.81]),
-    )
-    one, other = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
-    zero, *parts = [effect.torque(values, dynamics) for values in (np.zeros(effect.size), one, other, one + other)]
-    if np.shape(zero) != (dof, samples):
-        raise InputError(f"{effect.label} gives torques of shape {np.shape(zero)}; give {(dof, samples)}")
-    if not np.allclose(zero, 0.0, rtol=0, atol=1e-12):
-        raise InputError(f"{effect.label} gives torques at zero; choose coordinates that change nothing at zero")
-    scale = max(float(np.abs(parts[2]).max()), 1e-300)
-    if effect.linear and not np.allclose(parts[0] + parts[1], parts[2], rtol=0, atol=1e-9 * scale):
-        raise InputError(_not_linear(effect))
-
-
-def _not_linear(effect: Effect) -> str:
-    return (
-        f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it is not "
-        "proportional to"
-    )
-
-
-def _check_at_zero(effect: Bending | Altering) -> None:
-    """Evaluates an effect at zero on a small motion that has every driver."""
-    dof, samples = max(effect.joints_needed, 2), 3
-    q = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof)
-    row = np.arange(float(samples))
+    q, row = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof), np.arange(1.0, samples + 1)
     motion = motion_of(
         q,
         joint_velocity=q,
@@ -257,31 +196,53 @@ def _check_at_zero(effect: Bending | Altering) -> None:
         payload=row,
         measured_position=q[:, :1].repeat(3, 1),
     )
-    loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
-    zero = jnp.zeros(effect.size)
-    if isinstance(effect, Altering):
-        expected, found = motion, effect.alter(zero, motion)
-    else:
-        expected, found = dense(Deflection(), dof, samples), dense(effect.deflect(zero, motion, loads), dof, samples)
-    fields = list(zip(expected._fields, expected, found, strict=True))
-    if isinstance(effect, Loading):
-        inertia = inertia_of(np.ones(dof), np.ones((dof, 3)))
-        fields += zip(inertia._fields, inertia, effect.alter_inertia(zero, inertia), strict=True)
-    for name, plain, value in fields:
-        if plain is None or value is None or isinstance(plain, Sliding) or isinstance(value, Sliding):
-            continue
-        if jnp.shape(value) != jnp.shape(plain):
-            raise InputError(f"{effect.label} gives {name} of shape {jnp.shape(value)}; give {jnp.shape(plain)}")
-        if not np.allclose(value, plain, rtol=0, atol=1e-12):
+    evaluate, neutral = _evaluation(effect, motion)
+    for name, found in evaluate(np.zeros(effect.size)).items():
+        if np.shape(found) != np.shape(neutral[name]):
+            raise InputError(f"{effect.label} gives {name} of shape {np.shape(found)}; give {np.shape(neutral[name])}")
+        if not np.allclose(found, neutral[name], rtol=0, atol=1e-12):
             raise InputError(f"{effect.label} changes {name} at zero; choose coordinates that change nothing at zero")
-    if isinstance(effect, Bending) and effect.linear:
-        _check_linear(effect, motion, loads)
-
-
-def _check_linear(effect: Bending, motion: Motion, loads: Loads) -> None:
-    """Compares the deflection by a sum of values with the sum of deflections: a search relies on `linear`."""
+    if not effect.linear:
+        return
     one, other = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
-    parts = [effect.deflect(jnp.asarray(values), motion, loads) for values in (one, other, one + other)]
-    for first, second, both in zip(*(dense(part, motion.dof, motion.samples) for part in parts), strict=True):
-        if not np.allclose(first + second, both, rtol=0, atol=1e-9 * max(float(jnp.abs(both).max()), 1e-300)):
-            raise InputError(_not_linear(effect))
+    parts = [evaluate(values).values() for values in (one, other, one + other)]
+    for first, second, both in zip(*parts, strict=True):
+        if not np.allclose(first + second, both, rtol=0, atol=1e-9 * max(float(np.abs(both).max()), 1e-300)):
+            raise InputError(
+                f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it "
+                "is not proportional to"
+            )
+
+
+def _evaluation(
+    effect: Bending | Altering | TorqueEffect, motion: Motion
+) -> tuple[Callable[[np.ndarray], dict[str, Any]], dict[str, Any]]:
+    """What an effect makes of a motion, by name, as a function of its values; and what it is without the effect."""
+    dof, samples = motion.dof, motion.samples
+    if isinstance(effect, TorqueEffect):
+        moved = jax.tree.map(np.asarray, motion)
+        q, row = moved.joint_position, moved.time
+        dynamics = Dynamics(
+            motion=moved._replace(joint_acceleration=q),
+            torque=q,
+            links=np.ones((dof, 10)),
+            payload_center=np.zeros(3),
+            of_inertia=lambda numbers: np.asarray(numbers).sum(1, keepdims=True) * row,
+            of_gravity=lambda gravity: np.sum(gravity) * q,
+            gravity=np.array([0.0, 0.0, -9.81]),
+        )
+        return lambda values: {"torques": effect.torque(values, dynamics)}, {"torques": np.zeros((dof, samples))}
+    if isinstance(effect, Bending):
+        loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
+        bend = lambda values: dense(effect.deflect(jnp.asarray(values), motion, loads), dof, samples)._asdict()  # noqa: E731
+        return bend, dense(Deflection(), dof, samples)._asdict()
+    inertia = inertia_of(np.ones(dof), np.ones((dof, 3)))
+
+    def alter(values: np.ndarray) -> dict[str, Any]:
+        found = effect.alter(jnp.asarray(values), motion)._asdict()
+        if isinstance(effect, Loading):
+            found |= effect.alter_inertia(jnp.asarray(values), inertia)._asdict()
+        return {name: value for name, value in found.items() if neutral.get(name) is not None}
+
+    neutral = {**motion._asdict(), **inertia._asdict(), "sliding": None}
+    return alter, neutral

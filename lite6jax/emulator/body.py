@@ -20,9 +20,15 @@ from lite6jax.arms.factory import recognise
 from lite6jax.arms.frames import six_entries
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.dynamic.bodies import PayloadTorque
-from lite6jax.effects.dynamic.motors import TorqueTimeOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
+from lite6jax.effects.dynamic import (
+    Delaying,
+    Dynamics,
+    PayloadTorque,
+    Scaling,
+    TorqueEffect,
+    TorqueTimeOffset,
+    point_mass,
+)
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError

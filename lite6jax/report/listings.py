@@ -14,7 +14,7 @@ from lite6jax.report.screen import indented
 from lite6jax.report.words import counted, listing
 
 if TYPE_CHECKING:
-    from lite6jax.effects.listing import Listed  # which takes a second, and which arms do not need
+    from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
 
 _DOMAINS = {
     "kinematic": "Effects on poses: what moves the tool (diagnose, simulate, identify)",

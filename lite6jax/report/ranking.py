@@ -243,7 +243,7 @@ def steps(document: Document, files: Files) -> list[Step]:
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")
     beside = lambda end: named.with_name(f"{recording.stem}_{end}")  # noqa: E731
-    play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
+    play = any(finding["effect"] == "joint_backlash" for finding in findings)
     side = ["--approach", "1"] if play else []
     shown = [] if recording.parent in (named.parent, Path()) else [recording]  # where `view` finds it
     compensated = not torques and known and table and any(remedy_of(finding).of_arm for finding in findings)
@@ -279,8 +279,8 @@ def steps(document: Document, files: Files) -> list[Step]:
 def _known(document: Document, own: Sequence[str]) -> bool:
     """Whether the model can be read, which effects of the user's own take their file for."""
     # a look at a table, which has next steps too, takes no effects
-    from lite6jax.effects.catalogue import BUILT_IN
-    from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
+    from lite6jax.effects.catalogue import POSE_EFFECTS
+    from lite6jax.effects.catalogue import TORQUE_EFFECTS as OF_TORQUES
 
-    known = OF_TORQUES if of_torques(document) else BUILT_IN
+    known = OF_TORQUES if of_torques(document) else POSE_EFFECTS
     return bool(own) or all(finding["effect"] in known for finding in document["findings"])

@@ -42,6 +42,13 @@ _SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or re
 """Of what no effect of the catalogue names there: joint positions cannot compensate what a sensor shows."""
 
 _OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
+_OF_SLIDE = {
+    "the gear ratio": "the lead",
+    "the gear": "the screw, the belt or the guide",
+    "its gear": "its screw, belt or rack",
+    "turns by another angle": "moves by another length",
+}
+"""What is said of a prismatic joint in place of what is said of a revolute one."""
 _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
 
 
@@ -52,15 +59,14 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
         entry: a finding of the document.
         torques: whether it acts on torques.
     """
-    found = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
-    if not torques:
-        if entry["site"] not in ("sensor", "clock"):
-            return found
+    found, exerted = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN), _exerted(entry)
+    if not torques and entry["site"] in ("sensor", "clock"):
         return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)
-    exerted, drive = _exerted(entry), "the screw, the belt or the guide"
-    action = found.action.replace("the gear ratio", "the lead") if exerted == "force" else found.action
-    action = action.replace("the gear", drive) if exerted == "force" else action
-    return found._replace(action=action.replace("{exerted}", exerted))
+    if exerted == "force":
+        for of_turn, of_slide in _OF_SLIDE.items():
+            found = found._replace(cause=found.cause.replace(of_turn, of_slide))
+            found = found._replace(action=found.action.replace(of_turn, of_slide))
+    return found._replace(action=found.action.replace("{exerted}", exerted))
 
 
 def cause_of(entry: Entry, torques: bool = False) -> str:
@@ -81,6 +87,9 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
 
 def _exerted(entry: Entry) -> str:
     """What the motors exert that a finding acts on: forces of prismatic joints, or torques, which may be both."""
+    in_metres = any(name.endswith(("_m", "_m_per_N")) for name in entry.get("parameters", ()))
+    if entry["effect"].startswith("joint_") and (in_metres or "slide position" in str(entry.get("driver"))):
+        return "force"
     return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
 
 

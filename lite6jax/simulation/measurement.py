@@ -333,7 +333,7 @@ def simulate(
     """
     require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
     arm = read_arm(arm) if isinstance(arm, str) else arm
-    parsed = [parse_effect(effect) if isinstance(effect, str) else effect for effect in effects]
+    parsed = [parse_effect(effect, sliding=arm.sliding) if isinstance(effect, str) else effect for effect in effects]
     for effect, _ in parsed:
         quantities = {driver.quantity for driver in effect.drivers}
         if warm_up is None and quantities & {"temperature rise", "temperature"}:

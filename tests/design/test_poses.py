@@ -12,7 +12,7 @@ from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import plan_experiment
 from lite6jax.design.poses import plan_discrimination, plan_poses, shortest_round
 from lite6jax.design.sensor import BARE
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic, JointOffset
+from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, JointOffset
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_positions
 

@@ -16,10 +16,8 @@ from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.combined import CombinedDiagnosis, compare_domains, diagnose_combined
 from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
-from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
-from lite6jax.effects.dynamic.friction import ViscousFriction
-from lite6jax.effects.kinematic.joints import JointCompliance
-from lite6jax.effects.kinematic.surroundings import GravityDirection, PayloadError
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, ViscousFriction
+from lite6jax.effects.kinematic import GravityDirection, JointCompliance, PayloadError
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report import ranking

@@ -10,9 +10,8 @@ from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, is_consist
 from lite6jax.arms.files import convert_file, read_arm
 from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.friction import CoulombFriction
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
+from lite6jax.effects.catalogue import TORQUE_EFFECTS
+from lite6jax.effects.dynamic import CoulombFriction, UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -21,7 +20,7 @@ from lite6jax.recordings import Recording
 def model_with(*texts):
     """A Lite 6 with these effects."""
     _, arm = setup_of(2)
-    pairs = [parse_effect(text, BUILT_IN) for text in texts]
+    pairs = [parse_effect(text, TORQUE_EFFECTS) for text in texts]
     links = np.asarray(link_parameters(arm))
     terms, values = Terms(tuple(e for e, _ in pairs)), join(v for _, v in pairs)
     return arm, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0)

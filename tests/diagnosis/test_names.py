@@ -11,7 +11,7 @@ from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.report import statements
 
 SAMPLES = 240

@@ -5,7 +5,7 @@ import pytest
 from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, with_effects
 
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.estimation.score_test import score_test
 from lite6jax.search.spectrum import as_likely, lines, spectrum
 

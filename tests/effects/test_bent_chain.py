@@ -1,7 +1,5 @@
 """Chains whose frames are displaced: the walk itself, its twists, and the Hayati chain's part."""
 
-import json
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,11 +11,14 @@ from lite6jax.arms.dh import hayati_to_six_parameter
 from lite6jax.arms.se3 import base_frame, cross, displace, turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
-from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import (
+from lite6jax.effects.kinematic import (
     BaseDrift,
+    FrameOffset,
     GravityDirection,
+    JointCompliance,
+    JointHarmonic,
+    LinkCompliance,
+    LinkThermalExpansion,
     MeasurementScale,
     PayloadCom,
     PayloadError,
@@ -26,7 +27,6 @@ from lite6jax.effects.kinematic.surroundings import (
 )
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_bent, predict_poses
@@ -226,9 +226,6 @@ def test_readings_that_grow_with_the_distance_are_those_of_a_lens():
     found = predict_poses(chain, Physics((lens,)), model, values, motion_of(**arrays))
     r = np.linalg.norm(p, axis=1, keepdims=True)
     np.testing.assert_allclose(found[:, :3, 3], p * (1 + 2e-3 * r), rtol=0, atol=1e-13)
-    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(lens, values))))
-    assert again == lens
-    np.testing.assert_array_equal(numbers, values)
 
 
 def test_a_motion_of_another_arm_is_refused():

@@ -9,18 +9,20 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.se3 import turn
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
-from lite6jax.effects.kinematic.joints import (
+from lite6jax.effects.kinematic import (
+    AxisWobble,
+    FrameOffset,
+    GravityDirection,
+    JointBacklash,
     JointCompliance,
     JointHarmonic,
     JointLag,
     JointOffset,
     JointScale,
     JointThermalOffset,
-)
-from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import (
-    GravityDirection,
+    JointWindup,
+    LinkCompliance,
+    LinkThermalExpansion,
     MeasurementScale,
     PayloadCom,
     PayloadError,

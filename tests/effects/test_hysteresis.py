@@ -1,6 +1,5 @@
 """Effects with memory: a plain loop, laws of hysteresis, and springs that yield as oracles."""
 
-import json
 from itertools import pairwise
 
 import jax.numpy as jnp
@@ -9,7 +8,6 @@ import numpy as np
 from lite6jax.effects.kernels import plays
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 
 RNG = np.random.default_rng(5)
 
@@ -72,14 +70,11 @@ def test_springs_beside_a_slider_are_a_line_and_a_play():
     np.testing.assert_allclose(elastic + yielding, spring, rtol=0, atol=1e-12)
 
 
-def test_a_process_with_memory_is_written_and_deflects_by_runs():
+def test_a_process_with_memory_deflects_by_runs():
     process = Unnamed("joint1", "position of joint 2", -1.0, 1.0, "play")
     assert process.hysteretic
     assert not Unnamed("joint1", "position of joint 2", -1.0, 1.0).hysteretic
     values = RNG.uniform(-1e-3, 1e-3, process.size)
-    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(process, values))))
-    assert again == process
-    np.testing.assert_array_equal(numbers, values)
     q, run = RNG.normal(size=(40, 2)), np.repeat([0, 1], 20)
     motion = motion_of(q, run=run)
     expected = (

@@ -9,7 +9,7 @@ import pytest
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.se3 import turn
-from lite6jax.effects.statics import Loads, inertia_of, loads
+from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses
@@ -171,8 +171,3 @@ def test_inertia_refuses(given, message):
     with pytest.raises(InputError) as error:
         inertia_of(**given)
     assert str(error.value) == message
-
-
-def test_loads_name_the_torque():
-    moment = jnp.arange(12.0).reshape(2, 3, 2)
-    np.testing.assert_array_equal(Loads(moment, jnp.zeros((3, 2))).torque, moment[:, 2])

@@ -1,6 +1,7 @@
 """Effects on torques that a user defines: checked when read, found, written, and read again with their file."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,40 +11,13 @@ from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.effects import user_effects
 from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
 
-OWN = '''
-from dataclasses import dataclass
-from typing import ClassVar, final
-
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.torque_effect import JointTorque
-from lite6jax.effects.effect import Coordinate
-
-
-@final
-@dataclass(frozen=True)
-class AirDrag(JointTorque):
-    """τ += d·q̇·abs(q̇)."""
-
-    name: ClassVar[str] = "air_drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
-
-    @property
-    def drivers(self):
-        return (Driver("velocity", self.joint),)
-
-    def at_joint(self, values, dynamics):
-        speed = dynamics.velocity(self.joint)
-        return values[0] * speed * abs(speed)
-
-
-EFFECTS = [AirDrag(joint) for joint in range(1, 7)]
-'''
+BLOCKS = re.findall(r"```python\n(.*?)```", user_effects.__doc__, re.DOTALL)
+OWN = f"{BLOCKS[0].split('@final')[0]}\n{BLOCKS[2]}\nEFFECTS = [AirDrag(joint) for joint in range(1, 7)]\n"
+"""The effect on torques that the documents show."""
 
 
 def written(tmp_path, text=OWN):
@@ -77,7 +51,7 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     ("change", "message"),
     [
         (("speed * abs(speed)", "speed[:2]"), "AirDrag.* fails on a trial motion|could not"),
-        (("return values[0]", "return 1.0 + values[0]"), "gives torques at zero"),
+        (("return values[0]", "return 1.0 + values[0]"), "changes torques at zero"),
         (("return values[0]", "return values[0] ** 2"), "is not proportional to its coordinates"),
         (('"air_drag"', '"viscous_friction"'), "has the name of a built-in effect"),
         (("abs(speed)", "nothing"), "fails on a trial motion"),

@@ -8,7 +8,6 @@ import pytest
 from scipy.stats import kstest
 
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, draw_sines
 from lite6jax.emulator.body import Load, Sample
@@ -46,7 +45,7 @@ def by_pinocchio(body, sample, ddq, payload, center):
 
 
 def with_effects(body, *texts, **changed):
-    return replace(body, torque_effects=tuple(parse_effect(text, BUILT_IN) for text in texts), **changed)
+    return replace(body, torque_effects=tuple(parse_effect(text, TORQUE_EFFECTS) for text in texts), **changed)
 
 
 def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):

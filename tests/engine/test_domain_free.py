@@ -15,7 +15,7 @@ EFFECTS = {
     if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
 }
 WORDS = re.compile(r"\b(joints?|poses?|robots?|arms?|links?|encoders?|trackers?)\b", re.IGNORECASE)
-GENERIC = {"Basis", "Choice", "Domain", "Coordinate", "Estimate", "Reporting"}
+GENERIC = {"Basis", "Domain", "Coordinate", "Estimate"}
 """Words of English as well."""
 
 
@@ -34,7 +34,7 @@ def test_the_engine_names_no_robot(path):
     ("source", "found"),
     [
         ("x = 1  # of the joint", {"joint"}),
-        ("from lite6jax.effects.kinematic.joints import JointHarmonic", {"joints", "JointHarmonic"}),
+        ("from lite6jax.effects.kinematic import JointHarmonic", {"JointHarmonic"}),
         ("def normal(equations): return equations", set()),
     ],
 )

@@ -9,8 +9,7 @@ from engine.explained import assert_same_gains
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
-from lite6jax.effects.kinematic.joints import JointCompliance, JointOffset
-from lite6jax.effects.kinematic.links import FrameOffset
+from lite6jax.effects.kinematic import FrameOffset, JointCompliance, JointOffset
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.projection import orthonormal, part_of_span, unit_rows
 from lite6jax.estimation.score_test import score_test

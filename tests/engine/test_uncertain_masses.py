@@ -6,7 +6,7 @@ from diagnosis.recorded import LITE6, Made, fitted_to, plain_effect, static_moti
 from scipy.stats import chi2
 
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.joints import JointCompliance
+from lite6jax.effects.kinematic import JointCompliance
 from lite6jax.estimation.terms import Terms
 from tests.oracles.effects import predicted_poses
 

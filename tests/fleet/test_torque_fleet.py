@@ -6,7 +6,7 @@ from fleet.linear_arms import population, tried
 from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.effects.dynamic.friction import ViscousFriction
+from lite6jax.effects.dynamic import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.fleet.reduced import ReducedArm
 from lite6jax.fleet.reduction import reduced

@@ -4,7 +4,7 @@ import diagnosed
 import pytest
 import torque_diagnosed
 
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.recordings.fault import DataFault
 
 SPIKES = DataFault("torque_spikes", (7, 9), {"joints": [3], "count": 2})

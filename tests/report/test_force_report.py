@@ -9,8 +9,7 @@ from report.torque_diagnosed import diagnosed as undetected
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.effects.dynamic.bodies import PayloadTorque
-from lite6jax.effects.dynamic.friction import ViscousFriction
+from lite6jax.effects.dynamic import PayloadTorque, ViscousFriction
 from lite6jax.recordings import Recording
 from lite6jax.report.diagnosis_figures import drawings, ranking_figure
 from lite6jax.report.ranking import contribution, headline

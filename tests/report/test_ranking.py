@@ -8,7 +8,6 @@ import pytest
 from diagnosed import documented
 
 from lite6jax.effects import catalogue
-from lite6jax.effects.dynamic import catalogue as dynamic
 from lite6jax.report import ranking
 from lite6jax.report.ranking import Files, steps
 from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of
@@ -23,7 +22,9 @@ def words_of(document, *files):
     return [shlex.split(step.command)[1:] for step in steps(document, Files(*files))]
 
 
-@pytest.mark.parametrize(("known", "remedies"), [(catalogue.BUILT_IN, OF_POSES), (dynamic.BUILT_IN, OF_TORQUES)])
+@pytest.mark.parametrize(
+    ("known", "remedies"), [(catalogue.POSE_EFFECTS, OF_POSES), (catalogue.TORQUE_EFFECTS, OF_TORQUES)]
+)
 def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
     assert set(remedies) == set(known)
     for name, remedy in remedies.items():
@@ -140,3 +141,12 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     assert [line[0] for line in words_of(own, recording, diagnosis)] == ["report"]
     mine = tmp_path / "mine.py"
     assert words_of(own, recording, diagnosis, mine)[0][-4:-2] == ["--effects", str(mine)]
+
+
+def test_a_prismatic_joint_has_a_screw_and_no_gear():
+    backlash = {"effect": "joint_backlash", "site": "joint3", "parameters": {"gap_m": {"value": 1e-3, "std": 1e-4}}}
+    assert cause_of(backlash) == "joint 3 has play in its screw, belt or rack"
+    assert "Service the screw, the belt or the guide" in remedy_of(backlash).action
+    scale = {"effect": "joint_scale", "site": "joint3", "driver": "slide position of joint 3", "parameters": {}}
+    assert cause_of(scale) == "joint 3 moves by another length than its encoder says"
+    assert cause_of(scale | {"driver": "position of joint 3"}) == "joint 3 turns by another angle than its encoder says"

@@ -12,8 +12,16 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque import screening
 from lite6jax.domains.torque.hypotheses import ScreenedTorques
 from lite6jax.domains.torque.problem import torque_problem
-from lite6jax.effects.dynamic.friction import CoulombFriction, CoupledFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import JointSpring, TorqueOffset, TorqueRipple, TorqueScale, TorqueTimeOffset
+from lite6jax.effects.dynamic import (
+    CoulombFriction,
+    CoupledFriction,
+    JointSpring,
+    TorqueOffset,
+    TorqueRipple,
+    TorqueScale,
+    TorqueTimeOffset,
+    ViscousFriction,
+)
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms

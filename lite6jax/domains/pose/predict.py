@@ -33,7 +33,7 @@ from lite6jax.domains.uncertainty import (
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
-from lite6jax.effects.kinematic.surroundings import TimeOffset
+from lite6jax.effects.kinematic import TimeOffset
 from lite6jax.effects.motion import Motion, Sliding, accelerated
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia

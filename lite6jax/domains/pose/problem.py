@@ -31,8 +31,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect
-from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.kinematic.surroundings import PayloadError, TimeOffset
+from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads

@@ -22,7 +22,7 @@ from lite6jax.domains.pose.kinematics import (
 from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.uncertainty import Uncertainty
-from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
+from lite6jax.effects.kinematic import BaseDrift, SensorDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise

@@ -6,10 +6,9 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
@@ -252,35 +251,22 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
     """The recording at other times, those of each part; poses are left out."""
     time = recording.time
     assert time is not None
-
-    def joined(rows: Array | None, kind: Callable[..., Callable[[Array], Array]]) -> Array | None:
-        if rows is None:
-            return None
-        return np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
-
-    def nearest(part: slice, t: Array) -> NDArray[np.integer]:
-        return part.start + np.rint(np.interp(t, time[part], np.arange(part.stop - part.start))).astype(int)
-
-    which = np.concatenate([nearest(part, t) for part, t in zip(parts, at, strict=True)])
-    ambient = recording.ambient_temperature
-    return replace(
-        recording,
-        joint_position=joined(recording.joint_position, scipy.interpolate.CubicSpline),
-        direction_of_motion=recording.direction_of_motion[which],
-        position=None,
-        quaternion=None,
-        time=np.concatenate(at),
-        joint_velocity=joined(recording.joint_velocity, scipy.interpolate.CubicSpline),
-        joint_acceleration=joined(recording.joint_acceleration, scipy.interpolate.CubicSpline),
-        joint_torque=joined(recording.joint_torque, scipy.interpolate.PchipInterpolator),
-        motor_current=joined(recording.motor_current, scipy.interpolate.PchipInterpolator),
-        joint_temperature=joined(recording.joint_temperature, scipy.interpolate.PchipInterpolator),
-        commanded_position=joined(recording.commanded_position, scipy.interpolate.PchipInterpolator),
-        ambient_temperature=None if ambient is None else ambient[which],
-        payload=recording.payload[which],
-        run=np.repeat(np.arange(len(parts)), [len(t) for t in at]),
-        row=recording.row[which],
+    cubic, monotone = scipy.interpolate.CubicSpline, scipy.interpolate.PchipInterpolator
+    kinds = dict.fromkeys(("joint_position", "joint_velocity", "joint_acceleration"), cubic) | dict.fromkeys(
+        ("joint_torque", "motor_current", "joint_temperature", "commanded_position"), monotone
     )
+    nearest = [
+        part.start + np.rint(np.interp(t, time[part], np.arange(part.stop - part.start))).astype(int)
+        for part, t in zip(parts, at, strict=True)
+    ]
+    found: dict[str, Any] = {"position": None, "quaternion": None, "time": np.concatenate(at)}
+    for name, kind in kinds.items():
+        if (rows := getattr(recording, name)) is not None:
+            found[name] = np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
+    for name in ("direction_of_motion", "ambient_temperature", "payload", "row"):
+        if (rows := getattr(recording, name)) is not None:
+            found[name] = rows[np.concatenate(nearest)]
+    return replace(recording, run=np.repeat(np.arange(len(parts)), [len(t) for t in at]), **found)
 
 
 def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
@@ -422,32 +408,14 @@ def _each(runs: NDArray[np.integer]) -> list[slice]:
 
 def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:
     """Each run low-passed on its own, without shift in time."""
-    sections = _sections(cutoff, rate)
+    sections = scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos")
     out = np.array(rows, float)
     for part in _each(runs):
         length = part.stop - part.start
         if length >= _FEWEST:
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
-            out[..., part] = _both_ways(sections, rows[..., part], pad)
+            out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], padlen=pad)
     return out
-
-
-def _both_ways(sections: tuple[Array, Array], rows: Array, pad: int) -> Array:
-    """As `scipy.signal.sosfiltfilt` with an odd extension, which computes the steady state anew in each call."""
-    sos, steady = sections
-    steady = steady.reshape(len(sos), *(1,) * (rows.ndim - 1), 2)
-    before, after = rows[..., pad:0:-1], rows[..., -2 : -pad - 2 : -1]
-    out = np.concatenate([2 * rows[..., :1] - before, rows, 2 * rows[..., -1:] - after], -1)
-    for _ in range(2):
-        out = scipy.signal.sosfilt(sos, out, zi=steady * out[..., :1])[0][..., ::-1]
-    return out[..., pad : out.shape[-1] - pad]
-
-
-@cache
-def _sections(cutoff: float, rate: float) -> tuple[Array, Array]:
-    """Second-order sections, and their steady state at a constant of 1."""
-    sos = np.asarray(scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos"))
-    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:

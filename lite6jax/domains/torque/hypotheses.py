@@ -31,8 +31,7 @@ from lite6jax.domains.torque.changes import (
 )
 from lite6jax.domains.torque.likelihood import TRUSTED, Samples, Scored
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.torque_effect import direction
+from lite6jax.effects.dynamic import TILT, direction
 from lite6jax.recordings.fault import DataFault
 
 Array = NDArray[np.floating]
@@ -150,7 +149,7 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
     if strength:
         yield (Change("no_gravity", gravity=(0.0, 0.0, 0.0)),)
         for axis in chain(np.eye(3), -np.eye(3)):
-            if np.linalg.norm(strength * axis - declared) > bounds.TILT * strength:
+            if np.linalg.norm(strength * axis - declared) > TILT * strength:
                 yield (Change("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
     for pair in combinations(range(dof), 2):
         yield (Change("swapped_positions", pair),)

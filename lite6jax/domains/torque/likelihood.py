@@ -14,8 +14,7 @@ from lite6jax.arms.dynamics import inverse_dynamics, regressor
 from lite6jax.domains.torque.changes import STEP, Change, Hypothesis, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.torque_effect import direction, point_mass
+from lite6jax.effects.dynamic import TILT, direction
 
 Array = NDArray[np.floating]
 
@@ -46,7 +45,7 @@ _FLOOR = 2e-3
 """Of a joint's torque: what no model of a motor is more exact than."""
 _PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
 """Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
-_TILT = 0.15
+_BASE = 0.15
 """rad, one sigma of a base's tilt."""
 _RIDGE = 1e-12
 """Added to the squares of columns of unit length, of which some may be zero or alike."""
@@ -76,8 +75,7 @@ class Samples:
         self.likeliest: Hypothesis = ()  # what it leaves is the noise of them all
         kept = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
         at, motion = data.filter.kept[kept], data.motion
-        moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
-        self.moved = np.stack([np.asarray(x)[:, at] for x in moved])
+        self.moved = data.bodies.moved[..., at]
         self.measured = data.measured[:, kept]
         self.payload = np.asarray(motion.payload)[at] * np.ones(len(at))
         self.size = np.std(self.measured, axis=1)
@@ -159,13 +157,10 @@ class Samples:
 
     def rigid(self, moved: Array, gravity: Array) -> Array:
         """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
-        bodies = self.data.bodies
-        sliding, (q, dq, ddq) = bodies.motion.sliding.joints, moved
-        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, q, dq, ddq, gravity, sliding))
+        bodies, sliding = self.data.bodies, self.data.arm.sliding
+        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, *moved, gravity, sliding))
         if self.payload.any():
-            unit = np.zeros_like(bodies.links)
-            unit[-1] = point_mass(1.0, bodies.payload_center)
-            per_kg = inverse_dynamics(bodies.kinematics, unit, q, dq, ddq, gravity, sliding)
+            per_kg = inverse_dynamics(bodies.kinematics, bodies.at_flange, *moved, gravity, sliding)
             torque = torque + self.payload * np.asarray(per_kg)
         return torque
 
@@ -312,7 +307,7 @@ class Samples:
             scale = np.maximum(np.sqrt(np.mean((Y - np.einsum("k,jks->js", found, X)) ** 2, 1)), self.floor)
         size = float(np.linalg.norm(found))
         cosine = float(found @ declared) / max(size * strength, 1e-300)
-        if abs(size / strength - 1) > _STRENGTH or np.arccos(np.clip(cosine, -1, 1)) <= bounds.TILT:
+        if abs(size / strength - 1) > _STRENGTH or np.arccos(np.clip(cosine, -1, 1)) <= TILT:
             return None
         along = found / size
         k = int(np.argmax(np.abs(along)))
@@ -376,7 +371,7 @@ class Samples:
         if gravity.any():
             across = np.linalg.svd(gravity[None])[2][1:]
             still = np.stack([moved[0], 0 * moved[1], 0 * moved[2]])
-            parts.append(np.stack([_TILT * self.rigid(still, np.cross(gravity, axis)) for axis in across]))
+            parts.append(np.stack([_BASE * self.rigid(still, np.cross(gravity, axis)) for axis in across]))
         columns = np.concatenate(parts)
         return columns, np.arange(len(columns)) < len(links)
 

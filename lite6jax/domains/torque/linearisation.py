@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
+from lite6jax.effects.dynamic import CoulombFriction, RotorInertia, TorqueOffset, ViscousFriction
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask

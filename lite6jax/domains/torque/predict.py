@@ -12,9 +12,19 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
 from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.torque.families import joints_of, unit_torques
-from lite6jax.domains.torque.filtering import evenly_timed, interpolant
-from lite6jax.domains.torque.problem import composed, offsets_of, pairs, scales_of, without_sensors
+from lite6jax.domains.torque.composition import (
+    composed,
+    delayed,
+    exerted,
+    joints_of,
+    offsets_of,
+    pairs,
+    read_driver,
+    scales_of,
+    slopes,
+    unit_torques,
+)
+from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
     Uncertainty,
@@ -25,8 +35,8 @@ from lite6jax.domains.uncertainty import (
     independent_directions,
     widened,
 )
-from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, UnnamedTorque
+from lite6jax.effects.drivers import joint_driver
+from lite6jax.effects.dynamic import Delaying, Dynamics, Scaling, UnnamedTorque
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -36,10 +46,6 @@ Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 Runs = NDArray[np.integer]
 
-_LINE = 10
-"""Samples over which the slope is taken by which delayed torques go on beyond the ends of a run."""
-_STEP = 1e-4
-"""Of a number's typical size, by which it is changed for a derivative."""
 _LEAST = {"position": (0.02, "rad"), "velocity": (0.02, "rad/s"), "acceleration": (0.2, "rad/s²")}
 """Quantities whose ranges are kept for every joint: the range of a joint that rests, and its unit."""
 
@@ -121,8 +127,8 @@ def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -
     Raises:
         InputError: no times, more gaps than motion, or a driver that the model needs and the motion lacks.
     """
-    motion, even = _motion_of(model, recording)
-    return _at_rows(_torques(model, *_along(model, even)), even, motion)
+    bare = replace(model, uncertainty=None) if isinstance(model, DiagnosedMotors) else model
+    return predicted_torques(bare, recording).torque
 
 
 def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
@@ -135,10 +141,11 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path)
     """
     motion, even = _motion_of(model, recording)
     bodies, runs = _along(model, even)
-    std, outside = _bars(model, bodies, runs)
-    torque = _at_rows(_torques(model, bodies, runs), even, motion)
-    if std is None or outside is None:
-        return TorquePrediction(torque, std, outside, model.sliding)
+    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
+    torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
+    if model.uncertainty is None:
+        return TorquePrediction(torque, None, None, model.sliding)
+    std, outside = _bars(model, model.uncertainty, bodies, dynamics, runs)
     flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
     return TorquePrediction(torque, _at_rows(std, even, motion), flags, model.sliding)
 
@@ -202,11 +209,6 @@ def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, R
     return moved, chosen.runs
 
 
-def _torques(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> Array:
-    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
-    return shown_torques(model.terms, model.values, dynamics, time, runs).T
-
-
 def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
     """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say.
 
@@ -219,34 +221,14 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
     """
     torque = composed(terms, values, dynamics)
     offsets = offsets_of(terms, values, len(torque))
-    later = torque.copy()
-    for offset in np.unique(offsets[offsets != 0]):
-        joints = np.flatnonzero(offsets == offset)
-        later[joints] = _later(torque[joints], float(offset), time, runs)
-    return later
+    return delayed(torque, offsets, time, runs)[0] if offsets.any() else torque
 
 
-def _later(torque: Array, offset: float, time: Array, runs: Runs) -> Array:
-    """Torques `(joint, sample)` of the motion `offset` s later."""
-    later = torque.copy()
-    for rows, spline in interpolant(torque, time, runs):
-        t, part = time[rows], torque[:, rows]
-        at = np.clip(t + offset, t[0], t[-1])
-        # beyond the ends along the line through some samples: a cubic would follow their noise
-        near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
-        slope = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
-        beyond = t + offset - at
-        later[:, rows] = np.where(beyond != 0, part[:, [far]] + slope[:, None] * beyond, spline(at))
-    return later
-
-
-def _bars(model: DiagnosedMotors, bodies: RigidBodies, runs: Runs) -> tuple[Array, Flags] | tuple[None, None]:
-    """Standard deviations `(sample, joint)` Nm, and whether a row is outside; None where nothing is known of it."""
-    known = model.uncertainty
-    if known is None:
-        return None, None
-    dynamics, recorded, slides = bodies.dynamics(model.links), known.recorded, model.arm.slides
-    states = states_of(dynamics)
+def _bars(
+    model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+) -> tuple[Array, Flags]:
+    """Standard deviations `(sample, joint)` Nm, and whether a row is outside."""
+    recorded, slides, states = known.recorded, model.arm.slides, bodies.moved
     beyond: dict[str, Array] = {}
     ranges = (recorded.joints, recorded.velocities, recorded.accelerations)
     for quantity, state, limits in zip(_LEAST, states, ranges, strict=True):
@@ -278,19 +260,20 @@ def _estimated(
     if first:
         moved += np.einsum("dp,jps->djs", directions[:, :first], bodies.regressor) * scale
     terms, values = with_free_numbers(model.terms, model.values)
-    whole = without_sensors(model.terms, model.values, dynamics)
+    whole = exerted(model.terms, model.values, dynamics)
     for effect, part in pairs(terms):
         own = directions[:, first + part.start : first + part.stop]
         if isinstance(effect, Scaling):
             moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
         elif isinstance(effect, Delaying):
-            slope = _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
+            shown, time = composed(model.terms, model.values, dynamics), np.asarray(dynamics.motion.time)
+            slope = delayed(shown, np.zeros(model.dof), time, runs)[1]
             moved += own[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
         elif effect.linear:
-            joints, units = joints_of(effect), unit_torques(effect, dynamics, lambda rows: rows)
+            joints, units = joints_of(effect), unit_torques(effect, dynamics)
             moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]
         else:
-            moved += np.tensordot(own, _derivatives(effect, values[part], dynamics), 1) * scale
+            moved += np.tensordot(own, slopes(effect, values[part], dynamics), 1) * scale
     variance = np.sum(moved**2, 0)
     for effect in (one for one in model.terms.terms if isinstance(one, UnnamedTorque)):
         j = effect.joint - 1
@@ -298,39 +281,19 @@ def _estimated(
     return variance
 
 
-def _derivatives(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
-    """`(number, joint, sample)` Nm by each number of an effect that is not linear, by central differences."""
-    found = []
-    for k, number in enumerate(effect.coordinates):
-        step = np.eye(effect.size)[k] * _STEP * number.typical
-        up, down = (effect.torque(values + sign * step, dynamics) for sign in (1, -1))
-        found.append((up - down) / (2 * step[k]))
-    return np.stack(found)
-
-
-def _slope_in_time(torque: Array, dynamics: Dynamics, runs: Runs) -> Array:
-    """`(joint, sample)` Nm/s; zero in runs that are too short to say."""
-    time, slope = np.asarray(dynamics.motion.time), np.zeros_like(torque)
-    for rows, spline in interpolant(torque, time, runs):
-        slope[:, rows] = spline(time[rows], 1)
-    return slope
-
-
 def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
     """`(sample,)` of each quantity on which an effect depends and of which no range is kept anyway, by its phrase.
 
     The time of a delay is no such quantity: it acts at any time.
     """
-    drivers: dict[str, Driver] = {}
-    for effect, _ in pairs(terms):
-        if not isinstance(effect, Delaying):
-            drivers |= {driver.phrase: driver for driver in effect.drivers}
-    loads = dynamics.loads
-    return {
-        phrase: np.asarray(driver.values(dynamics.motion, loads))
+    effects = (effect for effect, _ in pairs(terms) if not isinstance(effect, Delaying))
+    drivers = {driver.phrase: driver for effect in effects for driver in effect.drivers}
+    found = {
+        phrase: read_driver(driver, dynamics)
         for phrase, driver in drivers.items()
-        if driver.generalised not in (*_LEAST, "direction of motion") and driver.known(dynamics.motion, loads)
+        if driver.generalised not in (*_LEAST, "direction of motion")
     }
+    return {phrase: values for phrase, values in found.items() if values is not None}
 
 
 def states_of(dynamics: Dynamics) -> Array:

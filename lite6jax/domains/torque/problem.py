@@ -2,31 +2,49 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.torque import families
-from lite6jax.domains.torque.families import joints_of
+from lite6jax.arms.arm import as_revolute
+from lite6jax.domains.torque.composition import (
+    composed,
+    delayed,
+    joints_of,
+    offsets_of,
+    pairs,
+    read_driver,
+    scales_of,
+    slopes,
+    unit_torques,
+)
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.catalogue import Untestable, untestable
-from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody, PayloadTorque
-from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_shaped
-from lite6jax.effects.dynamic.motors import declared
-from lite6jax.effects.dynamic.torque_effect import (
+from lite6jax.effects.catalogue import Untestable, torque_catalogue, torque_shaped, untestable
+from lite6jax.effects.drivers import Driver, joint_driver
+from lite6jax.effects.dynamic import (
+    DIRECTION_SPEED,
+    PAYLOAD_LENGTH,
     Delaying,
     Dynamics,
     JointTorque,
+    LinkCom,
+    LinkMass,
+    PayloadBody,
+    PayloadTorque,
     Scaling,
     TorqueEffect,
+    TorqueRipple,
     UnnamedTorque,
+    declared,
+    displacement,
+    heaviest,
+    heaviest_payload,
     point_mass,
 )
-from lite6jax.effects.effect import require_kind
+from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term, Terms
@@ -46,6 +64,20 @@ _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
 _UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
 """kg and m, of links about which nothing is declared."""
+_HIGHEST = 1000.0
+"""Waves along the stroke of a prismatic joint that are searched at most: a screw's lead of 1 mm on a metre."""
+_FEWEST = 2.0
+"""Waves along the stroke that pass the filter at least where any are searched: fewer are any function of it."""
+_SLOW = 0.2
+"""Quantile of the speeds of a prismatic joint that moves at which the shortest wave still passes the filter."""
+_MOST_WAVES = 1 << 22
+"""Numbers of waves that are kept: 32 MB."""
+_QUANTITIES = ("position", "velocity", "speed", "direction of motion", "gravity torque", "travel since reversal")
+"""Of each joint, beside its temperature."""
+_OWN_ALONE = ("speed", "travel since reversal")
+"""Quantities on which the torque of another joint does not depend."""
+_LEAST_VARIED = 1e-3
+"""Range of a driver, in its unit, or that of a revolute joint, below which it did not vary."""
 
 
 @final
@@ -54,13 +86,13 @@ class Known:
     """What has been computed of some samples: folds of a cross-validation differ in the training mask alone.
 
     Attributes:
-        units: `families.unit_torques` of linear effects, and of processes, at some inertial numbers.
-        waves: filtered waves of each joint.
+        units: filtered `unit_torques` of linear effects, and of processes, at some inertial numbers.
+        waves: filtered sine and cosine `(2, sample)` by joint, from 1, and order.
         thinned: of one in so many of the samples.
     """
 
     units: dict[Hashable, Array] = field(default_factory=dict)
-    waves: families.Waves = field(default_factory=dict)
+    waves: dict[tuple[int, float], Array] = field(default_factory=dict)
     thinned: dict[int, "Known"] = field(default_factory=dict)
 
     def of_every(self, every: int) -> "Known":
@@ -174,8 +206,51 @@ class TorqueProblem:
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
-        """Ripple of each joint."""
-        return families.periodic(self.data, self.chosen, self.sigma, self.known.waves)
+        """Ripple of each joint. A turn of a prismatic joint is its stroke, along which orders count the waves."""
+        found = []
+        for j, slides in enumerate(self.data.arm.slides.tolist()):
+            q = np.asarray(self.data.motion.joint_position)[j]
+            turn, highest = (float(np.ptp(q)), _resolved_waves(self.data, j)) if slides else (1.0, None)
+            if slides and highest is None:
+                continue
+            angle = wave_angle(q, slides) / turn
+            found.append(
+                PeriodicFamily(
+                    f"joint{j + 1}",
+                    self._at_joint(j),
+                    angle[self.data.filter.kept][self.chosen],
+                    partial(_ripple, j + 1, slides, turn),
+                    partial(_ripple_order, turn),
+                    partial(self._waves, j + 1, angle),
+                    whole=not slides,
+                    highest=highest,
+                )
+            )
+        return tuple(found)
+
+    def _waves(self, joint: int, angle: Array, orders: Array) -> Array:
+        """Sine and cosine `(order, 2, sample)`, filtered. Most of a search's time would go into the same orders again.
+
+        Args:
+            joint: counted from 1.
+            angle: `(every sample,)` rad.
+            orders: `(order,)`.
+        """
+        known, keys = self.known.waves, [(joint, float(order)) for order in orders]
+        found = {key: waves for key in keys if (waves := known.get(key)) is not None}
+        new = sorted(set(keys) - set(found))
+        if new:
+            turned = np.multiply.outer([order for _, order in new], angle)
+            filtered = self._kept(np.stack([np.sin(turned), np.cos(turned)], 1))
+            if 2 * self.samples * (len(known) + len(new)) > _MOST_WAVES:
+                known.clear()
+            known.update(zip(new, filtered, strict=True))
+            found.update(zip(new, filtered, strict=True))
+        return np.stack([found[key] for key in keys])
+
+    def _at_joint(self, j: int) -> Array:
+        """How residuals change with a torque at a joint, counted from 0, `(joint, sample)`."""
+        return np.where(np.arange(self.rows)[:, None] == j, 1 / self.sigma, 0.0)
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
@@ -191,12 +266,30 @@ class TorqueProblem:
     @lazy
     def components(self) -> tuple[Component, ...]:
         """The torque of each joint."""
-        return families.components(self.sigma)
+        return tuple(Component(f"joint{j + 1}", "", self._at_joint(j)) for j in range(self.rows))
 
     @lazy
     def quantities(self) -> tuple[Quantity, ...]:
-        """As far as they are known and vary."""
-        return families.quantities(self.dynamics)
+        """The drivers that are known and vary, each with the joint whose own it is."""
+        motion, rise = self.dynamics.motion, self.dynamics.motion.joint_temperature_rise
+        apart = (
+            rise is not None and np.ptp(np.asarray(rise), 0).any()
+        )  # else that of the whole arm would be there twice
+        tried = [
+            (joint_driver(quantity, j, of_slide), f"joint{j}")
+            for j, of_slide in enumerate(motion.sliding.mask(motion.dof).tolist(), 1)
+            for quantity in (*_QUANTITIES, *(("temperature",) if apart else ()))
+        ]
+        found = []
+        for driver, site in (*tried, (Driver("time"), ""), (Driver("temperature rise"), "")):
+            values = read_driver(driver, self.dynamics)
+            if values is None:
+                continue
+            usual = Driver(driver.generalised, driver.place).unit
+            if np.ptp(as_revolute(values, usual, driver.of_slide)) > _LEAST_VARIED:
+                only = site if driver.generalised in _OWN_ALONE else ""
+                found.append(Quantity(driver, np.asarray(values, float), frozenset({site}), only))
+        return tuple(found)
 
     @property
     def floored(self) -> bool:
@@ -255,8 +348,10 @@ class TorqueProblem:
         """Predicted torques that belong to the motion `offsets` `(joint,)` s later, and their derivatives by these."""
         dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
         total = composed(terms, values, dynamics)
-        value, slope = self.data.later(total, offsets)
-        return value[:, self.chosen], slope[:, self.chosen]
+        data = self.data
+        time, at = np.asarray(data.recording.time), data.filter.kept[self.chosen]
+        value, slope = delayed(data.filter.whole(total), offsets, time, data.filter.runs)
+        return value[:, at], slope[:, at]
 
     def columns(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -286,7 +381,7 @@ class TorqueProblem:
             elif effect.linear:
                 found[part, joints] = self._units(effect)
             else:
-                found[part] = self._slopes(effect, at[part])
+                found[part] = self._kept(slopes(effect, at[part], self.dynamics))
             found[part, joints] /= self.sigma[joints]
         return found
 
@@ -315,13 +410,13 @@ class TorqueProblem:
         """
         arm = self.data.arm
         if isinstance(term, PayloadTorque | PayloadBody):
-            lightest, most = -float(np.min(np.asarray(self.data.motion.payload))), bounds.payload(arm)
-            moment = most * bounds.PAYLOAD_LENGTH
+            lightest, most = -float(np.min(np.asarray(self.data.motion.payload))), heaviest_payload(arm)
+            moment = most * PAYLOAD_LENGTH
             return [(lightest, most), *[(-moment, moment)] * (term.size - 1)]
         if isinstance(term, LinkMass):
-            return [(-float(self.links[term.link - 1, 0]), bounds.heaviest(arm, term.link))]
+            return [(-float(self.links[term.link - 1, 0]), heaviest(arm, term.link))]
         if isinstance(term, LinkCom):
-            return [(float(low), float(high)) for low, high in bounds.displacement(arm, term.link)]
+            return [(float(low), float(high)) for low, high in displacement(arm, term.link)]
         less, *others = [(number.lower, number.upper) for number in term.coordinates]
         return [(less[0] - declared(self.data.arm, term), less[1]), *others]
 
@@ -365,17 +460,30 @@ class TorqueProblem:
         """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
         units, key = self.known.units, effect.process if isinstance(effect, UnnamedTorque) else effect
         if key not in units:
-            units[key] = families.unit_torques(effect, self.dynamics, self._kept)
+            units[key] = self._kept(unit_torques(effect, self.dynamics))
         return units[key]
 
-    def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
-        """Derivatives of an effect's torque by its numbers, `(number, joint, sample)`, by central differences."""
-        found = []
-        for k, number in enumerate(effect.coordinates):
-            step = np.eye(effect.size)[k] * 1e-4 * number.typical
-            up, down = (effect.torque(values + sign * step, self.dynamics) for sign in (1, -1))
-            found.append(self._kept((up - down) / (2 * step[k])))
-        return np.stack(found)
+
+def _resolved_waves(data: TorqueRows, j: int) -> float | None:
+    """The most waves along a prismatic joint's stroke that pass the filter while it moves slowly; None for none."""
+    speed = np.abs(np.asarray(data.motion.joint_velocity)[j])
+    moving = speed[as_revolute(speed, "rad/s", True) > DIRECTION_SPEED]
+    if not moving.size:
+        return None
+    stroke = float(np.ptp(np.asarray(data.motion.joint_position)[j]))
+    highest = min(stroke * data.filter.cutoff / float(np.quantile(moving, _SLOW)), _HIGHEST)
+    return highest if highest > _FEWEST else None
+
+
+def _ripple(joint: int, of_slide: bool, turn: float, order: float) -> TorqueRipple:
+    """The ripple of an order that is counted in a `turn`, or in the stroke of a prismatic joint."""
+    return TorqueRipple(joint, order / turn, of_slide=of_slide)
+
+
+def _ripple_order(turn: float, term: Term) -> float | None:
+    """The order of a ripple in a `turn`."""
+    assert isinstance(term, TorqueRipple)
+    return None if term.order is None else float(term.order) * turn
 
 
 def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> TorqueProblem:
@@ -432,48 +540,6 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
 def _loaded(effect: TorqueEffect) -> bool:
     """Whether an effect depends on what the links weigh."""
     return any(driver.loaded for driver in effect.drivers)
-
-
-def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
-    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
-    total = without_sensors(terms, values, dynamics)
-    return scales_of(terms, values, len(total)) * total
-
-
-def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
-    """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
-    total = dynamics.declared
-    for effect, part in pairs(terms):
-        if not isinstance(effect, Scaling | Delaying):
-            total = total + effect.torque(np.asarray(values[part], float), dynamics)
-    return total
-
-
-def scales_of(terms: Terms, values: Array, joints: int) -> Array:
-    """`(joint, 1)`, the measured torque over the true one."""
-    scale = np.ones((joints, 1))
-    for effect, part in pairs(terms):
-        if isinstance(effect, Scaling):
-            scale[effect.joint - 1] += values[part][0]
-    return scale
-
-
-def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
-    """`(joint,)` s by which each joint's torques belong to a later motion than their stamps say."""
-    total = np.zeros(joints)
-    for effect, part in pairs(terms):
-        if isinstance(effect, Delaying):
-            total += effect.offset(float(values[part][0]), joints)
-    return total
-
-
-def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
-    """The effects that are the terms of a torque problem, each with the place of its numbers."""
-    found = []
-    for term, part in zip(terms.terms, terms.slices, strict=True):
-        assert isinstance(term, TorqueEffect)
-        found.append((term, part))
-    return found
 
 
 def uncertain(links: Array, relative: float) -> tuple[Array, Array]:

@@ -14,15 +14,13 @@ from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
     each_posture,
-    interpolant,
     low_pass,
     runs_of,
     sample_rate,
     smoothed,
     without_ends,
 )
-from lite6jax.effects.dynamic.motors import declared_torque
-from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
+from lite6jax.effects.dynamic import Dynamics, declared_torque, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -55,11 +53,16 @@ class RigidBodies:
     kinematics: Array
     drives: Array | float = 0.0
 
+    @property
+    def moved(self) -> Array:
+        """`(3, joint, sample)`: position, velocity and acceleration of each joint."""
+        m = self.motion
+        return np.stack([np.asarray(part) for part in (m.joint_position, m.joint_velocity, m.joint_acceleration)])
+
     @cached_property
     def regressor(self) -> Array:
         """`(joint, 10 joint, sample)`, torques by each inertial number."""
-        q, dq, ddq = self._moved
-        return np.asarray(regressor(self.kinematics, q, dq, ddq, self.gravity, self.motion.sliding.joints))
+        return np.asarray(regressor(self.kinematics, *self.moved, self.gravity, self.motion.sliding.joints))
 
     def of_inertia(self, numbers: Array) -> Array:
         """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
@@ -69,11 +72,21 @@ class RigidBodies:
     def of_payload(self) -> Array:
         """Torques `(joint, sample)` by the payload as declared row by row."""
         payload = np.asarray(self.motion.payload)
-        if not payload.any():
-            return np.zeros((len(self.links), self.motion.samples))
+        return self.of_inertia(self.at_flange) * payload if payload.any() else np.zeros(self.moved.shape[1:])
+
+    @property
+    def at_flange(self) -> Array:
+        """`(joint, 10)`, inertial numbers of a kilogram at the payload's centre."""
         unit = np.zeros_like(self.links)
         unit[-1] = point_mass(1.0, self.payload_center)
-        return self.of_inertia(unit) * payload
+        return unit
+
+    def of_gravity(self, links: Array, gravity: Array) -> Array:
+        """Torques `(joint, sample)` at rest of links `(joint, 10)` with the payload, by a gravity `(3,)` m/s²."""
+        q = self.moved[0]
+        at_rest = np.asarray(regressor(self.kinematics, q, 0 * q, 0 * q, gravity, self.motion.sliding.joints))
+        torque, per_kg = (np.einsum("jps,p->js", at_rest, each.ravel()) for each in (links, self.at_flange))
+        return torque + per_kg * np.asarray(self.motion.payload)
 
     def dynamics(self, links: Array) -> Dynamics:
         """The dynamics of an arm whose links have these inertial numbers `(joint, 10)`."""
@@ -83,44 +96,10 @@ class RigidBodies:
             links=links,
             payload_center=self.payload_center,
             of_inertia=self.of_inertia,
-            of_gravity=partial(self._torque_at_rest, links),
+            of_gravity=partial(self.of_gravity, links),
             gravity=self.gravity,
             drives=self.drives,
         )
-
-    def _torque_at_rest(self, links: Array, gravity: Array) -> Array:
-        """Torques `(joint, sample)`: linear in gravity, so that those of three directions give all."""
-        return np.tensordot(gravity, self._per_axis(links), 1)
-
-    def _per_axis(self, links: Array) -> Array:
-        """Torques `(axis, joint, sample)` at rest by a gravity of 1 m/s² along each axis of the base."""
-        key = links.tobytes()
-        known = self._known.get(key)
-        if known is None:
-            q = self._moved[0]
-            still = np.zeros_like(q)
-            numbers = links.copy()
-            found = []
-            payload = np.asarray(self.motion.payload)
-            unit = point_mass(1.0, self.payload_center)
-            for axis in np.eye(3):
-                at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis, self.motion.sliding.joints))
-                torque = np.einsum("jps,p->js", at_rest, numbers.ravel())
-                found.append(torque + np.einsum("jps,p->js", at_rest[:, -10:], unit) * payload)
-            known = np.stack(found)
-            self._known.clear()
-            self._known[key] = known
-        return known
-
-    @cached_property
-    def _known(self) -> dict[bytes, Array]:
-        return {}
-
-    @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
-        m = self.motion
-        q, dq, ddq = map(np.asarray, (m.joint_position, m.joint_velocity, m.joint_acceleration))
-        return q, dq, ddq
 
 
 @final
@@ -172,30 +151,6 @@ class TorqueRows:
     def measured(self) -> Array:
         """`(joint, kept)` Nm, filtered."""
         return self.filter(self.torque)
-
-    def later(self, torque: Array, offsets: Array) -> tuple[Array, Array]:
-        """Torques filtered, at another time than that of each sample that is kept, and their derivatives by time.
-
-        Beyond the ends of a run they keep their last value.
-
-        Args:
-            torque: `(joint, sample)` Nm.
-            offsets: `(joint,)` s after the sample.
-
-        Returns:
-            `(joint, kept sample)` Nm and Nm/s.
-        """
-        assert self.recording.time is not None
-        time, kept = self.recording.time, self.filter.kept
-        value, slope = (np.zeros((len(torque), len(kept))) for _ in range(2))
-        filtered = self.filter.whole(torque)
-        for offset in np.unique(offsets):
-            joints = np.flatnonzero(offsets == offset)
-            for rows, spline in interpolant(filtered[joints], time, self.filter.runs):
-                here = np.flatnonzero((kept >= rows.start) & (kept < rows.stop))
-                at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
-                value[np.ix_(joints, here)], slope[np.ix_(joints, here)] = spline(at), spline(at, 1)
-        return value, slope
 
 
 def require_joints(recording: Recording, arm: Arm) -> None:

@@ -13,7 +13,7 @@ from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_o
 from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
-from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, direction
+from lite6jax.effects.dynamic import DIRECTION_SPEED, direction
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions

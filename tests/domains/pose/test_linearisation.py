@@ -14,9 +14,7 @@ from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
-from lite6jax.effects.kinematic.links import LinkCompliance
-from lite6jax.effects.kinematic.surroundings import PayloadError
+from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, LinkCompliance, PayloadError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms

@@ -10,9 +10,14 @@ from scipy.spatial.transform import Rotation
 from lite6jax.domains.pose.columns import components, quantities
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import shaped
-from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic, JointWarmUp
-from lite6jax.effects.kinematic.links import LinkCompliance
+from lite6jax.effects.kinematic import (
+    JointBacklash,
+    JointCompliance,
+    JointHarmonic,
+    JointWarmUp,
+    JointWindup,
+    LinkCompliance,
+)
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.serialization import parse_effect

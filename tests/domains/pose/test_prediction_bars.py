@@ -28,8 +28,7 @@ from lite6jax.domains.pose.predict import (
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.kinematic.links import FrameOffset
-from lite6jax.effects.kinematic.surroundings import ToolOffset
+from lite6jax.effects.kinematic import FrameOffset, ToolOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.estimation.options import EngineOptions

@@ -91,11 +91,8 @@ def test_an_angle_is_no_length(scara):
     with pytest.raises(InputError, match="q1 is a length, but joint 1 of arm is revolute; name the column q1_rad"):
         Recording.from_arrays(q, position, arm=arm, sliding=(0, 2))
     for effect, message in (
-        (
-            "joint_offset:joint=3,offset_rad=1e-3",
-            "joint_offset:joint3: is of a revolute joint, and joint 3 is",
-        ),
-        ("slide_offset:joint=1,offset_m=1e-3", "slide_offset:joint1: is of a prismatic joint, and joint 1 is"),
+        ("joint_offset:joint=3,offset_rad=1e-3", "the key 'offset_rad' is unknown; the keys are joint, offset_m"),
+        ("slide_offset:joint=1,offset_m=1e-3", "joint_offset:joint1: is of a prismatic joint, and joint 1 is"),
     ):
         with pytest.raises(InputError, match=message):
             simulate(arm, effects=[effect], samples=5)
@@ -119,13 +116,13 @@ def test_a_slide_is_diagnosed_predicted_and_compensated(scara, tmp_path, capsys)
     path = write_recording(replace(recording, settings=settings), tmp_path / "run.csv")
     assert main(["diagnose", str(path), "--quick", "--out", str(tmp_path / "d.json")]) == 0
     said = capsys.readouterr().out
-    assert "Slide backlash at joint3, a function of the direction of motion of joint 3" in " ".join(said.split())
+    assert "Joint backlash at joint3, a function of the direction of motion of joint 3" in " ".join(said.split())
     model = read_model(tmp_path / "d.json")
     assert model.sliding == (2,)
     reported = dict(zip((e.label for e in model.physics.effects), model.physics.reported(model.values), strict=True))
-    assert set(reported) == {"slide_scale:joint3", "slide_backlash:joint3"}
-    assert reported["slide_scale:joint3"]["scale"].value == pytest.approx(1e-3, abs=1e-4)
-    assert reported["slide_backlash:joint3"]["gap_m"].value == pytest.approx(4e-4, abs=3e-5)
+    assert set(reported) == {"joint_scale:joint3", "joint_backlash:joint3"}
+    assert reported["joint_scale:joint3"]["scale"].value == pytest.approx(1e-3, abs=1e-4)
+    assert reported["joint_backlash:joint3"]["gap_m"].value == pytest.approx(4e-4, abs=3e-5)
 
     fresh = np.random.default_rng(1).uniform(-0.5, 0.5, (6, 4))
     poses = predict(model, fresh)

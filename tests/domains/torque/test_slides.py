@@ -20,15 +20,15 @@ from lite6jax.cli import main
 from lite6jax.diagnosis.document import torque_model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.predict import predict_torques
-from lite6jax.domains.torque.problem import composed, torque_problem
+from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.torque.screening import contacts, screen_torques
+from lite6jax.effects.catalogue import TORQUE_EFFECTS, torque_catalogue
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic.catalogue import BUILT_IN, torque_catalogue
-from lite6jax.effects.dynamic.friction import CoulombFriction, CoupledFriction, StribeckFriction, ViscousFriction
-from lite6jax.effects.dynamic.torque_effect import JointTorque
+from lite6jax.effects.dynamic import CoulombFriction, CoupledFriction, JointTorque, StribeckFriction, ViscousFriction
 from lite6jax.effects.effect import Coordinate
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
@@ -179,10 +179,7 @@ FORMULAS = {
     "stribeck_friction:joint=3,velocity_m_per_s=0.05,stribeck_N=4": lambda F, t, q, v, a: (
         4 * np.exp(-((v / 0.05) ** 2)) * np.tanh(v / 2e-4)
     ),
-    "load_friction:joint=3,coefficient=0.1": lambda F, t, q, v, a: 0.1 * abs(F) * np.tanh(v / 2e-4),
     "friction_temperature:joint=3,viscous_N_s_per_m_K=-0.5": lambda F, t, q, v, a: -0.5 * 3 * t * v,
-    "torque_offset:joint=3,offset_N=2": lambda F, t, q, v, a: 2 + 0 * t,
-    "torque_scale:joint=3,scale=0.1": lambda F, t, q, v, a: 0.1 * F,
     "rotor_inertia:joint=3,mass_kg=7": lambda F, t, q, v, a: 7 * a,
     "joint_spring:joint=3,stiffness_N_per_m=90,rest_m=0.1": lambda F, t, q, v, a: 90 * (q - 0.1),
     "torque_ripple:joint=3,period_m=0.02,amplitude_N=3,phase_rad=0.7": lambda F, t, q, v, a: (
@@ -194,7 +191,7 @@ FORMULAS = {
 @pytest.mark.parametrize("text", FORMULAS)
 def test_what_an_effect_adds_to_a_force(text):
     dynamics, moved = dynamics_of()
-    effect, values = parse_effect(text, BUILT_IN, sliding=slid.SLIDING)
+    effect, values = parse_effect(text, TORQUE_EFFECTS, sliding=slid.SLIDING)
     added = composed(Terms((effect,)), values, dynamics) - dynamics.torque
     np.testing.assert_allclose(added[:2], 0.0, rtol=0, atol=0)
     np.testing.assert_allclose(added[2], FORMULAS[text](dynamics.torque[2], *moved), rtol=1e-12, atol=1e-12)
@@ -202,7 +199,7 @@ def test_what_an_effect_adds_to_a_force(text):
     assert {name: one["value"] for name, one in effect_as_dict(effect, values)["parameters"].items()} == pytest.approx(
         {key: float(value) for key, value in (item.split("=") for item in numbers)}
     )
-    again, same = effect_from_dict(json.loads(json.dumps(effect_as_dict(effect, values))), BUILT_IN)
+    again, same = effect_from_dict(json.loads(json.dumps(effect_as_dict(effect, values))), TORQUE_EFFECTS)
     assert again == effect
     np.testing.assert_array_equal(same, values)
 
@@ -213,7 +210,7 @@ def test_every_number_of_the_catalogue_is_in_the_unit_of_its_joint():
         if getattr(effect, "of_slide", None):
             assert effect.site == "joint3"
             assert not units & {"Nm", "rad", "kg·m²", "m²"}
-            assert all("rad" not in name and "Nm" not in name for name in effect.reporting.names(effect))
+            assert all("rad" not in name and "Nm" not in name for name in effect.parameters)
             assert not {driver.unit for driver in effect.drivers} & {"rad", "rad/s", "rad/s²", "Nm"}
         elif hasattr(effect, "joint"):
             assert not units & {"N", "m"}
@@ -312,11 +309,13 @@ def test_a_ripple_too_short_for_a_function_stays_beside_friction():
 
 
 def test_a_ripple_of_a_fixed_order_is_one_of_its_period():
-    effect, values = parse_effect("torque_ripple:joint=3,order=300,amplitude_N=2,phase_rad=1", BUILT_IN, sliding=(2,))
+    effect, values = parse_effect(
+        "torque_ripple:joint=3,order=300,amplitude_N=2,phase_rad=1", TORQUE_EFFECTS, sliding=(2,)
+    )
     stored = json.loads(json.dumps(effect_as_dict(effect, values)))
     assert stored["where"] == {"joint": 3, "of_slide": True, "order": 300.0}
     assert stored["parameters"]["period_m"]["value"] == pytest.approx(1 / 300)
-    again, same = effect_from_dict(stored, BUILT_IN)
+    again, same = effect_from_dict(stored, TORQUE_EFFECTS)
     assert again == effect
     np.testing.assert_allclose(same, values, rtol=1e-15)
     free = effect.released()
@@ -379,14 +378,8 @@ class Drag(JointTorque):
     """A user's own effect."""
 
     name: ClassVar[str] = "drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_N", "N", 1.0),)
-
-    @property
-    def drivers(self):
-        return (self.own_driver("velocity"),)
+    quantities: ClassVar[tuple] = ("velocity",)
+    numbers: ClassVar[tuple] = (Coordinate("drag_Nm", "Nm", 1.0),)
 
     def at_joint(self, values, dynamics):
         speed = dynamics.velocity(self.joint)
@@ -413,15 +406,15 @@ def test_what_does_not_fit_the_joint_is_refused():
     with pytest.raises(InputError, match="is of a prismatic joint, and joint 2 is revolute; give joints of one kind"):
         torque_problem(data, [CoupledFriction(3, 2, of_slide=True)])
     with pytest.raises(InputError, match="'amplitude_Nm' is unknown; the keys are joint, order, period_m, amplitude_N"):
-        parse_effect("torque_ripple:joint=3,order=2,amplitude_Nm=1", BUILT_IN, sliding=(2,))
+        parse_effect("torque_ripple:joint=3,order=2,amplitude_Nm=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match="no period is given; say after which length the force repeats, as period_m="):
-        parse_effect("torque_ripple:joint=3,amplitude_N=1", BUILT_IN, sliding=(2,))
+        parse_effect("torque_ripple:joint=3,amplitude_N=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match=r"period_m is -0\.01; give a positive length"):
-        parse_effect("torque_ripple:joint=3,period_m=-0.01,amplitude_N=1", BUILT_IN, sliding=(2,))
+        parse_effect("torque_ripple:joint=3,period_m=-0.01,amplitude_N=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match=r"period_m 0.02 beside the fixed period_m 0.01; give one of them"):
-        parse_effect("torque_ripple:joint=3,order=100,period_m=0.02,amplitude_N=1", BUILT_IN, sliding=(2,))
+        parse_effect("torque_ripple:joint=3,order=100,period_m=0.02,amplitude_N=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match="'viscous_Nm_s_per_rad' is unknown; the keys are joint, viscous_N_s_per_m"):
-        parse_effect("viscous_friction:joint=3,viscous_Nm_s_per_rad=1", BUILT_IN, sliding=(2,))
+        parse_effect("viscous_friction:joint=3,viscous_Nm_s_per_rad=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match="velocity_m_per_s is -1; give a positive number"):
         StribeckFriction(3, -1.0, of_slide=True)
 

@@ -22,8 +22,8 @@ from lite6jax.domains.torque.predict import (
     with_free_numbers,
 )
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
+from lite6jax.effects.catalogue import TORQUE_EFFECTS
+from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
@@ -97,7 +97,7 @@ def test_rows_outside_are_marked_and_their_bars_grow(model):
 def with_uncertainty(texts, inertial, rng):
     """A Lite 6 with these effects and a covariance of all its numbers."""
     setup, arm = setup_of(2)
-    pairs = [parse_effect(text, BUILT_IN) for text in texts]
+    pairs = [parse_effect(text, TORQUE_EFFECTS) for text in texts]
     terms, values = Terms(tuple(e for e, _ in pairs)), join(v for _, v in pairs)
     links = np.asarray(link_parameters(arm))
     size = 60 * inertial + with_free_numbers(terms, values)[0].size

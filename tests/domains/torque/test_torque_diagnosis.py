@@ -19,7 +19,7 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording, read_recording
@@ -215,12 +215,6 @@ def test_swapped_columns_are_exchanged():
     assert [(f.code, f.numbers) for f in screened.found] == [("swapped_torques", {"joints": [2, 3], "columns": [3, 2]})]
     straight = recorded(seed=7)[0].torques().T
     np.testing.assert_array_equal(screened.data.torque, straight)
-
-
-def test_a_reversed_sign_is_turned():
-    recording, arm = recorded(seed=7, change=lambda tau: tau * [1, -1, 1, 1, 1, 1])
-    screened = screen_torques(recording, arm)
-    assert [(f.code, f.numbers) for f in screened.found] == [("reversed_torque", {"joints": [2]})]
 
 
 def test_spikes_are_said_with_their_rows():

@@ -15,8 +15,7 @@ from lite6jax.domains.torque.filtering import low_pass
 from lite6jax.domains.torque.predict import predicted_torques
 from lite6jax.domains.torque.rows import bodies_of
 from lite6jax.domains.torque.screening import screen_torques
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import TorqueOffset
+from lite6jax.effects.dynamic import CoulombFriction, TorqueOffset, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.report.statements import with_statements

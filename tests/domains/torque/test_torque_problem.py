@@ -14,10 +14,18 @@ from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, sp
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import torque_problem, uncertain
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
-from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadBody
-from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple, TorqueScale, TorqueTimeOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying
+from lite6jax.effects.dynamic import (
+    Delaying,
+    LinkCom,
+    LinkMass,
+    PayloadBody,
+    StribeckFriction,
+    TorqueLag,
+    TorqueRipple,
+    TorqueScale,
+    TorqueTimeOffset,
+    ViscousFriction,
+)
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel

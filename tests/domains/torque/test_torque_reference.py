@@ -14,7 +14,7 @@ from lite6jax.arms.description import write_arm
 from lite6jax.diagnosis import torque_diagnosis
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.torque.reference import compare_rows
-from lite6jax.effects.dynamic.torque_effect import UnnamedTorque
+from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report.statements import with_comparison

@@ -1,1 +1,0 @@
-"""Effects that move the tool: of joints, of links, and of what surrounds the arm."""
