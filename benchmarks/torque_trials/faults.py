@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import Array, rotation_from_vector
 from benchmarks.torque_trials.arms import Arm, inverse_dynamics
@@ -89,7 +90,7 @@ def spoil(
     exchange[two] = exchange[two[::-1]]
     mirror[some, some] = -1.0
 
-    def moved(A: Array, b: Array, T: Array, joints: Array, numbers: dict[str, Any]) -> Spoiled | None:
+    def moved(A: Array, b: Array, T: Array, joints: NDArray[np.integer], numbers: dict[str, Any]) -> Spoiled | None:
         """Positions A q + b, and torques T τ, where the torques of the motion as it is read are clearly others."""
         as_read = _exerted(setup, motion, motion.q @ A.T + b, motion.dq @ A.T, motion.ddq @ A.T, setup.gravity)
         spoiled = right._replace(q=q @ A.T + b, dq=dq @ A.T, torque=torque @ T.T, numbers=numbers)

@@ -442,8 +442,8 @@ _observe = jax.jit(observe, static_argnums=(0, 5))
 
 def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, known: Known) -> Solved:
     """Of one arm, without the axis of arms."""
-    one = jax.tree.map(lambda leaf: leaf[None], (start, observed))
-    return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, *one, max_steps, known))
+    first, seen = jax.tree.map(lambda leaf: leaf[None], (start, observed))
+    return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, seen, max_steps, known))
 
 
 _solve_one, _solve_one_of_few = (

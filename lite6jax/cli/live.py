@@ -26,9 +26,7 @@ with import_lazily():
     from lite6jax.arms import factory, files
     from lite6jax.arms import factory as factories
     from lite6jax.controller import connection, recorder, station
-    from lite6jax.effects import catalogue, composition, serialization
-    from lite6jax.effects.dynamic import catalogue as torque_catalogue
-    from lite6jax.effects.dynamic import torque_effect
+    from lite6jax.effects import catalogue, composition, dynamic, serialization
     from lite6jax.report import live, screen
 
 if TYPE_CHECKING:
@@ -264,9 +262,9 @@ class Emulate:
     def _body(self, index: int) -> "emulator.Body":
         import numpy as np
 
-        kinds = {**torque_catalogue.BUILT_IN, **catalogue.kinds_of(command.load_own_effects(self.effects))}
+        kinds = {**catalogue.TORQUE_EFFECTS, **catalogue.kinds_of(command.load_own_effects(self.effects))}
         hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
-        of_torques = torque_effect.TorqueEffect
+        of_torques = dynamic.TorqueEffect
         torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
         parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
         physics = composition.Physics(tuple(effect for effect, _ in parsed))

@@ -91,7 +91,7 @@ def diagnose(
             entered("estimating")
             selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
         folds = held_out_folds(found.problem, options)
-        errors = held_out_errors(replace(case, start=selection), found.final_decisions, folds)
+        errors = held_out_errors(replace(case, among=selection.considered), found.final_decisions, folds)
         kept, of_all = ~_outliers(selection, options), selection
         verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
         selection, errors = verified.selection, verified.errors

@@ -29,6 +29,7 @@ from lite6jax.estimation.projection import schur_complement
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
+from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
@@ -119,7 +120,7 @@ class Case:
         training: `(sample,)` bool, the rows that may be used; all where not case. Screening, clock, linearisation and
             search use no other.
         thorough: as in `search`.
-        start: as in `search`.
+        among: as in `search`.
     """
 
     recording: Recording
@@ -130,7 +131,7 @@ class Case:
     factory: FactoryCalibration | None = None
     training: Mask | None = None
     thorough: bool = True
-    start: Selection | None = None
+    among: Considered | None = None
 
     def screened(self, corrections: Corrections) -> Screened:
         """With these faults corrected, from the training rows."""
@@ -166,7 +167,7 @@ class Case:
         require_samples(screened.recording, problem.undeclared + 1)
         entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
-        selection = search_load_model(at_offset, reference, engine, training, self.thorough, self.start)
+        selection = search_load_model(at_offset, reference, engine, training, self.thorough, self.among)
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())
             price_ = price(screened, readings, problem.samples)

@@ -3,8 +3,7 @@
 Of poses, screening, clock, linearisation and search are repeated without each block. Only which faults are corrected
 rather than explained by physics, and at which rows frames jumped, is decided once, in all rows: a search beside every
 uncorrected fault would take each fold as long as the diagnosis itself, and a block that holds the jump cannot be
-predicted without its row. The size of a jump is estimated anew. A search begins with the terms of all rows, drops what
-the other rows do not support, and adds what they show besides.
+predicted without its row. The size of a jump is estimated anew.
 
 Where these errors reject what was found, its terms are fitted again without shorter blocks that are spread over the
 recording. A contiguous fifth may hold the only rows that show how a drift begins, and without it the search may select
@@ -251,7 +250,7 @@ def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> 
 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
-    """The errors on the rows of a fold, from a search of the others that begins with the terms of all."""
+    """The errors on the rows of a fold, from a search of the others."""
     return _errors(explain(replace(case, training=~held, thorough=False), decisions).selection, held)
 
 

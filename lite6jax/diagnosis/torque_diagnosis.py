@@ -38,6 +38,7 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
 from lite6jax.search.state import fitted_again
 
@@ -121,7 +122,7 @@ def _diagnose_alone(
         count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
         folds = contiguous_blocks(problem.samples, count)
         whole = replace(whole, valid=problem.valid)
-        errors = errors_of_folds(errors_of_search, (whole, options, selection), folds)
+        errors = errors_of_folds(errors_of_search, (whole, options, selection.considered), folds)
         state = selection.state
 
         def fitted(there: TorqueProblem, training: Mask) -> Selection:
@@ -181,18 +182,18 @@ class HeldOutTorques(NamedTuple):
         return float(np.exp(np.mean(ratios)))
 
 
-def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, start: Selection) -> HeldOutTorques:
+def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among: Considered) -> HeldOutTorques:
     """The errors on the samples of a fold, with the model that a search of the others selects.
 
     Args:
         held: `(sample,)`, the fold.
         problem: not linearised.
         options: thresholds.
-        start: of the search of all.
+        among: the processes to choose from.
     """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
-        return search(there, options.engine, training, thorough=False, start=start)
+        return search(there, options.engine, training, thorough=False, among=among)
 
     return _errors_without(held, problem, options, searched)
 

@@ -369,7 +369,7 @@ def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:
     eigenvalues, V = np.linalg.eigh(information / (size[..., None] * size[..., None, :]))
     kept = eigenvalues > _ROUNDING
     along = np.einsum("...ij,...i->...j", V, score / size)
-    return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1)
+    return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1, dtype=float)
 
 
 def _equations(functions: Array, weight: Array | float, measured: Array, confounded: float) -> tuple[Array, Array]:

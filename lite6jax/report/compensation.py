@@ -109,7 +109,7 @@ def compensation_report(
         yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
         if hit:
             std = 1e3 * found.position_std[found.reached]
-            rms = number(np.sqrt(np.mean(std**2)))
+            rms = number(float(np.sqrt(np.mean(std**2))))
             yield Text(
                 f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(std.max())} mm."
             )

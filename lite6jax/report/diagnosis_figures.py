@@ -156,7 +156,7 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
     if not spectra:
         panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
         return figure
-    panels[0].set_ylim(max(3.0 * max(joint.noise.max() for joint in spectra), 1e-3), 150)
+    panels[0].set_ylim(max(3.0 * max(float(joint.noise.max()) for joint in spectra), 1e-3), 150)
     panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     for name, colour in _STAGES[: 2 if found.findings else 1]:
         panels[0].plot([], [], color=colour, linewidth=2.5, label=name)
@@ -394,7 +394,7 @@ def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
         panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
         binned = bool(np.isfinite(middle).any())
     inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
-    low, high = min(0.0, inner[0], fitted.min()), max(0.0, inner[1], fitted.max())
+    low, high = min(0.0, float(inner[0]), float(fitted.min())), max(0.0, float(inner[1]), float(fitted.max()))
     margin = 0.1 * (high - low or 1.0)
     panel.set_ylim(low - margin, high + margin)
     if discrete:

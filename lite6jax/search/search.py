@@ -47,7 +47,7 @@ def search(
     training: Mask | None = None,
     reference: Problem | None = None,
     thorough: bool = True,
-    start: Selection | None = None,
+    among: Considered | None = None,
 ) -> Selection:
     """Selects terms by evidence, in a linearisation about what has been found.
 
@@ -60,21 +60,25 @@ def search(
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
         thorough: whether terms are exchanged, and what may replace them, is confounded or nearest is determined.
-        start: a search of all samples of the same recording, from which this one starts: with its terms, and to choose
-            among the processes that it has considered.
+        among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
-    samples, among = int(training.sum()), None if start is None else start.considered
-    sizes = (options.first_samples, options.most_samples)
-    strides = [1 if samples < 2 * size else -(-samples // size) for size in sizes]
-    for every in dict.fromkeys(strides if start is None else strides[1:]):
+    strides = [_stride(int(training.sum()), size) for size in (options.first_samples, options.most_samples)]
+    found: Selection | None = None
+    for every in dict.fromkeys(strides):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
-        start = _selected(_begun(*some, training[::every], options, start), options, thorough, among)
-    if every > 1:
-        start = at_estimate(_begun(problem, reference, training, options, start), options)
-    selection = _confirmed(start, options)
+        found = _selected(_begun(*some, training[::every], options, found), options, thorough, among)
+    if strides[-1] > 1:
+        found = at_estimate(_begun(problem, reference, training, options, found), options)
+    assert found is not None
+    selection = _confirmed(found, options)
     return _reviewed(selection, options) if thorough else selection
+
+
+def _stride(samples: int, most: int) -> int:
+    """Every how many samples leave at most so many; of less than twice as many, all."""
+    return 1 if samples < 2 * most else -(-samples // most)
 
 
 def _begun(

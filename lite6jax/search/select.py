@@ -89,7 +89,7 @@ class Selector:
 
     def _grown(self, state: State, thorough: bool) -> State:
         exchanged = 0
-        asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
+        asked: set[object] = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
         while True:
             state = self._with_all_worth(state)
             named = self._with_names(state, asked)

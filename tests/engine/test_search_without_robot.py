@@ -269,16 +269,6 @@ def test_very_many_samples_are_searched_in_part_and_fitted_whole():
     assert state.fit.training.sum() == 1200
 
 
-def test_a_search_that_starts_from_another_drops_what_its_samples_do_not_show_and_adds_what_they_show():
-    one, other = (
-        linear_problem(np.random.default_rng(12), 300, lambda d, name=name: 0.8 * d["u4"] + 0.8 * d[name])
-        for name in ("u1", "u2")
-    )
-    start = search(one, OPTIONS)
-    assert set(terms(start.state)) == {Column("u4"), Column("u1")}
-    assert set(terms(search(other, OPTIONS, start=start).state)) == {Column("u4"), Column("u2")}
-
-
 def test_the_most_specific_of_indistinguishable_names_is_reported():
     problem = linear_problem(np.random.default_rng(10), planted=lambda d: 0.8 * d["u1"])
     twin = problem.data | {"twin": problem.data["u1"] + 1e-3 * problem.data["u6"]}

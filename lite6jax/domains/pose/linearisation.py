@@ -22,6 +22,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
+from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, at_estimate, search
 from lite6jax.sensors.pose import Measured
 
@@ -118,7 +119,7 @@ def search_load_model(
     options: EngineOptions,
     training: Mask | None = None,
     thorough: bool = True,
-    start: Selection | None = None,
+    among: Considered | None = None,
 ) -> Selection:
     """The search under the more likely load model.
 
@@ -132,10 +133,10 @@ def search_load_model(
         options: thresholds.
         training: `(sample,)` bool; all where not given.
         thorough: as in `search`.
-        start: as in `search`.
+        among: as in `search`.
     """
     problem, reference = _first(problem, reference, options, training)
-    selection = search(problem, options, training, reference, thorough, start)
+    selection = search(problem, options, training, reference, thorough, among)
     other = with_alternative(selection.problem, selection.state.fit, options)
     if other is None:
         return selection
@@ -143,7 +144,7 @@ def search_load_model(
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
-    again = search(other_problem, options, training, other_reference, thorough, start)
+    again = search(other_problem, options, training, other_reference, thorough, among)
     state = replace(selection.state, fit=other)
     if gain > options.close or again.state.evidence > state.evidence:
         return again

@@ -104,12 +104,13 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     if single is not None:
         return single, {}
     few = thinned(arm.samples, options)
-    shapes, arm = {name: shape[few] for name, shape in _rests(recording).items()}, arm.select(few)
+    shapes: dict[Shape, Array] = {name: shape[few] for name, shape in _rests(recording).items()}
+    arm = arm.select(few)
     # from where each joint is in the row after; zero in the last row of a run
     future = -moves(recording)
     future[_first_rows(recording)] = 0.0
     future = np.roll(future, -1, axis=0)[few]
-    columns = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
+    columns: dict[Shape, Array] = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
     known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
     tests, least, ordered = len(shapes) * (1 + dof), 1.0, False
     found: list[tuple[float, Unsettled]] = []
