@@ -302,11 +302,13 @@ def _published_dh(arm: Arm) -> Array | None:
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
-    """Writes a six-parameter table `(joint, 6)`, m and rad, as a factory file; `read_factory` returns every number
-    exactly.
+    """Writes a six-parameter table as a factory file; `read_factory` returns every number exactly.
 
-    The `form` is `vendor` (`joint1`, …; any number of joints, of whose types it says nothing) or `ur` (`shoulder`, …; 6
-    joints).
+    Args:
+        kinematics: `(joint, 6)`, m and rad.
+        path: of the file.
+        form: `vendor` (`joint1`, …; any number of joints, of whose types it says nothing) or `ur` (`shoulder`, …; 6).
+        overwrite: whether a file that is there is replaced.
 
     Raises:
         InputError: another form or number of joints, a number that is not finite, or as `storage.write_atomically`.

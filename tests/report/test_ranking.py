@@ -10,7 +10,7 @@ from diagnosed import documented
 from lite6jax.effects import catalogue
 from lite6jax.report import ranking
 from lite6jax.report.ranking import Files, steps
-from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of
+from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
 
 
 def ranked(document):

@@ -252,9 +252,10 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
     time = recording.time
     assert time is not None
     cubic, monotone = scipy.interpolate.CubicSpline, scipy.interpolate.PchipInterpolator
-    kinds: dict[str, Any] = dict.fromkeys(
-        ("joint_position", "joint_velocity", "joint_acceleration"), cubic
-    ) | dict.fromkeys(("joint_torque", "motor_current", "joint_temperature", "commanded_position"), monotone)
+    kinds: dict[str, Any] = {
+        **dict.fromkeys(("joint_position", "joint_velocity", "joint_acceleration"), cubic),
+        **dict.fromkeys(("joint_torque", "motor_current", "joint_temperature", "commanded_position"), monotone),
+    }
     nearest = [
         part.start + np.rint(np.interp(t, time[part], np.arange(part.stop - part.start))).astype(int)
         for part, t in zip(parts, at, strict=True)
