@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from scipy.stats import kstest
 
+from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, draw_sines
