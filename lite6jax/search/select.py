@@ -46,13 +46,15 @@ class Selector:
         """
         state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
         if any(one.term not in self._preset for one in state.tested):
-            return self._above_rest(self._grown(self._settled(self._estimated(state)), thorough))
+            state = self._settled(self._estimated(state))
+            asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
+            return self._above_rest(self._grown(state, thorough, asked))
         for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
             better = instead is not None and self._odds(instead) > self._odds(state) + self.options.better
             if grown and not better:
                 break
-            state, grown = self._grown(instead if instead is not None and better else state, thorough), True
+            state, grown = self._grown(instead if instead is not None and better else state, thorough, set()), True
         while (simpler := self._noise_instead(state)) is not None:
             state = simpler
         return self._above_rest(state)
@@ -87,9 +89,9 @@ class Selector:
                 break
         return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
-    def _grown(self, state: State, thorough: bool) -> State:
+    def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
+        """With all that is worth adding; names are tried for the processes that are not among those `asked`."""
         exchanged = 0
-        asked: set[object] = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
         while True:
             state = self._with_all_worth(state)
             named = self._with_names(state, asked)
@@ -103,7 +105,7 @@ class Selector:
                 return state
             state, exchanged = better, exchanged + 1
 
-    def _with_names(self, state: State, asked: set[object]) -> State:
+    def _with_names(self, state: State, asked: set[tuple[object, ...]]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
             processes = [(k, one) for k, one in enumerate(state.tested) if one.term.nonparametric]
