@@ -136,7 +136,7 @@ class EngineOptions:
     most_terms: int = option(
         8, "terms of one group of rows from which none is added", "bounds the time; more were never true in a trial"
     )
-    first_samples: int = option(500, "samples that are searched first", "12 of the 18 terms of real data are found there")
+    first_samples: int = option(500, "samples that are searched first", "12 of 18 terms of real data are found there")
     most_samples: int = option(2000, "samples of a search; all samples then fit its terms", "bounds the time")
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
