@@ -111,7 +111,7 @@ def compensation_report(
             std = 1e3 * found.position_std[found.reached]
             rms = number(float(np.sqrt(np.mean(std**2))))
             yield Text(
-                f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(std.max())} mm."
+                f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(float(std.max()))} mm."
             )
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)

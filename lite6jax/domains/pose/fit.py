@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, overload
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
@@ -30,7 +30,7 @@ Source = str | Path | FactoryCalibration | Recording
 
 @overload
 def fit(
-    source: Source | ArrayLike,
+    source: Source | NDArray[Any] | Sequence[Sequence[float]],
     nominal: Arm | str | Path | None = None,
     *,
     geometry: Geometry = ...,
