@@ -109,10 +109,8 @@ def compensation_report(
         yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
         if hit:
             std = 1e3 * found.position_std[found.reached]
-            rms = number(float(np.sqrt(np.mean(std**2))))
-            yield Text(
-                f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {number(float(std.max()))} mm."
-            )
+            rms, most = (number(float(one)) for one in (np.sqrt(np.mean(std**2)), std.max()))
+            yield Text(f"Standard deviation of the positions reached: {rms} mm RMS per axis, at most {most} mm.")
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)
         yield ""

@@ -86,7 +86,8 @@ def fit(
     arm = load_nominal(nominal)
     if isinstance(source, list | tuple) and any(isinstance(each, Source) for each in source):
         given: dict[str, Any] = {"geometry": geometry, "loss": loss, "solver": solver, "samples": samples}
-        return tuple(fit(each, arm, **given, seed=seed, max_steps=max_steps) for each in source)
+        each = cast(Sequence[Source], source)
+        return tuple(fit(one, arm, **given, seed=seed, max_steps=max_steps) for one in each)
     if isinstance(source, str | Path):
         source = read_source(source, arm)
     if isinstance(source, Recording):
