@@ -56,6 +56,7 @@ $(VENV)/installed-test: $(VENV)/installed
 # The same tools as they were locked, each with its hash: what the forge tests.
 installed-locked: pyproject.toml .ci/requirements.txt
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --require-hashes --requirement .ci/requirements.txt
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $(VENV)/installed $(VENV)/installed-test
