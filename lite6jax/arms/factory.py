@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,16 +84,21 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     if suffix == DEVIATIONS:
         return _of_deviations(path, arm)
     if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
-        content = entries.mapping(content, f"{path}:", ("kinematics",))
-        kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
-        found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-        return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+        return factory_from(content, path, arm)
     table = read_table(path)
     kinematics, after = hayati_to_six_parameter(table.form, table.parameters)
     if table.convention is None:
         _require_standard(kinematics, after, path, arm)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
     return _align(_recognise(kinematics, names, after, table.form.sliding, path, arm))
+
+
+def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
+    """The factory calibration in the `content` of a YAML file; `path` is for messages, `arm` as of `read_factory`."""
+    content = entries.mapping(content, f"{path}:", ("kinematics",))
+    kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
+    found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:

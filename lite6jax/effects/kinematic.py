@@ -318,6 +318,7 @@ class JointWindup(JointEffect):
 
 # ------------------------------------------------------------------ links
 
+
 _TWIST = (*((f"{axis}_m", "m") for axis in "xyz"), *((f"r{axis}_rad", "rad") for axis in "xyz"))
 """Names and units of a translation and a rotation vector."""
 _SPREAD = {"m": 0.02, "rad": 0.05}
@@ -326,9 +327,18 @@ _FRAME = {"m": 0.1, "rad": 0.3}
 """Of a frame's displacement: more is another arm."""
 
 
+class _Tilting(Bending, ABC):
+    """A frame that rotates about its x and y axes by a compliance times the moment about each."""
+
+    def tilt(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        """`(6, sample)`, the frame's twist."""
+        about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
+        return twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
+
+
 @final
 @dataclass(frozen=True)
-class LinkCompliance(Bending):
+class LinkCompliance(_Tilting):
     """A link's frame rotates about its x and y axes by a compliance times the moment of gravity about them.
 
     Attributes:
@@ -346,9 +356,7 @@ class LinkCompliance(Bending):
     )
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
-        rotation = twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
-        return Deflection(link=place_at_joint(motion.dof, self.link, rotation))
+        return Deflection(link=place_at_joint(motion.dof, self.link, self.tilt(values, motion, loads)))
 
 
 @final
@@ -499,25 +507,34 @@ _VELOCITY = tuple(symmetric(f"v{axis}_m_per_s", "m/s", 1e-7, 1e-3) for axis in "
 """Of a drift: more is motion."""
 
 
+class _Drifting(Bending, ABC):
+    """A frame that moves at a constant velocity, from zero at time 0."""
+
+    quantities: ClassVar[tuple[str, ...]] = ("time",)
+
+    def drift(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        """`(6, sample)`, the frame's twist."""
+        time = self.drivers[0].values(motion, loads)
+        return twist(motion.samples, *(velocity * time for velocity in values))
+
+
 @final
 @dataclass(frozen=True)
-class BaseDrift(Bending):
+class BaseDrift(_Drifting):
     """The base drifts relative to the sensor at a constant velocity, in the base's axes, from zero at time 0."""
 
     name: ClassVar[str] = "base_drift"
     specificity: ClassVar[int] = 13
     at: ClassVar[str] = "base"
-    quantities: ClassVar[tuple[str, ...]] = ("time",)
     numbers: ClassVar[tuple[Coordinate, ...]] = _VELOCITY
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        time = self.drivers[0].values(motion, loads)
-        return Deflection(base=twist(motion.samples, *(velocity * time for velocity in values)))
+        return Deflection(base=self.drift(values, motion, loads))
 
 
 @final
 @dataclass(frozen=True)
-class SensorDrift(Bending):
+class SensorDrift(_Drifting):
     """All that the sensor shows drifts at a constant velocity, in the sensor's axes, from zero at time 0.
 
     It also turns, about the origin of the sensor's frame, so that positions far from that move more.
@@ -526,15 +543,13 @@ class SensorDrift(Bending):
     name: ClassVar[str] = "sensor_drift"
     specificity: ClassVar[int] = 14
     at: ClassVar[str] = "sensor"
-    quantities: ClassVar[tuple[str, ...]] = ("time",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         *_VELOCITY,
         *(symmetric(f"w{axis}_rad_per_s", "rad/s", 1e-7, 1e-3) for axis in "xyz"),
     )
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        time = self.drivers[0].values(motion, loads)
-        return Deflection(sensor=twist(motion.samples, *(velocity * time for velocity in values)))
+        return Deflection(sensor=self.drift(values, motion, loads))
 
 
 @final
@@ -563,7 +578,7 @@ class ToolOffset(Bending):
 
 @final
 @dataclass(frozen=True)
-class ToolCompliance(Bending):
+class ToolCompliance(_Tilting):
     """What is on the flange rotates about the flange's x and y by a compliance times the payload's moment about them.
 
     The moment is that of what is outboard of the flange, the payload alone, about the flange's origin and in its axes;
@@ -581,8 +596,7 @@ class ToolCompliance(Bending):
     )
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
-        return Deflection(tool=twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y))
+        return Deflection(tool=self.tilt(values, motion, loads))
 
 
 @final

@@ -154,12 +154,11 @@ class ScoreTest:
             spanned = _spanned(self.problem, part, self.scale, self.options)
         return replace(self, fit=part, residual=residual, **spanned._asdict())
 
-    def explained_too(self, columns: Array) -> "ScoreTest":
+    def extend(self, columns: Array) -> "ScoreTest":
         """The test of the model with more columns `(number, row, sample)`, to first order; the fit is as it was."""
         flat = np.zeros((len(columns), self.span.shape[1]))
         measured = self.problem.rows * self.problem.samples
         flat[:, :measured] = _white(self.fit, columns, self.scale).reshape(len(columns), -1)
-        acts = np.any(columns, 2) @ (np.arange(len(self.scale)) == self.problem.groups[:, None])
         further = orthonormal(outside(unit_rows(flat[flat.any(1)]), self.span), self.options.rounding)
         padded = np.pad(self.coordinates, ((0, 0), (0, len(further))))
         return replace(
@@ -167,7 +166,7 @@ class ScoreTest:
             span=np.concatenate([self.span, further]),
             coordinates=np.concatenate([padded, np.eye(len(further), padded.shape[1], len(self.span))]),
             owners=np.append(self.owners, np.full(len(further), len(self.fit.terms.terms))),
-            acting=np.concatenate([self.acting, np.repeat(acts.any(0)[None], len(further), 0)]),
+            acting=np.concatenate([self.acting, np.tile(_acting(self.problem, columns).any(0), (len(further), 1))]),
         )
 
     def _alike(self, part: Fit) -> bool:
@@ -484,7 +483,7 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
         options: thresholds.
     """
     columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale)
-    acting = np.any(columns, 2) @ (np.arange(len(scale)) == problem.groups[:, None])
+    acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
     precision, stated = np.concatenate([problem.precision, fit.terms.precision]), _stated(problem)
     known = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
@@ -498,6 +497,11 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
     sizes = [len(problem.precision), *(term.size for term in fit.terms.terms)]
     owners = np.repeat(np.arange(-1, len(fit.terms.terms)), sizes)
     return Spanned(span, rows @ span.T, owners[seen], acting[seen])
+
+
+def _acting(problem: Problem, columns: Array) -> NDArray[np.bool_]:
+    """`(number, group)`, on which groups of noise columns `(number, row, sample)` act."""
+    return np.any(columns, 2) @ (np.arange(problem.groups.max(initial=0) + 1) == problem.groups[:, None])
 
 
 def _has_prior(term: Term) -> bool:

@@ -176,6 +176,7 @@ def _read_calibration(path: Path, nominal: "Arm | None") -> "factory.FactoryCali
             return f"{path}: not a calibration (it has no key 'kinematics'); passed over"
         if "name" in content:
             return f"{path}: not a calibration but the description of a type of arm; passed over"
+        return factory.factory_from(content, path, nominal)
     return factory.read_factory(path, nominal)
 
 

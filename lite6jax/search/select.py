@@ -252,8 +252,8 @@ class Selector:
         term = one.term
         if term.nonparametric:
             component, which = self._process_of(term)
-            either = [(k,) for k in which] if len(which) > 1 else []
-            best = max(self._processes(test, component, [which, *either]), key=lambda each: each.net, default=None)
+            found = self._processes(test, component, [which, *_either(which)])
+            best = max(found, key=lambda each: each.net, default=None)
         else:
             best = self.scan.like(test, term)
         if best is None:
@@ -395,13 +395,21 @@ class Selector:
         one = state.tested[k]
         if not self._has_number(one.term):
             return None
-        labels = {term.label for term in state.fit.terms.terms}
-        pairs = (pair for pair in self.scan.together(self.beside(state, k), one.term) if pair[1].cause[0] not in labels)
-        best = next(pairs, None)
-        if best is None or best[1].net < one.net + self.options.margin:
+        there = {term.label for term in state.fit.terms.terms}
+        best = self._likeliest_pair(self.beside(state, k), one.term, one.net, there)
+        if best is None:
             return None
         trial = self._settled(self._estimated(self._with(self._left_out(state, k), *best)))
         return trial if trial.evidence > state.evidence + self.options.better else None
+
+    def _has_number(self, term: Term) -> bool:
+        """Whether a number of a name is tried."""
+        return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
+
+    def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, known: set[str]) -> tuple[Ranked, Ranked] | None:
+        """A name with another one beside it that is not `known`, where the two gain a margin over its own odds."""
+        best = next((pair for pair in self.scan.together(test, term) if pair[1].cause[0] not in known), None)
+        return None if best is None or best[1].net < net + self.options.margin else best
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
@@ -424,32 +432,28 @@ class Selector:
 
         After each, the same beside a process of one of the two quantities that the process has.
         """
-        term, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
-        rows, model = self._rows(term, state), (state.fit.terms, state.fit.values)
+        process, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
+        rows, model = self._rows(process, state), (state.fit.terms, state.fit.values)
+        known = {term.label for term in (*state.refused, *state.fit.terms.terms)}
+        component, which = self._process_of(process)
         while len(names) < self.options.names_for_process:
-            best = self._likeliest_name(test, state, rows, names)
+            best = self._likeliest_name(test, state, rows, known)
             if best is None:
                 return
-            more, net = [best], best.net
-            if self._has_number(best.make()):
-                pair = next(iter(self.scan.together(test, best.make())), None)
-                if pair is not None and pair[1].net > best.net + self.options.margin:
-                    more, net = list(pair), pair[1].net
+            pair = None
+            if self._has_number(term := best.make()):
+                pair = self._likeliest_pair(test, term, best.net, known)
+            more, net = ((best,), best.net) if pair is None else (pair, pair[1].net)
+            known |= {one.cause[0] for one in more}
             names, gain = [*names, *more], gain + net
-            test = test.explained_too(self.problem.columns([one.make() for one in more], beside=model))
+            test = test.extend(self.problem.columns([one.make() for one in more], beside=model))
             yield names, gain
-            component, which = self._process_of(term)
-            for one in self._processes(test, component, [(k,) for k in which]) if len(which) > 1 else ():
-                if one.net >= self.options.margin:
-                    yield [*names, one], gain + one.net
+            for less in self._processes(test, component, _either(which)):
+                if less.net >= self.options.margin:
+                    yield [*names, less], gain + less.net
 
-    def _has_number(self, term: Term) -> bool:
-        """Whether a number of a name is tried."""
-        return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
-
-    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, beside: Sequence[Ranked]) -> Ranked | None:
-        """The likeliest name that acts on some rows, of those worth their cost; first one that is usual."""
-        known = {term.label for term in (*state.refused, *state.fit.terms.terms)} | {one.cause[0] for one in beside}
+    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, known: set[str]) -> Ranked | None:
+        """The likeliest name that is not `known` and acts on some rows, of those worth their cost, usual ones first."""
         names = [one for one in self.scan.named(test) if one.cause[0] not in known and one.net >= self.options.margin]
         names = [one for one in names if (self._rows(one.make(), state) & rows).any()]
         return next((one for one in names if one.make().usual), names[0] if names else None)
@@ -545,3 +549,8 @@ class Selector:
         if noise.white and fitted.noise.white:
             return fitted
         return fit(self.problem, fitted.terms, self.options, fitted.values, fitted.nuisance, fitted.training, noise)
+
+
+def _either(which: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Each of two quantities alone."""
+    return [(k,) for k in which] if len(which) > 1 else []

@@ -57,7 +57,7 @@ def searched(made, motion, **options):
         ),
         (KNOWN, "at rest", (SOFT, SLACK)),
         (KNOWN, "moving", (SLACK,)),
-        # either alone makes what the other leaves look like noise that remembers
+        # either alone makes what the other leaves look like autocorrelated noise
         (KNOWN, "moving", ("joint_harmonic:joint=4,order=1,amplitude_rad=5e-4,phase_rad=1", SLACK)),
         ({"seed": 2, "geometry": "prior", "frame": True}, "at rest", (SOFT,)),
         (UNKNOWN, "at rest", (SOFT,)),

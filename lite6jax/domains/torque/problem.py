@@ -435,7 +435,7 @@ class TorqueProblem:
         return
 
     def inputs(self, terms: Terms) -> tuple[Term, ...]:
-        """None: what is declared of masses is told apart by the torques themselves."""
+        """None: the torques themselves determine what is declared of masses."""
         return ()
 
     @cached_property

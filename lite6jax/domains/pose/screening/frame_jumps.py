@@ -241,18 +241,18 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
     """The recording with the poses after a jump by `T` displaced back."""
     recording, after, R = arm.recording, np.arange(arm.samples) >= jump.sample, measured_rotations(arm.recording)
     assert recording.position is not None
-    position, quaternion = recording.position.copy(), recording.quaternion
+    position, turned = recording.position.copy(), R
     if jump.part == "base":
         back = fitted.T_sensor_base @ np.linalg.inv(T) @ np.linalg.inv(fitted.T_sensor_base)
         position[after] = position[after] @ back[:3, :3].T + back[:3, 3]
-        turned = None if R is None else back[:3, :3] @ R
+        if R is not None:
+            turned = np.where(after[:, None, None], back[:3, :3] @ R, R)
     else:
         flange, tool = fitted.frames[-1], fitted.T_flange_tool
         position[after] -= (flange @ T @ tool - flange @ tool)[after, :3, 3]
-        turned = None if R is None else R @ np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3]
-    if turned is not None:
-        quaternion = unit_quaternions(np.where(after[:, None, None], turned, R))
-    return replace(recording, position=position, quaternion=quaternion)
+        if R is not None:
+            turned = np.where(after[:, None, None], R @ np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3], R)
+    return replace(recording, position=position, quaternion=None if turned is None else unit_quaternions(turned))
 
 
 def _best_split(
