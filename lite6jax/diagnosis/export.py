@@ -26,6 +26,7 @@ from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic import (
     FIELDS,
+    LINEAR,
     CoulombFriction,
     Dynamics,
     JointSpring,
@@ -200,7 +201,8 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
 
     Other friction over the velocity is viscous and Coulomb friction as far as these fit it at the speeds recorded.
     """
-    if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia):
+    linear = getattr(effect, "exponent", LINEAR) == LINEAR
+    if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and linear:
         transition = getattr(effect, "transition_rad_per_s", 0.0)
         unit = "m/s" if effect.of_slide else "rad/s"
         said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
@@ -209,7 +211,7 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         ranges = zip(effect.drivers, effect.bounds[::2], effect.bounds[1::2], strict=True)
         speeds = [max(abs(low), abs(high)) for driver, low, high in ranges if not driver.discrete]
         fastest = max(speeds, default=1.0)
-    elif isinstance(effect, StribeckFriction) and model.uncertainty is not None:
+    elif isinstance(effect, StribeckFriction | ViscousFriction) and model.uncertainty is not None:
         recorded = model.uncertainty.recorded.velocities
         assert recorded is not None
         fastest = float(np.abs(recorded[effect.joint - 1]).max())

@@ -110,8 +110,8 @@ def _diagnose_alone(
             whole = with_likely_prior(torque_problem(screened.data, effects), options.engine)
             problem = linearised(whole, options.engine)
             pushed, events = contacts(problem, options.engine)
-            problem = replace(problem, valid=~pushed)
-            problem = linearised(problem, options.engine, ~pushed) if pushed.any() else problem
+            problem = replace(problem, valid=problem.valid & ~pushed)
+            problem = linearised(problem, options.engine, problem.valid) if pushed.any() else problem
             selection = search(problem, options.engine)
             problem = selection.problem
             assert isinstance(problem, TorqueProblem)

@@ -52,6 +52,8 @@ _LEAST_TORQUE = 5e-3
 """Of the largest torque on any joint: an axis that is upright but for its making bears less."""
 _SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of a joint's largest speed that the speeds of such friction are tried at."""
+_EXPONENTS = (0.4, 0.6, 0.8, 1.3, 1.7, 2.2)
+"""Of viscous friction that are tried beside 1."""
 
 
 class Untestable(NamedTuple):
@@ -162,9 +164,10 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
 
 
 def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
-    """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds, as a motion shows them.
+    """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous friction by exponents.
 
-    A speed that a joint passes within one sample where it reverses is not seen.
+    As a motion shows them: a speed that a joint passes within one sample where it reverses is not seen, nor is an
+    exponent of a joint that does not move.
     """
     assert motion.joint_velocity is not None
     velocity = np.asarray(motion.joint_velocity)
@@ -179,7 +182,13 @@ def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
         low, high = (joint_size(bound, "rad/s", slides) for bound in bounds)
         if max(low, passed[joint - 1]) <= speed <= high:
             found.append(kind(joint, speed, of_slide=slides))
-    return tuple(found)
+    moving = [joint for joint, v in enumerate(fastest, 1) if v > 0]
+    bent = [
+        dynamic.ViscousFriction(joint, exponent, of_slide=joint - 1 in motion.sliding.joints)
+        for joint in moving
+        for exponent in _EXPONENTS
+    ]
+    return (*found, *bent)
 
 
 # ------------------------------------------------------------------ a list for people

@@ -162,24 +162,55 @@ TRANSITION = (0.02, 1.0)
 """rad/s, the speed within which Coulomb friction turns: less is sharp in most logs, more is nearly viscous."""
 SHARP = 0.0
 """A transition of Coulomb friction that is as sharp as encoders show."""
+EXPONENT = (0.3, 2.5)
+"""Of viscous friction over the speed: less is hardly to be told from Coulomb friction, more is no bearing's."""
+LINEAR = 1.0
+"""The exponent of viscous friction in proportion to the speed."""
 
 
 @final
 @dataclass(frozen=True)
 class ViscousFriction(JointTorque):
-    """τ += b·q̇.
+    """τ += b·q̇·|q̇|ⁿ⁻¹, with q̇ in rad/s or m/s, so that b is the friction over the velocity at 1 rad/s or 1 m/s.
 
-    P. Hamon et al., IROS 2010, eq. 6, with Coulomb friction and that of the load.
+    It is not linear in n: the search tries some values beside 1, and n without a fixed value is its second coordinate
+    (n = 1: P. Hamon et al., IROS 2010, eq. 6; n of harmonic drives: H. D. Taghirad and P. R. Bélanger, J. Dyn. Sys.,
+    Meas., Control 120, 1998).
+
+    Attributes:
+        exponent: n, where it is fixed.
     """
+
+    exponent: float | None = LINEAR
 
     name: ClassVar[str] = "viscous_friction"
     specificity: ClassVar[int] = 1
     usual: ClassVar[bool] = True
+    fixed: ClassVar[str | None] = "exponent"
+    searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
-    numbers: ClassVar[tuple[Coordinate, ...]] = (_VISCOUS,)
+    numbers: ClassVar[tuple[Coordinate, ...]] = (
+        _VISCOUS,
+        Coordinate("exponent", "1", 0.1, lower=EXPONENT[0], upper=EXPONENT[1], linear=False),
+    )
+
+    def __post_init__(self) -> None:
+        self.require_fixed()
+
+    @property
+    def fixed_number(self) -> float | None:
+        """The exponent, of friction that is not in proportion to the speed."""
+        return None if self.exponent == LINEAR else self.exponent
+
+    @property
+    def includes(self) -> tuple[Effect, ...]:
+        """The friction in proportion to the speed, of which this one is another form; none if it is that itself."""
+        return () if self.exponent == LINEAR else (ViscousFriction(self.joint, of_slide=self.of_slide),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
-        return values[0] * dynamics.velocity(self.joint)
+        n = values[1] if self.exponent is None else self.exponent
+        speed = dynamics.velocity(self.joint)
+        return values[0] * np.sign(speed) * np.abs(speed) ** n
 
 
 @final

@@ -35,6 +35,7 @@ from lite6jax.report.words import (
     multiple,
     plus_minus,
     quantity,
+    rounded,
     significant,
 )
 
@@ -64,8 +65,11 @@ def with_statements(document: Document) -> dict[str, Any]:
     Untestable effects on poses get a `reason`. Torques beside poses get all of this too.
     """
     torques, stated = of_torques(document), faults.with_statements(document)
-    pairs = zip(document["findings"], _detailed(document), strict=True)
-    stated["findings"] = [{**finding, "statement": finding_statement(each, torques)} for finding, each in pairs]
+    detailed = _detailed(document)
+    stated["findings"] = [
+        {**finding, "statement": finding_statement(each, torques, detailed)}
+        for finding, each in zip(document["findings"], detailed, strict=True)
+    ]
     if not torques:
         stated["untestable"] = [
             {**entry, "reason": f"needs the {driver.phrase}: give {driver.remedy}"}
@@ -230,7 +234,7 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
         {
             **findings[k],
             "title": capital(effect_title(findings[k])),
-            "statement": finding_statement(findings[k], torques),
+            "statement": finding_statement(findings[k], torques, findings),
             "place": k,
             "rivals": rivals(findings[k], torques),
             "rejected": rivals(findings[k], torques, rejected=True),
@@ -245,12 +249,13 @@ def _detailed(document: Document) -> list[dict[str, Any]]:
     return [{**finding, "where": effect["where"]} for finding, effect in pairs]
 
 
-def finding_statement(finding: Entry, torques: bool = False) -> str:
-    """A finding in one sentence, with its numbers and its contribution.
+def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[Entry] = ()) -> str:
+    """A finding in one sentence, with its numbers and its contribution; and what it is together with another one.
 
     Args:
         finding: with the fields of its effect as `where`.
         torques: whether it acts on torques.
+        beside: all findings.
     """
     where, unnamed = finding["where"], finding["effect"] == "unnamed"
     named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
@@ -260,7 +265,7 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
         turned = finding["moves_rms_rad"]
         turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
         moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
-    return fill(
+    said = fill(
         _TEXTS["finding"],
         finding,
         torques=torques,
@@ -275,6 +280,23 @@ def finding_statement(finding: Entry, torques: bool = False) -> str:
         significant=ranking.is_significant(finding),
         title=effect_title,
     )
+    return " ".join([said, *_as_a_gear(finding, beside)])
+
+
+def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
+    """Load friction beside a torque scale, as efficiencies: 1/η = (1 + s)(1 + μ), and (1 + s)(1 − μ) backwards."""
+    if finding["effect"] != "load_friction":
+        return
+    for other in findings:
+        if (other["effect"], other["site"]) == ("torque_scale", finding["site"]):
+            friction, scale = finding["parameters"]["coefficient"], other["parameters"]["scale"]
+            shares = []
+            for sign in (1, -1):
+                ratio, relative = 1 + sign * friction["value"], scale["std"] / (1 + scale["value"])
+                percent = 100 * ((1 + scale["value"]) * ratio) ** -sign
+                std = abs(percent) * np.hypot(relative, friction["std"] / ratio)
+                shares.append(" ± ".join(rounded(percent, std)))
+            yield fill(_TEXTS["gear"], {"driving": shares[0], "driven": shares[1]}, site=finding["site"])
 
 
 def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:

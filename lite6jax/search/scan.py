@@ -56,6 +56,8 @@ _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
+_FINEST, _GAINED = 5, 0.1
+"""Rounds of ratios, each an eighth of the one before, and the gain below which no further one follows."""
 _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
 _NUMBERS = 1 << 22
@@ -133,9 +135,11 @@ class Scan:
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of a name at one site, and of a number that is chosen for it; even odds where nearly every problem has it."""
+        """Of a name at one site, and of a number that is chosen for it; even odds of what nearly every problem has."""
+        if term.usual and term.chosen is None:
+            return float(np.log(2.0))
         number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
-        return float(np.log(2.0) if term.usual else KINDS + np.log(max(len(self.names), 1)) + number)
+        return float(KINDS + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
@@ -323,11 +327,14 @@ class _Weighed:
         self._known: dict[int, Sums] = {}
 
     def named(self, usual: bool = False) -> list[Ranked]:
-        """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
+        """Names that are not there yet; of those with a number that is tried the likeliest.
+
+        The usual ones alone are taken without such a number: as nearly every problem has them.
+        """
         test = self._test
         there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
         terms = [term for term in self._scan.names if term not in there and not term.periodic]
-        terms = [term for term in terms if term.usual] if usual else terms
+        terms = [term for term in terms if term.usual and term.chosen is None] if usual else terms
         found = self._of_terms(terms)
         likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[
             :_REFINED_NUMBERS
@@ -368,11 +375,14 @@ class _Weighed:
         return sorted(found, key=lambda pair: -pair[1].net)
 
     def _refined(self, one: Ranked) -> list[Ranked]:
-        """A name with a number that is tried, at the likeliest near this."""
-        found = [one]
-        for ratios in (_RATIOS, _RATIOS ** (2 / (len(_RATIOS) - 1))):
-            term = found[0].make()
-            found = self._of_terms([term, *self._near(term, ratios)]) or found
+        """A name with a number that is tried, at the likeliest near this, as fine as the data tell it."""
+        found, steps = [one], _RATIOS
+        for rounds in range(_FINEST):
+            before, term = found[0].net, found[0].make()
+            found = self._of_terms([term, *self._near(term, steps)]) or found
+            if rounds and found[0].net < before + _GAINED:
+                break
+            steps = steps ** (2 / (len(steps) - 1))
         return found
 
     def _near(self, term: Term, ratios: Array = _RATIOS) -> list[Term]:
@@ -395,7 +405,7 @@ class _Weighed:
             for term, evidence in zip((some[k] for k in acting), weighed, strict=True):
                 cost = self._scan.cost_of_name(term)
                 one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
-                if one.gain > 0 and (term.label not in best or one.gain > best[term.label].gain):
+                if one.gain > 0 and (term.label not in best or one.net > best[term.label].net):
                     best[term.label] = one
         return list(best.values())
 

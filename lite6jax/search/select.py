@@ -1,6 +1,7 @@
 """The selection of terms by evidence: add, re-estimate, drop, exchange.
 
-1. Add the term whose evidence most exceeds the cost of its choice, if by a margin.
+1. Add the names that nearly every problem has, then the term whose evidence most exceeds the cost of its choice, if by
+   a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
 3. Drop the term that is least worth its cost, as long as one is not.
 4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier.
@@ -81,12 +82,9 @@ class Selector:
         """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
         f = state.fit
         white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
-        other, tried = replace(state, fit=white), set[object]()
-        while worth := self._next(other, tried):
-            tried |= {one.key for one in worth}
+        other = self._with_usual(replace(state, fit=white))
+        if worth := self._next(other, set()):
             other = self._added(other, worth)
-            if not all(one.make().usual for one in worth):
-                break
         return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
@@ -123,18 +121,25 @@ class Selector:
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
-        while worth := self._next(state, tried):
+        while worth := self._next(state := self._with_usual(state), tried):
             tried |= {one.key for one in worth}
             state = self._settled(self._added(state, worth))
         return state
 
+    def _with_usual(self, state: State) -> State:
+        """The state with the names that nearly every problem has, before anything else is asked for.
+
+        Numbers of them are chosen when all are there: that of one alone would describe what another one does.
+        """
+        before = state
+        while worth := self._worth(self.scan.usual(self.test(state)), self.test(state), state, set()):
+            state = self._within_bounds(self._with(state, *worth))
+        return state if state is before else self._settled(self._estimated(state))
+
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
-        """What is to be added: a name that nearly every problem has, before a process is asked for."""
+        """What is to be added."""
         test = self.test(state)
-        worth = self._worth(self.scan.ranked(test), test, state, tried)
-        if any(one.process for one in worth):
-            return self._worth(self.scan.usual(test), test, state, tried) or worth
-        return worth
+        return self._worth(self.scan.ranked(test), test, state, tried)
 
     def _added(self, state: State, worth: Sequence[Ranked]) -> State:
         """The state with more terms, those within their bounds."""
@@ -258,7 +263,8 @@ class Selector:
             best = self.scan.like(test, term)
         if best is None:
             return replace(one, gain=0.0)
-        return replace(one, term=best.make(), gain=best.gain, cost=min(one.cost, best.cost), volume=best.volume)
+        cost = min(one.cost, best.cost) if term.nonparametric else best.cost
+        return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
 
     def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
         component = next(

@@ -7,17 +7,13 @@ import sys
 import threading
 import time
 
-import numpy as np
 import pytest
 
 from lite6jax import workers as layer
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.files import write_arm
 from lite6jax.cli import main
 from lite6jax.errors import InputError
 from lite6jax.workers import run_batches
 from tests.batch_work import dead, reduced, spelled
-from tests.oracles.arms import random_kinematics
 
 dask = pytest.importorskip("dask", reason="the extra distributed is not installed")
 distributed = pytest.importorskip("distributed", reason="the extra distributed is not installed")
@@ -93,19 +89,6 @@ def test_the_recordings_of_a_fleet_are_diagnosed_and_pooled_to_the_same_bytes(wo
     low, high = effect["parameters"]["compliance_rad_per_Nm"]["interval_95"]
     assert low < 0.6 < high
     capsys.readouterr()
-
-
-@pytest.mark.long
-def test_a_designed_motion_has_the_same_bytes(workers, tmp_path, capsys):
-    arm = write_arm(Arm("small", random_kinematics(np.random.default_rng(4), 2)), tmp_path / "small.yaml")
-    written = []
-    for name, *by in (("a",), ("b", "--scheduler", workers.scheduler_address)):
-        out = tmp_path / f"{name}.csv"
-        assert (
-            main(["design", str(arm), "--torque", "--duration", "3", "--harmonics", "2", "--out", str(out), *by]) == 0
-        )
-        written.append((out.read_bytes(), capsys.readouterr().out.replace(f"{name}.", "motion.")))
-    assert written[0] == written[1]
 
 
 def test_what_a_function_raises_arrives(workers, tmp_path):

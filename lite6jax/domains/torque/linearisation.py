@@ -32,10 +32,11 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     Args:
         problem: at the declared numbers.
         options: thresholds.
-        training: `(sample,)` bool; all where not given.
+        training: `(sample,)` bool; all that are valid where not given.
     """
     if not len(problem.directions):
         return problem
+    training = problem.valid if training is None else training
     return problem.relinearised(fit(problem, _everywhere(problem), options, training=training).nuisance)
 
 
@@ -49,11 +50,11 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
     Args:
         problem: with the prior as declared.
         options: thresholds.
-        training: `(sample,)` bool; all where not given.
+        training: `(sample,)` bool; all that are valid where not given.
     """
     if not len(problem.directions) or problem.data.recording.settings.inertial != "unknown":
         return problem
-    terms = _everywhere(problem)
+    terms, training = _everywhere(problem), problem.valid if training is None else training
 
     def of_width(width: float) -> TorqueProblem:
         return replace(problem, precision=problem.precision / width**2)

@@ -533,7 +533,7 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
         declared=declared,
         candidates=tuple(effect for effect in candidates if effect not in lacking),
         untestable=missing,
-        valid=np.ones(len(data.filter.kept), bool),
+        valid=np.ones(len(data.filter.kept), bool) if data.repeated is None else ~data.repeated[data.filter.kept],
     )
 
 

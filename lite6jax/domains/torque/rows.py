@@ -116,6 +116,7 @@ class TorqueRows:
         motion_cutoff: Hz, of the low pass of the motion.
         slack: `(joint, sample)` Nm, one sigma of what friction holds at rest and of what was interpolated across a
             bend; None where there is neither.
+        repeated: `(sample,)`, those that say again what another one says of the same rest; None where there are none.
     """
 
     recording: Recording
@@ -125,6 +126,7 @@ class TorqueRows:
     filter: LowPass
     motion_cutoff: float
     slack: Array | None = None
+    repeated: NDArray[np.bool_] | None = None
 
     @property
     def motion(self) -> Motion:

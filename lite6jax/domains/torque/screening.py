@@ -61,6 +61,8 @@ _FEWEST = 10
 """Filtered samples at rest that it takes to say anything."""
 _ROWS_PER_NUMBER = 3
 """Filtered samples in motion for each number of the model with which those at rest are compared."""
+_BESIDE = 1.5
+"""Periods of a low pass after which less than a hundredth of a step is left."""
 _AWAY = 3.0
 """Times what is left in motion, from which what is left at rest is no noise."""
 _BAND = 2.0
@@ -130,7 +132,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     held = held_by_friction(data)
     if held.found or np.any(doubt):
         spread = np.sqrt(np.abs(data.filter.whole(np.square(doubt)))) if np.any(doubt) else 0.0
-        data = replace(data, slack=np.hypot(held.slack, spread))
+        data = replace(data, slack=np.hypot(held.slack, spread), repeated=held.repeated)
     found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
@@ -359,10 +361,12 @@ class Held(NamedTuple):
     Attributes:
         slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate, times the square
             root of the samples of a rest, which are not independent; zero in motion, but beside a rest.
+        repeated: `(sample,)`, those that say again what another sample of the rest of all joints says.
         found: the data fault, if a joint is held.
     """
 
     slack: Array
+    repeated: NDArray[np.bool_]
     found: tuple[DataFault, ...]
 
 
@@ -387,31 +391,37 @@ def held_by_friction(data: TorqueRows) -> Held:
     """
     still = at_rest(data)
     near = _around(still, data)
-    slack = np.zeros(still.shape)
+    slack, repeated = np.zeros(still.shape), np.zeros(still.shape[1], bool)
     kept = data.filter.kept
     joints, bands = [], []
     for j in range(len(still)):
         rest = still[j, kept]
         band = _left_at_rest(data, j, rest, ~near[j, kept]) if rest.sum() >= _FEWEST else 0.0
         if band:
-            for span in stretches(near[j], data.filter.runs):
-                # one rest is one torque, however many samples show it
-                slack[j, span] = band * np.sqrt(max((span.stop - span.start) / data.filter.every, 1.0))
             joints.append(j + 1)
             bands.append(band)
     if not joints:
-        return Held(slack, ())
+        return Held(slack, repeated, ())
+    # one rest is one torque, however many samples show it
+    for span in stretches(near.all(0), data.filter.runs):
+        own = kept[(kept >= span.start) & (kept < span.stop)]
+        repeated[own[np.arange(len(own)) != len(own) // 2]] = True
+    for j, band in zip(joints, bands, strict=True):
+        for span in stretches(near[j - 1], data.filter.runs):
+            own = kept[(kept >= span.start) & (kept < span.stop)]
+            slack[j - 1, span] = band * np.sqrt(max(np.count_nonzero(~repeated[own]), 1))
     recording = data.recording
     rows = row_numbers(recording.row[still[np.array(joints) - 1].any(0)])
     numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
     if data.arm.sliding:
         numbers["prismatic_joints"] = [joint for joint in joints if data.arm.slides[joint - 1]]
-    return Held(slack, (DataFault("held_by_friction", rows, numbers),))
+    return Held(slack, repeated, (DataFault("held_by_friction", rows, numbers),))
 
 
 def _around(still: Flags, data: TorqueRows) -> Flags:
-    """`(joint, sample)`, rest and the samples beside it, where the low pass of the motion says when a joint starts."""
-    reach = 2 * int(np.ceil(data.filter.rate / data.motion_cutoff)) + 1
+    """`(joint, sample)`, rest and the samples beside it, in which the low passes show what was at rest."""
+    cutoff = min(data.motion_cutoff, data.filter.cutoff)
+    reach = 2 * int(np.ceil(_BESIDE * data.filter.rate / cutoff)) + 1
     return maximum_filter1d(still.astype(np.uint8), reach, axis=1).astype(bool)
 
 

@@ -413,7 +413,9 @@ def test_what_does_not_fit_the_joint_is_refused():
         parse_effect("torque_ripple:joint=3,period_m=-0.01,amplitude_N=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match=r"period_m 0.02 beside the fixed period_m 0.01; give one of them"):
         parse_effect("torque_ripple:joint=3,order=100,period_m=0.02,amplitude_N=1", TORQUE_EFFECTS, sliding=(2,))
-    with pytest.raises(InputError, match="'viscous_Nm_s_per_rad' is unknown; the keys are joint, viscous_N_s_per_m"):
+    with pytest.raises(
+        InputError, match="'viscous_Nm_s_per_rad' is unknown; the keys are joint, exponent, viscous_N_s_per_m"
+    ):
         parse_effect("viscous_friction:joint=3,viscous_Nm_s_per_rad=1", TORQUE_EFFECTS, sliding=(2,))
     with pytest.raises(InputError, match="velocity_m_per_s is -1; give a positive number"):
         StribeckFriction(3, -1.0, of_slide=True)

@@ -1,5 +1,6 @@
 """Torque logs as people have them: real friction, rests, uneven times, static postures, one motor, any rate."""
 
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from lite6jax.domains.torque.filtering import low_pass
 from lite6jax.domains.torque.predict import predicted_torques
 from lite6jax.domains.torque.rows import bodies_of
 from lite6jax.domains.torque.screening import screen_torques
-from lite6jax.effects.dynamic import CoulombFriction, TorqueOffset, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, LoadFriction, TorqueOffset, TorqueScale, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.report.statements import with_statements
@@ -103,6 +104,41 @@ def test_a_wide_transition_of_coulomb_friction_is_a_number_of_it(arm, tmp_path):
     assert main(["convert", str(tmp_path / "d.json"), str(tmp_path / "out.urdf")]) == 0
 
 
+@pytest.mark.parametrize("exponent", [0.6, 1.6])
+def test_an_exponent_of_viscous_friction_is_a_number_of_it(arm, tmp_path, exponent):
+    time = np.arange(3000) / 100
+    found = diagnose_torques(
+        made(time, swung(time), lambda dq: 0.5 * np.sign(dq) * np.abs(dq) ** exponent), arm, options=FEW
+    )
+    ((effect, parameters),) = numbers(found).items()
+    assert isinstance(effect, ViscousFriction)
+    for name, truth in (("viscous_Nm_s_per_rad", 0.5), ("exponent", exponent)):
+        assert abs(parameters[name].value - truth) < 4 * parameters[name].std
+        assert parameters[name].std < 0.05
+    write_document(with_statements(found.to_dict()), tmp_path / "d.json")
+    assert main(["convert", str(tmp_path / "d.json"), str(tmp_path / "out.urdf")]) == 0
+    (entry,) = ET.parse(tmp_path / "out.urdf").getroot().iter("dynamics")
+    assert float(entry.get("damping", "")) > 0.1  # what fits it best in proportion to the speed
+
+
+def test_a_gear_that_loses_more_when_it_is_driven_is_told_by_its_efficiencies(arm):
+    time = np.arange(3000) / 100
+    q, dq, ddq = swung(time)
+    load = rigid(q, ddq)
+    measured = np.where(load * dq > 0, load / 0.8, load * 0.65)
+    recording = replace(
+        made(time, (q, dq, ddq), both),
+        joint_torque=(measured + np.random.default_rng(3).normal(0, NOISE, len(q)))[:, None],
+    )
+    found = diagnose_torques(recording, arm, options=FEW)
+    assert {type(effect) for effect in numbers(found)} == {LoadFriction, TorqueScale}
+    document = with_statements(found.to_dict())
+    (said,) = [one["statement"] for one in document["findings"] if one["effect"] == "load_friction"]
+    (driving, std, driven, other) = map(float, re.findall(r"(\d+\.\d+)", said.partition("efficiency")[2]))
+    assert abs(driving - 80) < 4 * std < 4
+    assert abs(driven - 65) < 4 * other < 4
+
+
 def test_friction_at_rest_says_little_of_friction_in_motion(arm):
     # a quarter of a turn and back with rests, in which friction holds the joint anywhere within its band
     time = np.arange(3000) / 100
@@ -119,6 +155,8 @@ def test_friction_at_rest_says_little_of_friction_in_motion(arm):
     said = numbers(found)
     assert set(said) == {CoulombFriction(1), ViscousFriction(1)}
     assert said[CoulombFriction(1)]["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
+    # nor does it say how large the noise is, which decides what is significant
+    assert found.to_dict()["noise"]["estimated_torque_Nm"][0] == pytest.approx(NOISE, rel=0.15)
 
 
 def test_a_bias_of_the_velocity_is_subtracted_and_said(arm):
@@ -166,6 +204,8 @@ def test_uneven_times_are_made_even_and_said(arm, reason):
     friction = {type(effect): (effect, values) for effect, values in numbers(found).items()}
     assert set(friction) == {CoulombFriction, ViscousFriction}
     coulomb, values = friction[CoulombFriction]
+    assert isinstance(coulomb, CoulombFriction)
+    assert coulomb.transition_rad_per_s is not None
     assert coulomb.transition_rad_per_s <= 0.02  # interpolation passes a reversal in steps of a fiftieth of a second
     assert values["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
     (said,) = [one["statement"] for one in with_statements(found.to_dict())["data_faults"]]
