@@ -86,7 +86,7 @@ class Record:
     ip: Address
     out: Annotated[Path, arg(metavar="FILE")]
     """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. Its
-    rows can be read whatever ends the process: until a .parquet is complete they are in an .arrows of its stem."""
+    rows can be read whatever ends the process: until a .parquet is complete they are in a .csv of its stem."""
     seconds: Annotated[float | None, arg(metavar="S")] = None
     """The duration by the controller's clock; by default until Ctrl-C."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None

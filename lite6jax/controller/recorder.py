@@ -26,7 +26,6 @@ from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
-from lite6jax.recordings.parquet import stream_batch, stream_batches, stream_path, stream_start
 from lite6jax.storage import check_writable, write_atomically
 
 Columns = Mapping[str, NDArray]
@@ -35,17 +34,16 @@ ROWS_AT_ONCE = 250
 """Rows for which writing is worth it: those of a second, which a kill may cost."""
 MOST_AT_ONCE = 2500
 """Rows written together, where more wait."""
-ROW_GROUP = 25_000
-"""Rows of a complete Parquet file that are compressed together."""
+GROUP_BYTES = 1 << 24
+"""Of CSV, some 25 000 rows, which are compressed together in a complete Parquet file."""
 
 
 class TableWriter:
     """A CSV or Parquet table, by the suffix of its path, to which rows are appended.
 
     What is on the disk is complete, even if the process is killed. Rows that a full disk refuses wait in memory. A
-    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in an
-    Arrow stream beside it. The stream is the recording where the process is killed, or where the disk has no room for
-    the Parquet file.
+    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in a CSV
+    of its stem. That is the recording where the process is killed, or where the disk has no room for the Parquet file.
 
     Attributes:
         file: where the rows are.
@@ -60,7 +58,7 @@ class TableWriter:
         """
         self._path, self._overwrite, self._sources = path, overwrite, sources
         self._parquet = path.suffix.lower() == ".parquet"
-        self.file = stream_path(path) if self._parquet else path
+        self.file = path.with_suffix(".csv") if self._parquet else path
         self.waiting, self.refusal = 0, ""
         self._parts: list[Columns] = []
         self._not_before = 0.0
@@ -115,11 +113,8 @@ class TableWriter:
         self._schema = self._schema or pa.schema(fields)
         batch = pa.record_batch(dict(columns), schema=self._schema)
         first, sink = not self._size, pa.BufferOutputStream()
-        if self._parquet:
-            sink.write((stream_start(self._schema) if first else b"") + stream_batch(batch))
-        else:
-            sink.write(",".join(columns).encode() + b"\n" if first else b"")
-            pa_csv.write_csv(batch, sink, pa_csv.WriteOptions(include_header=False))
+        sink.write(",".join(columns).encode() + b"\n" if first else b"")
+        pa_csv.write_csv(batch, sink, pa_csv.WriteOptions(include_header=False))
         rest = memoryview(sink.getvalue())
         size = self._size + len(rest)
         if self._open is None:
@@ -151,20 +146,15 @@ class TableWriter:
             self.file = self._path
 
     def _write_parquet(self, target: Path) -> None:
-        """Writes the stream as Parquet, row group by row group."""
-        assert self._schema is not None
+        """Writes the rows of the CSV as Parquet, row group by row group."""
+        convert = pa_csv.ConvertOptions(column_types=self._schema, null_values=[""], strings_can_be_null=True)
+        rows = pa_csv.open_csv(self.file, pa_csv.ReadOptions(block_size=GROUP_BYTES), convert_options=convert)
         writer = pa_parquet.ParquetWriter(
             target, self._schema, use_dictionary=False, compression="zstd", write_page_checksum=True
         )
-        group: list[pa.RecordBatch] = []
         try:
-            for batch in stream_batches(self.file, []):
-                group.append(batch)
-                if sum(map(len, group)) >= ROW_GROUP:
-                    writer.write_table(pa.Table.from_batches(group))
-                    group.clear()
-            if group:
-                writer.write_table(pa.Table.from_batches(group))
+            for batch in rows:
+                writer.write_batch(batch)
             writer.close()
         except OSError:
             writer.is_open = False  # or its destructor would write to the full disk again
@@ -263,8 +253,7 @@ def check_targets(out: Path, overwrite: bool, factory: bool = True) -> None:
     """
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")
-    stream = [stream_path(out)] if out.suffix.lower() == ".parquet" else []
-    for path in (out, *stream, sidecar_path(out), *([factory_path(out)] if factory else [])):
+    for path in {out, out.with_suffix(".csv"), sidecar_path(out), *([factory_path(out)] if factory else [])}:
         check_writable(path, overwrite)
 
 
@@ -287,7 +276,7 @@ def record(
     Args:
         address: of the controller.
         out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
-            A `.parquet` file is an `.arrows` file of the same stem until the recording has ended.
+            A `.parquet` file is a `.csv` file of the same stem until the recording has ended.
         station: the arm and its settings, from `read_station`.
         seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.

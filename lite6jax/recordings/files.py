@@ -18,7 +18,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.parquet import INFO, SUFFIX, one_line, open_lerobot, open_parquet, open_stream, stream_path
+from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
@@ -28,12 +28,11 @@ from lite6jax.storage import check_readable, check_writable, exists, write_atomi
 
 LOGS = (".mcap", ".db3", ".bag")
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
-SUFFIXES = (*TABLES, SUFFIX, *LOGS)
+SUFFIXES = (*TABLES, *LOGS)
 """Of the files that are recordings."""
 _READERS: Mapping[str, Callable[[Path, list[str]], RawTable]] = {
     **dict.fromkeys(TABLES[:-1], open_text),
     ".parquet": lambda path, notes: open_parquet(path),
-    SUFFIX: open_stream,
 }
 """Of all but logs and folders."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
@@ -89,7 +88,7 @@ def stranger(path: str | Path) -> str:
 def open_table(
     path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str], kinds: Sequence[str] = SUFFIXES
 ) -> tuple[Path, RawTable]:
-    """The table of a recording and where it is: of a Parquet file that was not completed, the stream of its stem.
+    """The table of a recording and where it is: of a Parquet file that was not completed, the CSV of its stem.
 
     Args:
         path: the file or folder.
@@ -102,9 +101,9 @@ def open_table(
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
     suffix, log = path.suffix.lower(), path
-    if suffix == ".parquet" and not exists(path) and exists(growing := stream_path(path)):
+    if suffix == ".parquet" and not exists(path) and exists(growing := path.with_suffix(".csv")):
         notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
-        path, suffix = growing, SUFFIX
+        path, suffix = growing, ".csv"
     try:
         if os.path.isdir(path) and kinds is SUFFIXES and suffix not in SUFFIXES:
             if exists(path / INFO):
