@@ -1,6 +1,5 @@
 """What a recording's numbers reveal: refused where nothing can be made of them, located where a fit can still cope."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import final
 
@@ -12,64 +11,6 @@ from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
-from lite6jax.recordings.units import require_metres, require_near
-
-
-def check_joint_scale(
-    recording: Recording, joint_limits: ArrayLike, spelling: Mapping[str, str] | None = None, assumed: bool = False
-) -> None:
-    """Refuses joint positions so far outside the limits that they must be degrees (`units.far_joint`).
-
-    Args:
-        joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
-        spelling: SI column name to the name in the file, for the message.
-        assumed: whether degrees have been assumed already, so that the message does not ask.
-
-    Raises:
-        InputError: a tenth of the rows or more are beyond twice the widest limit of the arm.
-    """
-    given = np.asarray(joint_limits, dtype=float)
-    if given.shape != (recording.dof, 2):
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, the arm {len(given)}; choose the arm it is of"
-        )
-
-    def said(joint: int) -> tuple[str, str]:
-        name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-        remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees"
-        remedy = "check the unit" if not name.endswith("_rad") or assumed else remedy
-        if joint in recording.sliding:
-            remedy = f"are these millimetres? name the column q{joint + 1}_mm"
-        return f"{recording.source}: column {name}", remedy
-
-    require_near(recording.joint_position, given, said, recording.row, recording.sliding)
-
-
-def check_position_scale(
-    recording: Recording, reach: float, spelling: Mapping[str, str] | None = None, assumed: bool = False
-) -> None:
-    """Refuses measured positions that spread, or lie from the base, so far that they must be millimetres.
-
-    Medians decide, so outliers pass. Only `pose_frame: base` says where the base is; a tracker may stand anywhere.
-
-    Args:
-        reach: the arm's reach in m, without a tool.
-        spelling, assumed: as in `check_joint_scale`.
-
-    Raises:
-        InputError: the median distance from the middle (or the base) is over five reaches.
-    """
-    if recording.position is None:
-        return
-    names = [(spelling or {}).get(name, name) for name in ("x_m", "y_m", "z_m")]
-    if not names[0].endswith("_m") or assumed:
-        remedy = "check the unit"
-    else:
-        remedy = "are these millimetres? name the columns x_mm y_mm z_mm or add --assume-millimetres"
-    place = f"{recording.source}: columns {' '.join(names)}"
-    from_base = recording.settings.pose_frame == "base"
-    require_metres(recording.position, reach, from_base=from_base, remedy=remedy, place=place)
-
 
 HEAVIEST = 20.0
 """Times what the weight of an arm and its payload exerts at full reach: beyond, torques are in another unit. Torques in

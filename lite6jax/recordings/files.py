@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
-from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
-from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
 from lite6jax.recordings.table import RawTable, Table, make_arrays, tabulate
