@@ -181,7 +181,7 @@ class Emulate:
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """A file of your own effects for --effect. It is executed."""
     motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
-    """Rest until a command; a smooth motion; from pose to pose; or the motion in a recording."""
+    """Rest; a smooth motion; from pose to pose; or the motion in a recording."""
     torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
     """The noise of the torques, one sigma: one number for all joints, or one per joint. Without it they are constant at
     rest, as those that a controller computes from a model."""

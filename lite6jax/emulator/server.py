@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.core import Client, Core, Faults
+from lite6jax.emulator.core import Core, Faults, answer, report
 from lite6jax.emulator.paths import Path
-from lite6jax.emulator.replies import PLAUSIBLE, answer, report
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -25,6 +24,8 @@ _T = TypeVar("_T")
 _Writer = asyncio.StreamWriter
 _Handler = Callable[[asyncio.StreamReader, _Writer], Awaitable[None]]
 
+PLAUSIBLE = 1e4
+"""mm of a tool, kg of a payload; larger values and values that are not finite are refused."""
 CALL_S = 30.0
 """s, the time limit of a call between threads."""
 TICK_S = 1 / protocol.RATES[protocol.REALTIME]
@@ -51,9 +52,7 @@ class Snapshot(NamedTuple):
 
     Attributes:
         time: s on its clock.
-        state: 1 moving, 2 ready, 3 paused, 4 stopped, 5 reset.
-        mode: 0 position, 1 servo.
-        error: its code, or 0.
+        state: 1 moving, 2 ready, 4 stopped.
         joints: `(joint,)` rad, measured.
         requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
@@ -62,8 +61,6 @@ class Snapshot(NamedTuple):
 
     time: float
     state: int
-    mode: int
-    error: int
     joints: Array
     requests: dict[int, int]
     connections: dict[int, int]
@@ -80,7 +77,7 @@ class Controller:
     ```
 
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
-    an address of its own. The effects of the body appear only in the pose on port 30000; the module `replies` describes
+    an address of its own. The effects of the body appear only in the pose on port 30000; the module `core` describes
     each port. All public methods may be called from any thread.
     """
 
@@ -224,10 +221,6 @@ class Controller:
         """Replaces the faults; one with an error stops the arm."""
         self.call(lambda core: core.set_faults(faults))
 
-    def close_connections(self) -> None:
-        """Closes all connections; new ones are accepted."""
-        self.call(lambda _: self._abort())
-
     def snapshot(self) -> Snapshot:
         """The present state.
 
@@ -242,7 +235,7 @@ class Controller:
             connections = {port: ports.count(port) for port in self._report_ports}
             joints = core.read_encoders(np.array([core.time]))[0][0]
             connections |= {protocol.CONTROL_PORT: len(self._clients)}
-            state = (core.time, core.state, core.mode, core.error, joints)
+            state = (core.time, core.state, joints)
             return Snapshot(*state, dict(core.requests), connections, self._slow_readers)
 
         return self.call(look)
@@ -357,13 +350,12 @@ class Controller:
 
     async def _control(self, reader: asyncio.StreamReader, writer: _Writer) -> None:
         received = bytearray()
-        client = Client(lambda frame: None if writer.is_closing() else writer.write(frame.encode()))
         self._clients.add(writer)
         try:
             while chunk := await reader.read(65536):
                 received += chunk
                 for frame in protocol.take_frames(received):
-                    await self._reply(answer(self._core, frame, client), writer)
+                    await self._reply(answer(self._core, frame), writer)
         except protocol.MalformedError:
             pass  # closes the connection
         finally:

@@ -113,10 +113,7 @@ def test_a_controller_in_error(lite6, connect):
         code, pose = arm.get_forward_kinematics(Q)  # masked on reads
         assert (code, len(pose)) == (0, 6)
         assert arm.set_servo_angle(angle=Q) == 1
-        assert arm.clean_error() == 1  # still there
-        assert arm.motion_enable(True) == 0
-        assert arm.set_state(0) == 0
-        assert arm.get_state() == (0, 5)
+        assert arm.clean_error() != 0  # still there
         controller.set_faults(Faults())
         assert arm.get_err_warn_code() == (0, [0, 0])
         until(lambda: arm.tcp_offset == tool)
