@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -35,14 +36,11 @@ MOST_AT_ONCE_S = 0.5
 CATCH_UP_S = 0.25
 """s, the largest delay of a round that later rounds compensate."""
 FRAGMENT_PAUSE_S = 2e-4
-MOST_UNSENT = 1 << 26
-"""The number of bytes that may wait for the readers of reports together, each having an equal part, and half at most. A
-connection with more is closed: its reader does not read. A fast clock waits for it from half of its part on."""
+MOST_UNSENT = 1 << 24
+"""The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is closed: its
+reader does not read. A fast clock waits for it first."""
 GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for readers before it closes their connections."""
-LOOK_EVERY_S = 0.1
-"""s, the real time between two looks at what waits in real time: where many do not read, a look takes longer than a
-tick."""
 KERNEL_BUFFER = 1 << 18
 """The number of bytes that the operating system may hold for a connection, beside those counted here."""
 
@@ -139,7 +137,6 @@ class Controller:
         self._failure: Exception | None = None
         self._garbage = np.random.default_rng(0)
         self._slow_readers = 0
-        self._held_since = self._looked = 0.0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
     def open(self) -> "Controller":
@@ -288,8 +285,6 @@ class Controller:
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
             due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
-            if self._wait_for_readers(loop.time()):
-                due = core.time
             # a longer delay slows the emulated clock, so that readers lose no reports
             origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
             due = float(np.floor(due / TICK_S + 1e-9) * TICK_S)
@@ -302,23 +297,21 @@ class Controller:
                     index = np.arange(first + 1, last + 1)
                     self._send(port, index, report(core, port, index / rate))
             core.advance(due)
+            await self._close_slow_readers()
 
-    def _wait_for_readers(self, now: float) -> bool:
-        """Whether a fast clock must wait for readers; closes the connections of those that do not read."""
-        fast = self.speed > 1
-        if not fast and now - self._looked < LOOK_EVERY_S:
-            return False
-        self._looked = now
-        part = MOST_UNSENT / max(len(self._readers), 2) / (2 if fast else 1)
-        slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > part]
-        if not slow:
-            self._held_since = now
-        elif fast and now - self._held_since <= GIVE_UP_S:
-            return True
-        for writer in slow:
+    async def _close_slow_readers(self) -> None:
+        """Closes connections for which too much waits; a fast clock gives their readers time."""
+
+        def slow() -> list[_Writer]:
+            return [writer for writer in self._readers if writer.transport.get_write_buffer_size() > MOST_UNSENT]
+
+        if self.speed > 1 and (waiting := slow()):
+            drained = asyncio.gather(*(writer.drain() for writer in waiting), return_exceptions=True)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(drained, GIVE_UP_S)
+        for writer in slow():
             self._slow_readers += not writer.transport.is_closing()
             writer.transport.abort()
-        return False
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""
