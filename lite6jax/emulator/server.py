@@ -37,8 +37,8 @@ CATCH_UP_S = 0.25
 """s, the largest delay of a round that later rounds compensate."""
 FRAGMENT_PAUSE_S = 2e-4
 MOST_UNSENT = 1 << 24
-"""The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is closed: its
-reader does not read. A fast clock waits for it first."""
+"""The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is
+closed: its reader does not read. A fast clock waits for it first."""
 GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for readers before it closes their connections."""
 KERNEL_BUFFER = 1 << 18
