@@ -161,7 +161,7 @@ class Emulate:
 
         lite6jax emulate --motion sines
         lite6jax emulate --factory arm.yaml --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5
-        lite6jax emulate --arms 3 --fault latency:0.2 --fault fragments
+        lite6jax emulate --arms 3 --fault latency:0.2 --fault lose
     """
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()

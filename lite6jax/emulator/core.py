@@ -52,27 +52,22 @@ class Faults:
     """The faults of an emulated controller; by default none. `describe_faults` describes them.
 
     With `ALL` in `silent` no register has a reply; connections are accepted all the same. NaN in `kinematics` are those
-    of registers 41, 42, 44 and 55. `model` are the axes and the type that registers 1 and 8 state.
+    of registers 41, 42, 44 and 55.
     """
 
     silent: frozenset[int] = _fault(
         frozenset(), "silence", "does not reply, or not for this register", "REGISTER", highest=255
     )
     silent_reports: bool = _fault(False, "silent_reports", "report ports accept connections and send nothing")
-    fragment: int = _fault(0, "fragments", "sends parts of so many bytes", "BYTES", "1", lowest=1)
-    close_after: int | None = _fault(None, "close", "closes after so many bytes of a reply", "BYTES", "90")
     close_reports_after: int | None = _fault(
         None, "close_reports", "closes the connection in the middle of a report after so many", "REPORTS", "500"
     )
     lose_every: int = _fault(0, "lose", "does not send every n-th report of port 30000", "EVERY", "100", lowest=2)
-    garbage: bool = _fault(False, "garbage", "replies with random bytes")
     invalid: bool = _fault(False, "invalid", "reports that the arm has no calibration")
     error: int = _fault(0, "error", "has this error, and stands still", "CODE", "2", 1, 255)
     warning: int = _fault(0, "warning", "has this warning", "CODE", "11", 1, 255)
-    status: int = _fault(0, "status", "adds bits to every status", "BITS", "8", 0, 255)
     latency: float = _fault(0.0, "latency", "delays each reply", "S", "0.5")
     nan: frozenset[str] = _fault(frozenset(), "nan", f"gives NaN in {', '.join(NAN_PLACES)}", "WHERE", "calibration")
-    model: tuple[int, int] | None = _fault(None, "type", "reports another model", "AXES/TYPE", "6/6", 0, 255)
     firmware: tuple[int, int, int] = _fault(
         (2, 7, 1), "firmware", "is older: no calibration below 2.3.0, no reply to its request from 1.12.1", "VERSION",
         "1.12.1",
@@ -145,9 +140,6 @@ def _parse_value(name: str, text: str, lowest: int, highest: int) -> Any:
             if text not in NAN_PLACES:
                 raise InputError(f"fault {name}: {text!r} is not a place; choose one of {', '.join(NAN_PLACES)}")
             return frozenset([text])
-        case "type":
-            axes, _, kind = text.partition("/")
-            return parse_integer(axes), parse_integer(kind)
         case "firmware":
             parts = text.lstrip("vV").split(".")
             if len(parts) != 3 or not all(part.isdecimal() for part in parts):
@@ -240,7 +232,7 @@ class Core:
     @property
     def identity(self) -> protocol.Identity:
         """The content of register 1."""
-        dof, kind = self.faults.model or (self.body.arm.dof, self.body.type)
+        dof, kind = self.body.arm.dof, self.body.type
         prefix, box = {9: "LI", 12: "FX"}.get(kind, "XI"), "DL1000" if kind == 9 else "AC1300"
         return protocol.Identity(dof, kind, f"{prefix}1006", box, self.faults.firmware)
 
@@ -248,8 +240,7 @@ class Core:
     def status(self) -> int:
         """The status of every reply."""
         return (
-            self.faults.status
-            | (Status.ERROR if self.faults.error else 0)
+            (Status.ERROR if self.faults.error else 0)
             | (Status.WARNING if self.faults.warning else 0)
             | (Status.CANNOT_MOVE if self.state == State.STOPPED else 0)
         )

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +35,6 @@ MOST_AT_ONCE_S = 0.5
 """s, the largest emulated time in one round."""
 CATCH_UP_S = 0.25
 """s, the largest delay of a round that later rounds compensate."""
-FRAGMENT_PAUSE_S = 2e-4
 MOST_UNSENT = 1 << 24
 """The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is
 closed: its reader does not read. A fast clock waits for it first."""
@@ -43,26 +42,6 @@ GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for readers before it closes their connections."""
 KERNEL_BUFFER = 1 << 18
 """The number of bytes that the operating system may hold for a connection, beside those counted here."""
-
-
-class Snapshot(NamedTuple):
-    """The state of a controller at an instant.
-
-    Attributes:
-        time: s on its clock.
-        state: 1 moving, 2 ready, 4 stopped.
-        joints: `(joint,)` rad, measured.
-        requests: the number of requests of each register.
-        connections: the number of connections to each port, the control port being 502 whatever its number.
-        slow_readers: the number of connections closed because their clients did not read.
-    """
-
-    time: float
-    state: int
-    joints: Array
-    requests: dict[int, int]
-    connections: dict[int, int]
-    slow_readers: int
 
 
 class Controller:
@@ -77,6 +56,9 @@ class Controller:
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
     an address of its own. The effects of the body appear only in the pose on port 30000; the module `core` describes
     each port. All public methods may be called from any thread.
+
+    Attributes:
+        slow_readers: the number of connections closed because their clients did not read.
     """
 
     def __init__(
@@ -135,8 +117,7 @@ class Controller:
         self._thread: threading.Thread | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
-        self._garbage = np.random.default_rng(0)
-        self._slow_readers = 0
+        self.slow_readers = 0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
     def open(self) -> "Controller":
@@ -218,25 +199,6 @@ class Controller:
         """Replaces the faults; one with an error stops the arm."""
         self.call(lambda core: core.set_faults(faults))
 
-    def snapshot(self) -> Snapshot:
-        """The present state.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._failure is not None:
-            raise self._failure
-
-        def look(core: Core) -> Snapshot:
-            ports = [*self._readers.values()]
-            connections = {port: ports.count(port) for port in self._report_ports}
-            joints = core.read_encoders(np.array([core.time]))[0][0]
-            connections |= {protocol.CONTROL_PORT: len(self._clients)}
-            state = (core.time, core.state, joints)
-            return Snapshot(*state, dict(core.requests), connections, self._slow_readers)
-
-        return self.call(look)
-
     async def _serve(self, listening: "Future[None]") -> None:
         """Listens, and serves until it is stopped.
 
@@ -310,7 +272,7 @@ class Controller:
             with suppress(TimeoutError):
                 await asyncio.wait_for(drained, GIVE_UP_S)
         for writer in slow():
-            self._slow_readers += not writer.transport.is_closing()
+            self.slow_readers += not writer.transport.is_closing()
             writer.transport.abort()
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
@@ -329,9 +291,7 @@ class Controller:
                     writer.close()
                     continue
             self._sent[writer] += len(reports)
-            piece = max(faults.fragment, size // 8) if faults.fragment else max(len(reports), 1)
-            for first in range(0, len(reports), piece):
-                writer.write(reports[first : first + piece])
+            writer.write(reports)
 
     async def _listen(self, port: int, reader: asyncio.StreamReader, writer: _Writer) -> None:
         self._readers[writer], self._sent[writer] = port, 0
@@ -348,30 +308,12 @@ class Controller:
             while chunk := await reader.read(65536):
                 received += chunk
                 for frame in protocol.take_frames(received):
-                    await self._reply(answer(self._core, frame), writer)
+                    reply = answer(self._core, frame)
+                    if reply is not None:
+                        await asyncio.sleep(self._core.faults.latency)
+                        writer.write(reply.encode())
+                        await writer.drain()
         except protocol.MalformedError:
             pass  # closes the connection
         finally:
             self._clients.remove(writer)
-
-    async def _reply(self, reply: protocol.Frame | None, writer: _Writer) -> None:
-        faults = self._core.faults
-        if reply is None:
-            return
-        if faults.latency:
-            await asyncio.sleep(faults.latency)
-        message = reply.encode()
-        if faults.garbage:
-            message = self._garbage.bytes(len(message))
-        cut = faults.close_after is not None and len(message) > faults.close_after
-        if cut:
-            message = message[: faults.close_after]
-        piece = faults.fragment or max(len(message), 1)
-        for first in range(0, len(message), piece):
-            writer.write(message[first : first + piece])
-            await writer.drain()
-            if faults.fragment:
-                await asyncio.sleep(FRAGMENT_PAUSE_S)
-        if cut:
-            writer.close()
-            raise ConnectionAbortedError

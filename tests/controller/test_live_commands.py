@@ -16,7 +16,7 @@ import pyarrow.ipc
 import pyarrow.parquet
 import pytest
 import yaml
-from live import ARM, KINEMATICS, emulated, new_host
+from live import ARM, KINEMATICS, emulated, new_host, snapshot
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
@@ -34,7 +34,7 @@ def test_read_prints_what_it_read_and_writes_a_file_that_fits(capsys, tmp_path):
     out = tmp_path / "arm.yaml"
     with emulated() as (controller, address):
         code, said, err = run(capsys, "read", "--ip", address, "--out", out)
-        assert controller.snapshot().requests == {8: 1}
+        assert snapshot(controller).requests == {8: 1}
     assert (code, err) == (0, "")
     assert f"{address}: factory calibration of 6 joints, of a lite6." in said
     assert "mm from the nominal one on average" in flat(said)
@@ -67,7 +67,7 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
             capsys, "fit", "--ip", address, "--fk-samples", 300, "--out", tmp_path / "model.json",
             "--figures", tmp_path / "figures",
         )  # fmt: skip
-        assert set(controller.snapshot().requests) == {1, 8, 44}
+        assert set(snapshot(controller).requests) == {1, 8, 44}
     assert (code, err) == (0, "")
     said = flat(said)
     assert "Converged" in said

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import yaml
-from live import ARM, KINEMATICS, emulated
+from live import ARM, KINEMATICS, emulated, snapshot
 from test_table import room_for
 
 from lite6jax.arms.factory import read_factory
@@ -148,7 +148,7 @@ def test_given_joints_are_answered_by_the_controller(tmp_path):
     wanted, out = poses(), tmp_path / "fk.csv"
     with emulated(tool=TOOL) as (controller, address):
         done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted)
-        seen = controller.snapshot()
+        seen = snapshot(controller)
     assert set(seen.requests) == {1, 8, 44}
     np.testing.assert_array_equal(seen.joints, np.zeros(6))
     read = read_recording(out)

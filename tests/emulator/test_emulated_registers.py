@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from live import CONTROL_PORT, Line, new_host
+from live import CONTROL_PORT, Line, new_host, snapshot
 
 from lite6jax.controller import protocol
 from lite6jax.emulator import Controller
@@ -35,10 +35,10 @@ def test_version_and_serial_number(arm):
 
 def test_what_is_not_emulated_is_called_invalid(arm, controller):
     assert arm.get_gripper_position()[0] != 0
-    before = controller.snapshot()
+    before = snapshot(controller)
     for change in (arm.motion_enable, arm.clean_error, arm.clean_warn):
         assert change() != 0
-    after = controller.snapshot()
+    after = snapshot(controller)
     assert (before.state, before.joints.tolist()) == (after.state, after.joints.tolist())
     with Line(controller) as line:
         assert line.send(protocol.Frame(199))[7] & 8

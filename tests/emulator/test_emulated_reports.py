@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from live import CONTROL_PORT, new_host, read_reports, until
+from live import CONTROL_PORT, new_host, read_reports, snapshot, until
 from scipy.interpolate import PPoly
 from scipy.spatial.transform import Rotation
 
@@ -66,7 +66,7 @@ def test_ports_keep_their_rates(lite6, port, count, field):
     rate, start = [0.1, 0, 0, 0, 0, 0], [-3.0, 0, 1, 0, 0, 0]
     path = Polynomials(PPoly(np.array([[rate], [start]]), [0.0, 60.0]), 60.0)
     with emulated(lite6, path=path, speed=4.0) as controller:
-        until(lambda: controller.snapshot().time > 0.1)
+        until(lambda: snapshot(controller).time > 0.1)
         turned = np.diff(read_reports(controller, port, count)[field][:, 0].astype(float))
     np.testing.assert_allclose(turned / 0.1, 1 / protocol.RATES[port], atol=1e-5)
 
