@@ -121,13 +121,8 @@ def time_disorder(recording: Recording) -> TimeDisorder:
     """Finds rows out of time order within their run; empty where there are none or no times."""
     if recording.time is None:
         return TimeDisorder(np.empty(0, np.int64), np.empty(0, np.int64), 0.0)
-    # the running maximum within each run: lift the ranks of every run above all before it, and one pass serves them all
-    order = np.argsort(recording.time, kind="stable")
-    rank = np.empty(recording.samples, np.int64)
-    rank[order] = np.arange(recording.samples)
-    lift = run_segments(recording.run) * recording.samples
-    latest = recording.time[order][np.maximum.accumulate(rank + lift) - lift]
-    back = latest - recording.time
+    runs = np.split(recording.time, np.flatnonzero(np.diff(recording.run)) + 1)
+    back = np.concatenate([np.maximum.accumulate(time) - time for time in runs])
     late = np.flatnonzero(back > 0)
     return TimeDisorder(late, recording.row[late], float(back.max()))
 
@@ -145,13 +140,9 @@ def repeated_rows(recording: Recording) -> RepeatedRows:
     """Finds samples with exactly the joints and pose of an earlier one, which a noisy sensor never gives twice."""
     blocks = (recording.joint_position, recording.position, recording.quaternion)
     table = np.column_stack([block for block in blocks if block is not None]) + 0.0  # -0.0 becomes 0.0
-    # sorting whole rows is slow: sort one hash each, and compare in full only where it recurs
-    factors = np.random.default_rng(0).integers(1, 2**63, size=table.shape[1], dtype=np.uint64) | np.uint64(1)
-    key = (table.view(np.uint64) ^ (table.view(np.uint64) >> np.uint64(29))) @ factors
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    earlier = first[inverse]
+    _, first, inverse = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    earlier = first[inverse.ravel()]
     again = np.flatnonzero(earlier != np.arange(recording.samples))
-    again = again[(table[again] == table[earlier[again]]).all(axis=1)]
     return RepeatedRows(again, recording.row[again], recording.row[earlier[again]])
 
 
