@@ -5,7 +5,7 @@ which a recording is diagnosed, and take no time to compile.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.dynamics import link_parameters
 from lite6jax.arms.factory import recognise
-from lite6jax.arms.frames import six_entries
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic import (
@@ -224,17 +224,9 @@ class Body:
 
     @cached_property
     def _inertial_numbers(self) -> Array:
-        """`(joint, 10)` of each link about its frame's origin: m, m·c, and the tensor's xx yy zz xy xz yz.
-
-        Links without tensors are points.
-        """
-        assert self.arm.mass is not None
-        assert self.arm.center_of_mass is not None
-        links = zip(self.arm.mass, self.arm.center_of_mass, strict=True)
-        numbers = np.stack([point_mass(float(mass), center) for mass, center in links])
-        if self.arm.inertia is not None:
-            numbers[:, 4:] += six_entries(self.arm.inertia)
-        return numbers
+        """`(joint, 10)` of each link, as `link_parameters` gives them; links without tensors are points."""
+        points = replace(self.arm, inertia=np.zeros((self.arm.dof, 3, 3)))
+        return link_parameters(points if self.arm.inertia is None else self.arm)
 
     def torque(self, sample: Sample, acceleration: Array, load: Load) -> Array:
         """`(sample, joint)` N·m that the motors exert about +z of the joints, without noise; zero without masses.
