@@ -103,9 +103,8 @@ def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_ther
     assert (np.diff(read.time) > 0).all()
 
 
-@pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
-def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
-    out = tmp_path / name
+def test_a_full_disk_costs_only_what_does_not_fit(tmp_path):
+    out = tmp_path / "run.parquet"
     with emulated(path=draw_sines(ARM), speed=40.0) as (_, address):
         station = read_station(address, ARM, "lite6")
         with room_for(1_500_000):
