@@ -78,24 +78,11 @@ def check_velocity_scale(recording: Recording) -> None:
 
 
 def require_samples(recording: Recording, unknowns: int) -> None:
-    """Refuses a recording from which nothing can be estimated: numbers missing, or fewer than are to be determined.
+    """Refuses a recording from which nothing can be estimated.
 
     Raises:
-        InputError: a number that is not real or not finite, which the readers of files and arrays leave out; no
-            measured pose; or too few samples, and the message gives both counts.
+        InputError: no measured pose; or fewer numbers than are to be determined, and the message gives both counts.
     """
-    for name, column in recording.columns().items():
-        if column.dtype == object:  # words
-            continue
-        if np.iscomplexobj(column):
-            raise InputError(f"{recording.source}: column {name} holds complex numbers; give real ones")
-        missing = np.flatnonzero(~np.isfinite(column))
-        if missing.size:
-            row = int(missing[0])
-            raise InputError(
-                f"{recording.source}: row {recording.row[row]} has {column[row]} in column {name}; leave such rows out "
-                "with drop_missing, as Recording.from_arrays and read_recording do"
-            )
     each = recording.numbers_per_sample
     if not each:
         raise InputError(f"{recording.source}: has no measured positions; a fit needs the columns x_m y_m z_m")
