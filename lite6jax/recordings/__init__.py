@@ -1,9 +1,6 @@
 """Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them."""
 
 from lite6jax.recordings.checks import (
-    OutsideLimits,
-    RepeatedRows,
-    TimeDisorder,
     check_torque_scale,
     check_velocity_scale,
     estimated_torque,
@@ -34,13 +31,10 @@ from lite6jax.recordings.units import require_radians
 __all__ = [
     "ArmJoints",
     "FactoryUncertainty",
-    "OutsideLimits",
     "Readings",
     "Recording",
     "RecordingSettings",
-    "RepeatedRows",
     "Targets",
-    "TimeDisorder",
     "check_joint_scale",
     "check_position_scale",
     "check_torque_scale",
