@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from contextlib import closing, contextmanager, suppress
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -34,6 +35,16 @@ def emulated(body=None, **options):
     options = {"address": new_host(), "control_port": CONTROL_PORT} | options
     with Controller(body or Body(ARM, KINEMATICS), **options) as controller:
         yield controller, Address(controller.address, controller.control_port)
+
+
+def snapshot(controller):
+    """Time, state, joints and requests of a controller, between two steps of its clock."""
+
+    def look(core):
+        joints = core.read_encoders(np.array([core.time]))[0][0]
+        return SimpleNamespace(time=core.time, state=core.state, joints=joints, requests=dict(core.requests))
+
+    return controller.call(look)
 
 
 @contextmanager

@@ -106,6 +106,3 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
     path = write_recording(Recording.from_arrays([[0.0] * 6], factory_calibration="own.json"), tmp_path / "run7.csv")
     assert refused(capsys, "fit", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
     assert refused(capsys, "diagnose", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
-
-
-# ------------------------------------------------------------------ what crashed on numbers

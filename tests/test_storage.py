@@ -9,16 +9,10 @@ import hypothesis
 import pytest
 import yaml
 from hypothesis import strategies as st
+from typed import refusal
 
 from lite6jax import storage
 from lite6jax.errors import InputError
-
-
-def refused(function, *arguments):
-    with pytest.raises(InputError) as caught:
-        function(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 @pytest.fixture
@@ -33,12 +27,12 @@ def deadline():
 def test_pipes_and_devices_are_neither_read_nor_replaced(tmp_path):
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)
-    assert refused(storage.read_yaml, pipe).endswith("is a pipe; write its content to a file first, and name that")
-    assert "/dev/zero: is a device" in refused(storage.read_text, "/dev/zero", 10)
-    assert "is a pipe, which a file would replace" in refused(storage.write_atomically, pipe, "text", True)
-    assert "is a device, which a file would replace" in refused(storage.check_writable, "/dev/null", True)
-    assert "is a folder; name a file" in refused(storage.read_text, tmp_path, 10)
-    assert "no such file" in refused(storage.read_text, pipe / "below", 10)
+    assert refusal(storage.read_yaml, pipe).endswith("is a pipe; write its content to a file first, and name that")
+    assert "/dev/zero: is a device" in refusal(storage.read_text, "/dev/zero", 10)
+    assert "is a pipe, which a file would replace" in refusal(storage.write_atomically, pipe, "text", True)
+    assert "is a device, which a file would replace" in refusal(storage.check_writable, "/dev/null", True)
+    assert "is a folder; name a file" in refusal(storage.read_text, tmp_path, 10)
+    assert "no such file" in refusal(storage.read_text, pipe / "below", 10)
 
 
 @pytest.mark.parametrize("code", [errno.EPERM, errno.EOPNOTSUPP])
@@ -55,7 +49,7 @@ def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
         (tmp_path / "late.txt").write_text("theirs")
         target.write_text("mine")
 
-    assert "appeared while it was being written" in refused(storage.write_atomically, tmp_path / "late.txt", appear)
+    assert "appeared while it was being written" in refusal(storage.write_atomically, tmp_path / "late.txt", appear)
     assert (tmp_path / "late.txt").read_text() == "theirs"
     assert sorted(os.listdir(tmp_path)) == ["late.txt", "new.txt"]
 
@@ -78,7 +72,7 @@ def test_yaml_that_would_end_the_process(tmp_path, monkeypatch, loader, text, me
     monkeypatch.setattr(storage, "_LOADER", getattr(storage.yaml, loader))
     path = tmp_path / "deep.yaml"
     path.write_text(text)
-    assert message in refused(storage.read_yaml, path)
+    assert message in refusal(storage.read_yaml, path)
 
 
 _NAMES = st.sampled_from(["x", "y", "joint1", "no", "true", "Null", "1", "a b", "kinematics", "_z"])

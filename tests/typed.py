@@ -7,6 +7,8 @@ import pytest
 
 from lite6jax import cli
 from lite6jax.errors import InputError
+from lite6jax.recordings import read_recording
+from lite6jax.recordings.files import split_topics
 
 
 def run(capsys, *arguments, width=80):
@@ -32,6 +34,13 @@ def refusal(call, *args, **kwargs):
         call(*args, **kwargs)
     assert "\n" not in str(error.value)
     return str(error.value)
+
+
+def unread(path, call=read_recording, **options):
+    """The line with which a file is refused, after its name."""
+    message, (file, _) = refusal(call, path, **options), split_topics(path)
+    assert message.startswith(f"{file}: ")
+    return message.removeprefix(f"{file}: ")
 
 
 def flat(text):

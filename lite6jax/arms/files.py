@@ -44,7 +44,7 @@ WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
 """The forms that hold an arm rather than its chain alone, and what writes them."""
 
 _XML = (".urdf", ".xacro", ".xml", ".mjcf")
-_MEASUREMENTS = (".csv", ".parquet", ".arrows", ".mcap", ".db3", ".bag", ".xlsx")
+_MEASUREMENTS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".xlsx")
 _ROOT = re.compile(r"<([A-Za-z][\w.:-]*)")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 

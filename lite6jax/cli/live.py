@@ -86,7 +86,7 @@ class Record:
     ip: Address
     out: Annotated[Path, arg(metavar="FILE")]
     """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. Its
-    rows can be read whatever ends the process: until a .parquet is complete they are in an .arrows of its stem."""
+    rows can be read whatever ends the process: until a .parquet is complete they are in a .csv of its stem."""
     seconds: Annotated[float | None, arg(metavar="S")] = None
     """The duration by the controller's clock; by default until Ctrl-C."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -161,7 +161,7 @@ class Emulate:
 
         lite6jax emulate --motion sines
         lite6jax emulate --factory arm.yaml --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5
-        lite6jax emulate --arms 3 --fault latency:0.2 --fault fragments
+        lite6jax emulate --arms 3 --fault latency:0.2 --fault lose
     """
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
@@ -181,7 +181,7 @@ class Emulate:
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """A file of your own effects for --effect. It is executed."""
     motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
-    """Rest until a command; a smooth motion; from pose to pose; or the motion in a recording."""
+    """Rest; a smooth motion; from pose to pose; or the motion in a recording."""
     torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
     """The noise of the torques, one sigma: one number for all joints, or one per joint. Without it they are constant at
     rest, as those that a controller computes from a model."""

@@ -34,37 +34,18 @@ class MalformedError(ValueError):
 
 
 class Register(IntEnum):
-    """The quantity or the action to which a request refers."""
+    """The quantity to which a request refers: of the vendor's registers those that are read here."""
 
     VERSION = 1
     SERIAL_NUMBER = 2
     CALIBRATION = 8
-    MOTION_ENABLE = 11
-    SET_STATE = 12
     STATE = 13
     COMMAND_COUNT = 14
     ERROR_WARNING = 15
-    CLEAR_ERROR = 16
-    CLEAR_WARNING = 17
-    SET_MODE = 19
-    MOVE_JOINTS = 23
-    MOVE_JOINTS_BLENDED = 24
-    MOVE_HOME = 25
-    SERVO_JOINTS = 29
-    SET_TOOL_OFFSET = 35
-    SET_PAYLOAD = 36
     POSE = 41
     JOINTS = 42
-    INVERSE_KINEMATICS = 43
     FORWARD_KINEMATICS = 44
-    JOINT_LIMIT = 45
     TORQUE = 55
-    DH = 67
-    POSE_AXIS_ANGLE = 91
-    CHECK_FEEDBACK = 253
-    FEEDBACK_TYPE = 254
-    FEEDBACK = 255
-    """Never requested: the controller sends it when a move ends."""
 
 
 class Status(IntFlag):
@@ -219,16 +200,6 @@ class Calibration(NamedTuple):
 CALIBRATION_PAYLOAD = 3 + 4 * 6 * JOINTS
 CALIBRATION_REPLY = 8 + CALIBRATION_PAYLOAD
 """Bytes; 179."""
-
-MOTION_STARTED, MOTION_ENDED = 1, 2
-"""Kinds of feedback, enabled by register 254."""
-
-
-def encode_feedback(command: Frame, kind: int, code: int, time_us: int, task: int = 0) -> Frame:
-    """The notification about a command (register 255); `code` is 0 for done, 1 for failed, 2 for discarded."""
-    body = struct.pack(">BBBHBQ", Status.OK, kind, command.register, task, code, time_us)
-    return command._replace(register=Register.FEEDBACK, body=body)
-
 
 REALTIME, NORMAL, RICH, REAL = 30000, 30001, 30002, 30003
 RATES = {REALTIME: 250.0, NORMAL: 5.0, RICH: 5.0, REAL: 100.0}

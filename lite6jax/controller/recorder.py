@@ -26,30 +26,26 @@ from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
-from lite6jax.recordings.parquet import stream_batch, stream_batches, stream_path, stream_start
 from lite6jax.storage import check_writable, write_atomically
 
 Columns = Mapping[str, NDArray]
 
 ROWS_AT_ONCE = 250
 """Rows for which writing is worth it: those of a second, which a kill may cost."""
-MOST_AT_ONCE = 2500
-"""Rows written together, where more wait."""
-ROW_GROUP = 25_000
-"""Rows of a complete Parquet file that are compressed together."""
+GROUP_BYTES = 1 << 24
+"""Of CSV, some 25 000 rows, which are compressed together in a complete Parquet file."""
 
 
 class TableWriter:
     """A CSV or Parquet table, by the suffix of its path, to which rows are appended.
 
-    What is on the disk is complete, even if the process is killed. Rows that a full disk refuses wait in memory. A
-    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in an
-    Arrow stream beside it. The stream is the recording where the process is killed, or where the disk has no room for
-    the Parquet file.
+    What is on the disk is complete, even if the process is killed. Once a disk refuses rows, no more are written. A
+    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in a CSV
+    of its stem. That is the recording where the process is killed, or where the disk has no room for the Parquet file.
 
     Attributes:
         file: where the rows are.
-        waiting: the number of rows in memory.
+        waiting: the number of rows that are not written.
         refusal: why the disk does not accept them; empty while it does.
     """
 
@@ -60,39 +56,34 @@ class TableWriter:
         """
         self._path, self._overwrite, self._sources = path, overwrite, sources
         self._parquet = path.suffix.lower() == ".parquet"
-        self.file = stream_path(path) if self._parquet else path
+        self.file = path.with_suffix(".csv") if self._parquet else path
         self.waiting, self.refusal = 0, ""
         self._parts: list[Columns] = []
-        self._not_before = 0.0
         self._schema: pa.Schema | None = None
         self._open: io.FileIO | None = None
         self._size = 0
 
     def append(self, columns: Columns) -> None:
-        """Appends rows, and writes where there are enough and the disk refused none within the last second."""
+        """Appends rows, and writes where there are enough."""
         self._parts.append(columns)
         self.waiting += len(next(iter(columns.values())))
-        while self.waiting >= ROWS_AT_ONCE and time.monotonic() >= self._not_before and self.flush():
-            pass
+        if self.waiting >= ROWS_AT_ONCE:
+            self.flush()
 
-    def flush(self, most: int = MOST_AT_ONCE) -> bool:
-        """Writes up to `most` rows, all or none; whether the disk took them."""
-        columns = {name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]}
-        self._parts = [columns]
+    def flush(self) -> None:
+        """Writes the rows that wait, all or none."""
+        if self.refusal or not self.waiting:
+            return
         try:
-            self._write({name: values[:most] for name, values in columns.items()})
+            self._write({name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]})
         except OSError as error:
-            self.refusal, self._not_before = error.strerror or str(error), time.monotonic() + 1.0
-            return False
-        self._parts = [{name: values[most:] for name, values in columns.items()}]
-        self.waiting, self.refusal = max(self.waiting - most, 0), ""
-        return True
+            self.refusal = error.strerror or str(error)
+            return
+        self._parts, self.waiting = [], 0
 
     def close(self) -> None:
-        """Writes the remaining rows as far as possible, and completes the file; without rows there is none."""
-        most = MOST_AT_ONCE
-        while self.waiting and most:
-            most = most if self.flush(most) else most // 2
+        """Writes the remaining rows, and completes the file; without rows there is none."""
+        self.flush()
         try:
             self._complete()
         except OSError as error:
@@ -115,11 +106,8 @@ class TableWriter:
         self._schema = self._schema or pa.schema(fields)
         batch = pa.record_batch(dict(columns), schema=self._schema)
         first, sink = not self._size, pa.BufferOutputStream()
-        if self._parquet:
-            sink.write((stream_start(self._schema) if first else b"") + stream_batch(batch))
-        else:
-            sink.write(",".join(columns).encode() + b"\n" if first else b"")
-            pa_csv.write_csv(batch, sink, pa_csv.WriteOptions(include_header=False))
+        sink.write(",".join(columns).encode() + b"\n" if first else b"")
+        pa_csv.write_csv(batch, sink, pa_csv.WriteOptions(include_header=False))
         rest = memoryview(sink.getvalue())
         size = self._size + len(rest)
         if self._open is None:
@@ -151,20 +139,15 @@ class TableWriter:
             self.file = self._path
 
     def _write_parquet(self, target: Path) -> None:
-        """Writes the stream as Parquet, row group by row group."""
-        assert self._schema is not None
+        """Writes the rows of the CSV as Parquet, row group by row group."""
+        convert = pa_csv.ConvertOptions(column_types=self._schema, null_values=[""], strings_can_be_null=True)
+        rows = pa_csv.open_csv(self.file, pa_csv.ReadOptions(block_size=GROUP_BYTES), convert_options=convert)
         writer = pa_parquet.ParquetWriter(
             target, self._schema, use_dictionary=False, compression="zstd", write_page_checksum=True
         )
-        group: list[pa.RecordBatch] = []
         try:
-            for batch in stream_batches(self.file, []):
-                group.append(batch)
-                if sum(map(len, group)) >= ROW_GROUP:
-                    writer.write_table(pa.Table.from_batches(group))
-                    group.clear()
-            if group:
-                writer.write_table(pa.Table.from_batches(group))
+            for batch in rows:
+                writer.write_batch(batch)
             writer.close()
         except OSError:
             writer.is_open = False  # or its destructor would write to the full disk again
@@ -178,8 +161,6 @@ FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 SLOW_S = 0.25
 """The time without a report after which the connection, not the controller's clock, is late."""
-MOST_WAITING = 150_000
-"""Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
 MOST_IN_SIDECAR = 100
 """Gaps listed in a sidecar, the longest; the columns `missing` and `gap` of the table have all."""
 
@@ -263,8 +244,7 @@ def check_targets(out: Path, overwrite: bool, factory: bool = True) -> None:
     """
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")
-    stream = [stream_path(out)] if out.suffix.lower() == ".parquet" else []
-    for path in (out, *stream, sidecar_path(out), *([factory_path(out)] if factory else [])):
+    for path in {out, out.with_suffix(".csv"), sidecar_path(out), *([factory_path(out)] if factory else [])}:
         check_writable(path, overwrite)
 
 
@@ -280,14 +260,13 @@ def record(
 ) -> LiveRecording:
     """Records an arm in motion or at standstill. Nothing is sent to it.
 
-    Rows are written during the recording. A lost connection is replaced by a new one, with the next `run`. On a full
-    disk rows are kept in memory; those that cannot be written are counted. The recording ends at `stop` or after
-    `seconds`.
+    Rows are written during the recording. A lost connection is replaced by a new one, with the next `run`. It ends at
+    `stop`, after `seconds`, or where the disk is full; rows that cannot be written are counted.
 
     Args:
         address: of the controller.
         out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
-            A `.parquet` file is an `.arrows` file of the same stem until the recording has ended.
+            A `.parquet` file is a `.csv` file of the same stem until the recording has ended.
         station: the arm and its settings, from `read_station`.
         seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.
@@ -385,13 +364,11 @@ def _take_rows(
             if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
                 silence = f"no report for {now - heard:.1f} s"
                 return trouble or (silence if now - heard > SLOW_S else "the controller's clock is slow")
-            if table.waiting > MOST_WAITING and table.refusal:
+            if table.refusal:
                 return "the disk took no more rows"
             if now - shown > 0.2:
                 shown = now
-                full = f"the disk cannot be written ({table.refusal}): {table.waiting} rows are kept in memory"
-                problem = full if table.refusal else trouble
-                show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, problem))
+                show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, trouble))
         return ""
 
 

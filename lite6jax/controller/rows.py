@@ -157,8 +157,7 @@ class Rows:
         parts = []
         for length, same in groupby(event.reports, len):
             reports = np.frombuffer(b"".join(same), protocol.report_layout(protocol.REALTIME, length))
-            # modulo 2⁶⁴, which the clock may exceed
-            steps = np.diff(reports["time_us"].astype(np.uint64)).view(np.int64)
+            steps = np.diff(reports["time_us"].astype(np.int64))
             cuts = np.flatnonzero((steps < 0) | (steps > self._largest_step_us(event))) + 1
             parts += [self._continue(part, event) for part in np.split(reports, cuts)]
         parts = [part for part in parts if part is not None]
@@ -177,12 +176,11 @@ class Rows:
 
     def _continue(self, reports: NDArray, event: Reports) -> dict[str, NDArray] | None:
         """The columns of reports with a continuous clock; None if all are duplicates or too late."""
-        clock = reports["time_us"].astype(np.uint64)
-        elapsed = (clock - clock[0]).view(np.int64)
+        clock = reports["time_us"].astype(np.int64)
+        elapsed = clock - clock[0]
         reconnected = event.connection != self._connection
         step = int(clock[0]) - self._clock if self.count else 0
-        forward = step % 2**64  # as the clock counts
-        continuous = forward <= self._largest_step_us(event)
+        continuous = 0 <= step <= self._largest_step_us(event)
         new = np.diff(elapsed, prepend=-1) > 0
         if self.count and step == 0:
             new[0] = False
@@ -194,7 +192,7 @@ class Rows:
                 " firmware"
             )
         pause = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if reconnected else PERIOD_US)
-        time_us = elapsed + (self._time_us + (forward if continuous else pause) if self.count else 0)
+        time_us = elapsed + (self._time_us + (step if continuous else pause) if self.count else 0)
         if self.seconds is not None:
             late = time_us / 1e6 >= self.seconds - 1e-9
             self.complete = self.complete or bool(late.any())

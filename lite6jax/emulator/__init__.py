@@ -3,14 +3,13 @@
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.core import Faults, describe_faults, parse_faults
 from lite6jax.emulator.paths import interpolate, read_path, visit
-from lite6jax.emulator.server import Controller, Snapshot
+from lite6jax.emulator.server import Controller
 from lite6jax.simulation.motions import draw_sines
 
 __all__ = [
     "Body",
     "Controller",
     "Faults",
-    "Snapshot",
     "describe_faults",
     "draw_sines",
     "interpolate",

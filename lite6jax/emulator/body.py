@@ -5,19 +5,18 @@ which a recording is diagnosed, and take no time to compile.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.dynamics import link_parameters
 from lite6jax.arms.factory import recognise
-from lite6jax.arms.frames import six_entries
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic import (
@@ -49,8 +48,6 @@ BLOCK = 128
 _GRAVITY = np.array(STANDARD_GRAVITY)
 _CAUSES_OF_BOTH = {kind.name: kind for kind in (PayloadTorque, TorqueTimeOffset)}
 """Causes that a sensor of poses and one of torques both see: the same payload and the same clock."""
-_REACH = 0.1
-"""m per rad, the weight of orientation errors relative to position errors in inverse kinematics."""
 
 
 class Sample(NamedTuple):
@@ -72,7 +69,7 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """An emulated arm. Immutable: its motion is in the timeline.
+    """An emulated arm.
 
     Attributes:
         arm: the nominal arm: limits, masses, flange.
@@ -160,34 +157,6 @@ class Body:
         """`(..., 4, 4)` T_base_flange at `(..., joint)` rad by the calibrated or the nominal chain."""
         return frames.chain(self.arm.links if nominal else self.links, q) @ self.arm.T_joint_flange
 
-    def inverse_kinematics(self, goal: Array, reference: Array, limited: bool = True) -> Array | None:
-        """`(joint,)` rad at which the flange is at `goal` `(4, 4)`, close to the reference; None if none is found.
-
-        Damped Gauss-Newton from the reference and, if that does not converge, from 64 other joint positions, of whose
-        solutions the closest is chosen. Joint limits hold if `limited`.
-        """
-        lower, upper = self.arm.joint_limits.T
-        rng = np.random.default_rng(0)
-        others = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (64, self.arm.dof))
-        for q in (reference[None], others):
-            for _ in range(60):
-                T = np.stack([*frames.walk(self.links, q)][1:], 1)
-                flange = T[:, -1] @ self.arm.T_joint_flange
-                axis, lever = T[..., :3, 2], flange[:, None, :3, 3] - T[..., :3, 3]
-                J = np.swapaxes(np.concatenate([np.cross(axis, lever), _REACH * axis], -1), 1, 2)
-                normal = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(self.arm.dof)
-                slope = np.swapaxes(J, 1, 2) @ _weighted_twist(flange, goal)[..., None]
-                step = np.linalg.solve(normal, slope)[..., 0]
-                q = q + step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / 0.5)
-            q = q[np.linalg.norm(_weighted_twist(self.flange(q), goal), axis=1) < 1e-8]
-            q = q + 2 * np.pi * np.round((reference - q) / (2 * np.pi))
-            if limited:
-                q = q - 2 * np.pi * (q > upper + 1e-9) + 2 * np.pi * (q < lower - 1e-9)
-                q = q[((q >= lower - 1e-9) & (q <= upper + 1e-9)).all(axis=1)]
-            if len(q):
-                return q[np.argmin(np.abs(q - reference).max(axis=1))]
-        return None
-
     def temperature(self, time: Array) -> Array:
         """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""
         rise = self.warm_up * -np.expm1(-np.asarray(time) / 1200.0)
@@ -255,17 +224,9 @@ class Body:
 
     @cached_property
     def _inertial_numbers(self) -> Array:
-        """`(joint, 10)` of each link about its frame's origin: m, m·c, and the tensor's xx yy zz xy xz yz.
-
-        Links without tensors are points.
-        """
-        assert self.arm.mass is not None
-        assert self.arm.center_of_mass is not None
-        links = zip(self.arm.mass, self.arm.center_of_mass, strict=True)
-        numbers = np.stack([point_mass(float(mass), center) for mass, center in links])
-        if self.arm.inertia is not None:
-            numbers[:, 4:] += six_entries(self.arm.inertia)
-        return numbers
+        """`(joint, 10)` of each link, as `link_parameters` gives them; links without tensors are points."""
+        points = replace(self.arm, inertia=np.zeros((self.arm.dof, 3, 3)))
+        return link_parameters(points if self.arm.inertia is None else self.arm)
 
     def torque(self, sample: Sample, acceleration: Array, load: Load) -> Array:
         """`(sample, joint)` N·m that the motors exert about +z of the joints, without noise; zero without masses.
@@ -303,12 +264,6 @@ class Body:
             return np.zeros((len(time), self.arm.dof))
         streams = (np.random.Philox(key=int(instant)) for instant in np.round(time * 1e6))
         return self.torque_noise * np.stack([np.random.Generator(it).standard_normal(self.arm.dof) for it in streams])
-
-
-def _weighted_twist(here: Array, goal: Array) -> Array:
-    """`(..., 6)` from one frame to another: translation in m, then rotation vector in rad times `_REACH`."""
-    turn = Rotation.from_matrix(goal[:3, :3] @ np.swapaxes(here[..., :3, :3], -1, -2)).as_rotvec()
-    return np.concatenate([goal[:3, 3] - here[..., :3, 3], _REACH * turn], -1)
 
 
 class _LinkMotion(NamedTuple):

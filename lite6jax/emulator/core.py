@@ -1,8 +1,25 @@
-"""The emulated controller without sockets: faults, states, queue of moves, and the commanded, measured and true arm."""
+"""The emulated controller without sockets: faults, state, the reply to each register, and the reports of each port.
+
+Like the commands that read it, it is read only: a request that would move or set something is invalid. Registers follow
+the vendor's documents and the SDK. Where these specify nothing, the reply is an assumption with which the SDK works,
+and the comment says so. Register 44 always gives the controller's kinematics by its calibration, without effects. The
+reports are such that an arm with hidden effects can be recorded and diagnosed:
+
+- 30000, `target_…`: the commanded joints and the controller's kinematics of them, without effects.
+- 30000, joints and velocities: the readings of encoders, 8 ms after the commands. They do not contain the effects,
+  because compliance or backlash acts between encoder and link.
+- Every port and the registers 42 and 55, torques: what the motors exert in the motion of the encoders, by the dynamics
+  of the rigid arm and its payload, with the effects on torques and their noise. Currents follow them.
+- 30000, `pose`: the true pose of the tool *with* all effects, as measured by a perfect sensor. This is the only
+  deviation from a real controller, which computes this pose from the encoders. It replaces a laser tracker.
+- 30001, 30002, 30003 and the registers 41 and 42: the commanded joints and the controller's kinematics of them.
+  Register 42 with a parameter gives the encoder readings.
+"""
 
 import math
-from collections import Counter, deque
-from collections.abc import Callable, Iterable
+import struct
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any, Final
@@ -12,9 +29,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.entries import suggestion
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Frame, Status
+from lite6jax.controller.protocol import Frame, Register, Status
 from lite6jax.emulator.body import SPACING_S, Body, Load, Sample
-from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Path, Timeline, move, servo
+from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Path, rest
 from lite6jax.errors import InputError
 
 ALL = -1
@@ -35,27 +52,22 @@ class Faults:
     """The faults of an emulated controller; by default none. `describe_faults` describes them.
 
     With `ALL` in `silent` no register has a reply; connections are accepted all the same. NaN in `kinematics` are those
-    of registers 41 to 45, 55 and 91. `model` are the axes and the type that registers 1 and 8 state.
+    of registers 41, 42, 44 and 55.
     """
 
     silent: frozenset[int] = _fault(
         frozenset(), "silence", "does not reply, or not for this register", "REGISTER", highest=255
     )
     silent_reports: bool = _fault(False, "silent_reports", "report ports accept connections and send nothing")
-    fragment: int = _fault(0, "fragments", "sends parts of so many bytes", "BYTES", "1", lowest=1)
-    close_after: int | None = _fault(None, "close", "closes after so many bytes of a reply", "BYTES", "90")
     close_reports_after: int | None = _fault(
         None, "close_reports", "closes the connection in the middle of a report after so many", "REPORTS", "500"
     )
     lose_every: int = _fault(0, "lose", "does not send every n-th report of port 30000", "EVERY", "100", lowest=2)
-    garbage: bool = _fault(False, "garbage", "replies with random bytes")
     invalid: bool = _fault(False, "invalid", "reports that the arm has no calibration")
-    error: int = _fault(0, "error", "has this error, which persists after clearing", "CODE", "2", 1, 255)
+    error: int = _fault(0, "error", "has this error, and stands still", "CODE", "2", 1, 255)
     warning: int = _fault(0, "warning", "has this warning", "CODE", "11", 1, 255)
-    status: int = _fault(0, "status", "adds bits to every status", "BITS", "8", 0, 255)
     latency: float = _fault(0.0, "latency", "delays each reply", "S", "0.5")
     nan: frozenset[str] = _fault(frozenset(), "nan", f"gives NaN in {', '.join(NAN_PLACES)}", "WHERE", "calibration")
-    model: tuple[int, int] | None = _fault(None, "type", "reports another model", "AXES/TYPE", "6/6", 0, 255)
     firmware: tuple[int, int, int] = _fault(
         (2, 7, 1), "firmware", "is older: no calibration below 2.3.0, no reply to its request from 1.12.1", "VERSION",
         "1.12.1",
@@ -128,9 +140,6 @@ def _parse_value(name: str, text: str, lowest: int, highest: int) -> Any:
             if text not in NAN_PLACES:
                 raise InputError(f"fault {name}: {text!r} is not a place; choose one of {', '.join(NAN_PLACES)}")
             return frozenset([text])
-        case "type":
-            axes, _, kind = text.partition("/")
-            return parse_integer(axes), parse_integer(kind)
         case "firmware":
             parts = text.lstrip("vV").split(".")
             if len(parts) != 3 or not all(part.isdecimal() for part in parts):
@@ -144,19 +153,12 @@ def _parse_value(name: str, text: str, lowest: int, highest: int) -> Any:
 
 Array = NDArray[np.floating]
 
-POSITIONS, SERVO = 0, 1
-"""The emulated modes in which joints move."""
-
 LAG_S: Final = 0.008
 """s, the delay of the joints relative to their commands: two periods of the control loop."""
 DIFFERENCE_S: Final = 1e-3
 """s, the step of the finite differences for speeds and accelerations."""
-LIMIT_TOLERANCE: Final = math.radians(0.1)
 BOOT_US: Final = 60_000_000
 """µs, the controller's clock at the start of the emulation."""
-MOST_COMMANDS: Final = 2048
-JOINT_LIMIT_ERROR: Final = 23
-"""ControllerError 23 of the SDK: "Joints Angle Exceed Limit"."""
 
 
 class State(IntEnum):
@@ -164,36 +166,7 @@ class State(IntEnum):
 
     MOVING = 1
     READY = 2
-    PAUSED = 3
     STOPPED = 4
-    RESET = 5
-
-
-class RefusedError(Exception):
-    """A command that the controller refuses in its present state; the reply has the status `INVALID`."""
-
-
-@dataclass
-class Client:
-    """A connection to port 502: how to send to it, and its kinds of feedback."""
-
-    send: Callable[[Frame], None]
-    feedback: int = 0
-
-
-@dataclass
-class Move:
-    """A queued joint move with the connection to notify; without a goal, only a request to notify."""
-
-    request: Frame
-    client: Client
-    feedback: int
-    goal: Array | None = None
-    speed: float = 0.0
-    acceleration: float = 0.0
-    start: float = 0.0
-    end: float = 0.0
-    begun: bool = False
 
 
 @dataclass(eq=False)
@@ -205,9 +178,10 @@ class Core:
 
     Attributes:
         path: the motion from the start; None for rest at zero.
-        tool, payload: `(6,)` mm and rad, and `(4,)` kg and centre of mass in mm, as set by `set_load`.
+        tool, payload: `(6,)` mm and rad, and `(4,)` kg and centre of mass in mm.
         time: s since the start.
         requests: the number of requests of each register.
+        stopped: s, when an error stopped the arm; infinite without one.
     """
 
     body: Body
@@ -217,150 +191,48 @@ class Core:
     payload: Array = field(default_factory=lambda: np.zeros(4))
     time: float = 0.0
     requests: Counter[int] = field(default_factory=Counter)
-    state: State = State.STOPPED
-    mode: int = POSITIONS
-    enabled: int = 0
-    error: int = 0
-    warning: int = 0
+    stopped: float = np.inf
 
     def __post_init__(self) -> None:
-        start = np.zeros(self.body.arm.dof) if self.path is None else self.path.at(np.zeros(1))[0][0]
-        self.timeline = Timeline(start)
+        self._motion = rest(np.zeros(self.body.arm.dof)) if self.path is None else self.path
         self.direction = np.zeros(self.body.arm.dof)
-        self.queue: deque[Move] = deque()
-        self.following = False
         self.set_faults(self.faults)
-        self.set_load(self.tool, self.payload)
-        if self.path is not None and not self.error:
-            self.follow(self.path)
+        T_flange = self.body.arm.T_joint_flange
+        center = T_flange[:3, :3] @ self.payload[1:] / protocol.MM + T_flange[:3, 3]
+        self.load = Load(protocol.read_pose(self.tool), float(self.payload[0]), center)
 
     def set_faults(self, faults: Faults) -> None:
-        """Replaces the faults; one with an error stops the arm."""
-        self.faults, self.error, self.warning = faults, faults.error, faults.warning
-        if self.error:
-            self.halt(State.STOPPED)
-
-    def set_load(self, tool: Array, payload: Array) -> None:
-        """Sets the tool offset `(6,)` in mm and rad, and the payload `(4,)` in kg and mm."""
-        self.tool, self.payload = tool, payload
-        T_flange = self.body.arm.T_joint_flange
-        center = T_flange[:3, :3] @ payload[1:] / protocol.MM + T_flange[:3, 3]
-        self.load = Load(protocol.read_pose(tool), float(payload[0]), center)
-
-    def follow(self, path: Path) -> None:
-        """Follows a path, which must start at the present position, until a command stops it."""
-        self.enabled = self.every_motor
-        self.state, self.following = State.MOVING, True
-        self.timeline.append(path, self.time)
+        """Replaces the faults; one with an error stops the arm for good."""
+        self.faults = faults
+        if faults.error:
+            self.stopped = min(self.stopped, self.time)
 
     def advance(self, time: float) -> None:
-        """Advances the clock to `time` s, and notifies of the moves that have begun or ended."""
+        """Advances the clock to `time` s."""
         instants = np.linspace(self.time, time, 1 + math.ceil((time - self.time) / SPACING_S))[1:]
         self.direction = _directions(self.read_encoders(instants)[1], self.direction)[-1]
         self.time = time
-        while self.queue and self.queue[0].start <= time:
-            queued = self.queue[0]
-            if not queued.begun:
-                queued.begun = True
-                self._notify(queued, protocol.MOTION_STARTED, 0)
-            if queued.end > time:
-                break
-            self.queue.popleft()
-            self._notify(queued, protocol.MOTION_ENDED, 0)
-        if self.timeline.end <= time:
-            self.following = False
-            if self.state == State.MOVING:
-                self.state = State.READY
-
-    def _notify(self, queued: Move, kind: int, code: int) -> None:
-        if queued.feedback & kind:
-            queued.client.send(protocol.encode_feedback(queued.request, kind, code, self.clock_us(self.time)))
 
     def clock_us(self, time: float) -> int:
         """µs, the controller's clock."""
         return BOOT_US + round(time * 1e6)
 
-    def pause(self, state: State = State.PAUSED) -> None:
-        """Stops, keeps the queue, and changes to `state`."""
-        self.timeline.stop(self.time)
-        self.following, self.state = False, state
-
-    def halt(self, state: State) -> None:
-        """Stops, discards the queue with feedback, and changes to `state`."""
-        self.pause(state)
-        while self.queue:
-            self._notify(self.queue.popleft(), protocol.MOTION_ENDED, 2)
-
-    def resume(self) -> None:
-        """Resumes the queue."""
-        self.state = State.READY
-        moves, self.queue = self.queue, deque()
-        for queued in moves:
-            self.enqueue(queued)
-
-    def move(self, goal: Array, speed: float, acceleration: float, request: Frame, client: Client) -> None:
-        """Queues a move if the arm can move. A goal beyond the limits is error 23 and stops the arm, as on a real one.
-
-        The goal is `(joint,)` rad. Speed (rad/s; 0 for 20 °/s) and acceleration (rad/s²; 0 for 500 °/s²) are limited to
-        those of the arm.
-
-        Raises:
-            RefusedError: another mode than `POSITIONS`, or a full queue.
-        """
-        if not self._may_move(goal, POSITIONS):
-            return
-        if self.following:
-            self.halt(State.READY)
-        speed = min(speed, MAX_SPEED) if speed > 0 else math.radians(20)
-        acceleration = min(acceleration, MAX_ACCELERATION) if acceleration > 0 else math.radians(500)
-        self.enqueue(Move(request, client, client.feedback, goal, speed, acceleration))
-
-    def servo(self, goal: Array) -> None:
-        """Moves to `(joint,)` rad immediately, within the limit of speed; refused in another mode than `SERVO`."""
-        if self._may_move(goal, SERVO):
-            here = self.read_commands(np.array([self.time]))[0][0]
-            self.timeline.append(servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
-            self.state = State.MOVING
-
-    def _may_move(self, goal: Array, mode: int) -> bool:
-        """Whether the arm can move to `goal`; if not, the status of the reply states the reason."""
-        if not self.can_move:
-            return False
-        if self.mode != mode:
-            raise RefusedError
-        if self.exceeds_limits(goal):
-            self.error = JOINT_LIMIT_ERROR
-            self.halt(State.STOPPED)
-            return False
-        return True
-
-    def enqueue(self, queued: Move) -> None:
-        """Appends a move after all planned ones; refused by a full queue."""
-        if len(self.queue) >= MOST_COMMANDS:
-            raise RefusedError
-        queued.start = queued.end = max(self.time, self.timeline.end)
-        if queued.goal is not None:
-            here = self.read_commands(np.array([queued.start]))[0][0]
-            path = move(here, queued.goal, queued.speed, queued.acceleration)
-            self.timeline.append(path, queued.start)
-            queued.end += path.duration
-            self.state = State.MOVING
-        self.queue.append(queued)
+    @property
+    def state(self) -> State:
+        """Whether the arm moves, has moved, or neither did nor can."""
+        if self.path is None or self.stopped < np.inf:
+            return State.STOPPED
+        return State.MOVING if self.time < self.path.duration else State.READY
 
     @property
-    def can_move(self) -> bool:
-        """Motors on, no error, not stopped."""
-        return self.state < State.STOPPED and self.enabled == self.every_motor and not self.error
-
-    @property
-    def every_motor(self) -> int:
-        """`enabled` with all motors on."""
-        return (1 << self.body.arm.dof) - 1
+    def enabled(self) -> int:
+        """The motors that are on, a bit each: all of an arm that can move, else none."""
+        return 0 if self.state == State.STOPPED else (1 << self.body.arm.dof) - 1
 
     @property
     def identity(self) -> protocol.Identity:
         """The content of register 1."""
-        dof, kind = self.faults.model or (self.body.arm.dof, self.body.type)
+        dof, kind = self.body.arm.dof, self.body.type
         prefix, box = {9: "LI", 12: "FX"}.get(kind, "XI"), "DL1000" if kind == 9 else "AC1300"
         return protocol.Identity(dof, kind, f"{prefix}1006", box, self.faults.firmware)
 
@@ -368,24 +240,20 @@ class Core:
     def status(self) -> int:
         """The status of every reply."""
         return (
-            self.faults.status
-            | (Status.ERROR if self.error else 0)
-            | (Status.WARNING if self.warning else 0)
-            | (0 if self.can_move else Status.CANNOT_MOVE)
+            (Status.ERROR if self.faults.error else 0)
+            | (Status.WARNING if self.faults.warning else 0)
+            | (Status.CANNOT_MOVE if self.state == State.STOPPED else 0)
         )
 
-    def exceeds_limits(self, q: Array) -> bool:
-        """Whether a joint exceeds its limits by more than 0.1° or is not finite."""
-        lower, upper = self.body.arm.joint_limits.T
-        return not ((q >= lower - LIMIT_TOLERANCE) & (q <= upper + LIMIT_TOLERANCE) & np.isfinite(q)).all()
-
     def read_commands(self, time: Array) -> tuple[Array, Array]:
-        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s."""
-        return self.timeline.at(time)
+        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion."""
+        last = min(self.stopped, self._motion.duration)
+        position, velocity = self._motion.at(np.clip(time, 0.0, last))
+        return position, np.where(((time > 0) & (time < last))[:, None], velocity, 0.0)
 
     def read_encoders(self, time: Array) -> tuple[Array, Array]:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
-        return self.timeline.at(time - LAG_S)
+        return self.read_commands(time - LAG_S)
 
     def compute_pose(self, q: ArrayLike) -> Array:
         """`(..., 4, 4)` the tool pose by the controller's kinematics: its calibration and the tool offset."""
@@ -416,3 +284,156 @@ def _directions(velocity: Array, last: Array) -> Array:
         before = direction[k - 1] if k else last
         direction[k] = np.where(direction[k] == 0, before, direction[k])
     return direction
+
+
+# ------------------------------------------------------------------ replies
+
+
+UNPACKED: Final = 64
+"""Zeros in an invalid reply: the SDK unpacks the payload before the status and fails on a shorter one."""
+SENSITIVITY: Final = 3
+"""Of collisions and of teaching, which is not emulated."""
+AMPERE_PER_NM: Final = 0.08
+AMPERE_PER_RAD_PER_S: Final = 0.05
+"""The assumed motor: current per torque, and per velocity for friction."""
+
+
+class RefusedError(Exception):
+    """A request that is not emulated."""
+
+
+def answer(core: Core, request: Frame) -> Frame | None:
+    """The reply to a request, or None for no reply.
+
+    The reply to a request of a wrong size or of a register that is not emulated is invalid (an assumption).
+    """
+    core.requests[request.register] += 1
+    if not core.faults.answers(request.register):
+        return None
+    if request.protocol == protocol.STANDARD:  # standard Modbus: "illegal function"; the SDK would wait 3 h for a reply
+        return request._replace(body=bytes([(request.body or b"\0")[0] | 0x80, 1]))
+    if request.protocol not in (protocol.PRIVATE, protocol.PRIVATE_ALIVE):
+        return None  # the SDK's heartbeat
+    invalid = Status.OK
+    try:
+        with np.errstate(all="ignore"):  # joints that are not finite give such a pose
+            payload = _read(core, request)
+            if isinstance(payload, np.ndarray):
+                payload = protocol.encode_floats(payload * np.nan if "kinematics" in core.faults.nan else payload)
+    except (ValueError, RefusedError):  # of wrong size, or refused
+        payload, invalid = bytes(UNPACKED), Status.INVALID
+    return request.reply(payload, invalid | core.status)
+
+
+def _read(core: Core, request: Frame) -> bytes | Array:
+    """The payload of the reply to a request, of kinematics and torques as numbers.
+
+    Raises:
+        RefusedError: the register is not emulated.
+        ValueError: parameters of a wrong size.
+    """
+    body, now = request.body, np.array([core.time])
+    match request.register:
+        case Register.VERSION:
+            return core.identity.encode()
+        case Register.SERIAL_NUMBER:
+            return protocol.encode_text(f"{core.identity.arm}230801E01\0{core.identity.box}230801E02\n")
+        case Register.CALIBRATION:
+            valid, identity = core.faults.calibrated, core.identity
+            rows = core.body.kinematics if valid else np.zeros((0, 6))
+            rows = rows * np.nan if "calibration" in core.faults.nan else rows
+            return protocol.Calibration(int(valid), identity.dof, identity.type, rows).encode()
+        case Register.STATE:
+            return bytes([core.state])
+        case Register.COMMAND_COUNT:
+            return struct.pack(">H", 0)
+        case Register.ERROR_WARNING:
+            return bytes([core.faults.error, core.faults.warning])
+        case Register.POSE:
+            return protocol.encode_pose(core.compute_pose(core.read_commands(now)[0][0]))
+        case Register.JOINTS:
+            if not body:
+                return protocol.pad_joints(core.read_commands(now)[0][0])
+            blocks = body[0] & 0x0F
+            if not 1 <= blocks <= 3:
+                raise RefusedError
+            return protocol.pad_joints(np.concatenate([*core.read_encoders(now), core.torque(now)])[:blocks])
+        case Register.FORWARD_KINEMATICS:
+            q = protocol.read_floats(body[: 4 * protocol.JOINTS], protocol.JOINTS)[: core.body.arm.dof]
+            return protocol.encode_pose(core.compute_pose(q))
+        case Register.TORQUE:
+            return protocol.pad_joints(core.torque(now)[0])
+    raise RefusedError
+
+
+# ------------------------------------------------------------------ reports
+
+
+def report(core: Core, port: int, time: Array) -> bytes:
+    """The concatenated reports of a port at increasing instants `(sample,)` s."""
+    records = np.zeros(len(time), protocol.report_layout(port))
+    records["length"] = records.dtype.itemsize
+    records["state_mode"] = core.state
+    commanded, measured, torque = core.read_commands(time), core.read_encoders(time), core.torque(time)
+    current = protocol.pad_joints(AMPERE_PER_NM * torque + AMPERE_PER_RAD_PER_S * measured[1])
+    records["torque"] = protocol.pad_joints(torque)
+    if port == protocol.REALTIME:
+        records["current"] = current
+        _fill_realtime(core, time, records, commanded, measured)
+    else:
+        T, speed = _pose_and_speed(core, *commanded)
+        records["joint_position"] = protocol.pad_joints(commanded[0])
+        records["pose"] = protocol.encode_pose(T)
+        names = records.dtype.names or ()
+        if "error" in names:
+            records["brakes"] = records["enabled"] = core.enabled
+            records["error"], records["warning"] = core.faults.error, core.faults.warning
+            records["tool_offset"], records["payload"] = core.tool, core.payload
+            records["collision_sensitivity"] = records["teach_sensitivity"] = SENSITIVITY
+            records["gravity_direction"] = [0, 0, -1]
+        if "temperature" in names:
+            identity = core.identity
+            records["dof"], records["type"] = identity.dof, identity.type
+            records["master"], records["slave"] = 0xAA, 0x55
+            records["version"] = identity.encode().rstrip(b"\0")[:30]
+            records["pose_limits"] = [1000, 1, 50000, 0.1, 1000]  # mm and s, as the SDK assumes them
+            records["joint_limits"] = [20, 0.01, MAX_ACCELERATION, 1e-4, MAX_SPEED]
+            records["turn_limits"] = [2.3, 2.7]
+            records["temperature"] = np.round(protocol.pad_joints(core.body.temperature(time)))
+            records["joint_velocity"] = protocol.pad_joints(commanded[1])
+            records["pose_speed"] = np.linalg.norm(speed[:, :3], axis=1)
+            records["voltage"] = 2400
+            records["current"] = current
+            records["axis_angle"] = protocol.encode_axis_angle(T)[:, 3:]
+    if "reports" in core.faults.nan:
+        for name in ("joint_position", "pose"):
+            records[name] = np.nan
+    return records.tobytes()
+
+
+def _fill_realtime(
+    core: Core, time: Array, records: np.ndarray, commanded: tuple[Array, Array], measured: tuple[Array, Array]
+) -> None:
+    records["time_us"] = np.round(time * 1e6).astype(np.uint64) + core.clock_us(0.0)
+    encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
+    # accelerations are one-sided, so that a later command does not change earlier reports
+    earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]
+    T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
+    if core.body.physics.effects or core.faults.nominal_kinematics:
+        T[len(time) :] = core.true_poses(time)
+    records["target_pose"], records["pose"] = np.split(encode(T), 2)
+    records["target_pose_speed"], records["pose_speed"] = np.split(speed, 2)
+    for prefix, (q, dq), before in zip(("target", "joint"), (commanded, measured), earlier, strict=True):
+        records[f"{prefix}_position"] = protocol.pad_joints(q)
+        records[f"{prefix}_velocity"] = protocol.pad_joints(dq)
+        records[f"{prefix}_acceleration"] = protocol.pad_joints((dq - before) / DIFFERENCE_S)
+
+
+def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
+    """Poses `(sample, 4, 4)` m by the controller's kinematics, and their speeds `(sample, 6)`, mm/s and rad/s."""
+    half = DIFFERENCE_S / 2 * dq
+    before, here, after = np.split(core.compute_pose(np.concatenate([q - half, q, q + half])), 3)
+    shift = (after[:, :3, 3] - before[:, :3, 3]) * protocol.MM
+    turn = (after[:, :3, :3] - before[:, :3, :3]) @ np.swapaxes(here[:, :3, :3], 1, 2)
+    spin = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], -1)
+    return here, np.concatenate([shift, spin], -1) / DIFFERENCE_S

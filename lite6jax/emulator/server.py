@@ -7,17 +7,17 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
-from lite6jax.emulator.core import Client, Core, Faults
+from lite6jax.emulator.core import Core, Faults, answer, report
 from lite6jax.emulator.paths import Path
-from lite6jax.emulator.replies import PLAUSIBLE, answer, report
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -25,6 +25,8 @@ _T = TypeVar("_T")
 _Writer = asyncio.StreamWriter
 _Handler = Callable[[asyncio.StreamReader, _Writer], Awaitable[None]]
 
+PLAUSIBLE = 1e4
+"""mm of a tool, kg of a payload; larger values and values that are not finite are refused."""
 CALL_S = 30.0
 """s, the time limit of a call between threads."""
 TICK_S = 1 / protocol.RATES[protocol.REALTIME]
@@ -33,41 +35,13 @@ MOST_AT_ONCE_S = 0.5
 """s, the largest emulated time in one round."""
 CATCH_UP_S = 0.25
 """s, the largest delay of a round that later rounds compensate."""
-FRAGMENT_PAUSE_S = 2e-4
-MOST_UNSENT = 1 << 26
-"""The number of bytes that may wait for the readers of reports together, each having an equal part, and half at most. A
-connection with more is closed: its reader does not read. A fast clock waits for it from half of its part on."""
+MOST_UNSENT = 1 << 24
+"""The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is
+closed: its reader does not read. A fast clock waits for it first."""
 GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for readers before it closes their connections."""
-LOOK_EVERY_S = 0.1
-"""s, the real time between two looks at what waits in real time: where many do not read, a look takes longer than a
-tick."""
 KERNEL_BUFFER = 1 << 18
 """The number of bytes that the operating system may hold for a connection, beside those counted here."""
-
-
-class Snapshot(NamedTuple):
-    """The state of a controller at an instant.
-
-    Attributes:
-        time: s on its clock.
-        state: 1 moving, 2 ready, 3 paused, 4 stopped, 5 reset.
-        mode: 0 position, 1 servo.
-        error: its code, or 0.
-        joints: `(joint,)` rad, measured.
-        requests: the number of requests of each register.
-        connections: the number of connections to each port, the control port being 502 whatever its number.
-        slow_readers: the number of connections closed because their clients did not read.
-    """
-
-    time: float
-    state: int
-    mode: int
-    error: int
-    joints: Array
-    requests: dict[int, int]
-    connections: dict[int, int]
-    slow_readers: int
 
 
 class Controller:
@@ -80,8 +54,11 @@ class Controller:
     ```
 
     The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
-    an address of its own. The effects of the body appear only in the pose on port 30000; the module `replies` describes
+    an address of its own. The effects of the body appear only in the pose on port 30000; the module `core` describes
     each port. All public methods may be called from any thread.
+
+    Attributes:
+        slow_readers: the number of connections closed because their clients did not read.
     """
 
     def __init__(
@@ -140,9 +117,7 @@ class Controller:
         self._thread: threading.Thread | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._failure: Exception | None = None
-        self._garbage = np.random.default_rng(0)
-        self._slow_readers = 0
-        self._held_since = self._looked = 0.0
+        self.slow_readers = 0
         report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
     def open(self) -> "Controller":
@@ -224,29 +199,6 @@ class Controller:
         """Replaces the faults; one with an error stops the arm."""
         self.call(lambda core: core.set_faults(faults))
 
-    def close_connections(self) -> None:
-        """Closes all connections; new ones are accepted."""
-        self.call(lambda _: self._abort())
-
-    def snapshot(self) -> Snapshot:
-        """The present state.
-
-        Raises:
-            Exception: the one that ended the thread.
-        """
-        if self._failure is not None:
-            raise self._failure
-
-        def look(core: Core) -> Snapshot:
-            ports = [*self._readers.values()]
-            connections = {port: ports.count(port) for port in self._report_ports}
-            joints = core.read_encoders(np.array([core.time]))[0][0]
-            connections |= {protocol.CONTROL_PORT: len(self._clients)}
-            state = (core.time, core.state, core.mode, core.error, joints)
-            return Snapshot(*state, dict(core.requests), connections, self._slow_readers)
-
-        return self.call(look)
-
     async def _serve(self, listening: "Future[None]") -> None:
         """Listens, and serves until it is stopped.
 
@@ -295,8 +247,6 @@ class Controller:
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
             due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
-            if self._wait_for_readers(loop.time()):
-                due = core.time
             # a longer delay slows the emulated clock, so that readers lose no reports
             origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
             due = float(np.floor(due / TICK_S + 1e-9) * TICK_S)
@@ -309,23 +259,21 @@ class Controller:
                     index = np.arange(first + 1, last + 1)
                     self._send(port, index, report(core, port, index / rate))
             core.advance(due)
+            await self._close_slow_readers()
 
-    def _wait_for_readers(self, now: float) -> bool:
-        """Whether a fast clock must wait for readers; closes the connections of those that do not read."""
-        fast = self.speed > 1
-        if not fast and now - self._looked < LOOK_EVERY_S:
-            return False
-        self._looked = now
-        part = MOST_UNSENT / max(len(self._readers), 2) / (2 if fast else 1)
-        slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > part]
-        if not slow:
-            self._held_since = now
-        elif fast and now - self._held_since <= GIVE_UP_S:
-            return True
-        for writer in slow:
-            self._slow_readers += not writer.transport.is_closing()
+    async def _close_slow_readers(self) -> None:
+        """Closes connections for which too much waits; a fast clock gives their readers time."""
+
+        def slow() -> list[_Writer]:
+            return [writer for writer in self._readers if writer.transport.get_write_buffer_size() > MOST_UNSENT]
+
+        if self.speed > 1 and (waiting := slow()):
+            drained = asyncio.gather(*(writer.drain() for writer in waiting), return_exceptions=True)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(drained, GIVE_UP_S)
+        for writer in slow():
+            self.slow_readers += not writer.transport.is_closing()
             writer.transport.abort()
-        return False
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""
@@ -343,9 +291,7 @@ class Controller:
                     writer.close()
                     continue
             self._sent[writer] += len(reports)
-            piece = max(faults.fragment, size // 8) if faults.fragment else max(len(reports), 1)
-            for first in range(0, len(reports), piece):
-                writer.write(reports[first : first + piece])
+            writer.write(reports)
 
     async def _listen(self, port: int, reader: asyncio.StreamReader, writer: _Writer) -> None:
         self._readers[writer], self._sent[writer] = port, 0
@@ -357,36 +303,17 @@ class Controller:
 
     async def _control(self, reader: asyncio.StreamReader, writer: _Writer) -> None:
         received = bytearray()
-        client = Client(lambda frame: None if writer.is_closing() else writer.write(frame.encode()))
         self._clients.add(writer)
         try:
             while chunk := await reader.read(65536):
                 received += chunk
                 for frame in protocol.take_frames(received):
-                    await self._reply(answer(self._core, frame, client), writer)
+                    reply = answer(self._core, frame)
+                    if reply is not None:
+                        await asyncio.sleep(self._core.faults.latency)
+                        writer.write(reply.encode())
+                        await writer.drain()
         except protocol.MalformedError:
             pass  # closes the connection
         finally:
             self._clients.remove(writer)
-
-    async def _reply(self, reply: protocol.Frame | None, writer: _Writer) -> None:
-        faults = self._core.faults
-        if reply is None:
-            return
-        if faults.latency:
-            await asyncio.sleep(faults.latency)
-        message = reply.encode()
-        if faults.garbage:
-            message = self._garbage.bytes(len(message))
-        cut = faults.close_after is not None and len(message) > faults.close_after
-        if cut:
-            message = message[: faults.close_after]
-        piece = faults.fragment or max(len(message), 1)
-        for first in range(0, len(message), piece):
-            writer.write(message[first : first + piece])
-            await writer.drain()
-            if faults.fragment:
-                await asyncio.sleep(FRAGMENT_PAUSE_S)
-        if cut:
-            writer.close()
-            raise ConnectionAbortedError

@@ -19,7 +19,7 @@ with import_lazily():
     from lite6jax.recordings import settings as sidecar
 
 CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
-RECORDINGS = (".csv", ".parquet", ".arrows")
+RECORDINGS = (".csv", ".parquet")
 LOGS = (".mcap", ".bag")
 """The suffixes of files; a recording may be a folder as well."""
 BATCH = 128
@@ -177,8 +177,6 @@ def list_recordings(place: Place) -> list[str]:
         return recordings.recording_file(Path(place.root, name)) is not None
 
     names = list(filter(is_recording, place.names()))
-    # rows of a recording that is not complete yet, or was ended, stand in a file of the same stem
-    names = [name for name in names if _suffix(name) != ".arrows" or f"{Path(name).stem}.parquet" not in names]
     if not names:
         raise InputError(f"{place.shown}: has no recording ({', '.join(kinds)}); name another folder")
     return names

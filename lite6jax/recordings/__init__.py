@@ -1,11 +1,6 @@
 """Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them."""
 
 from lite6jax.recordings.checks import (
-    OutsideLimits,
-    RepeatedRows,
-    TimeDisorder,
-    check_joint_scale,
-    check_position_scale,
     check_torque_scale,
     check_velocity_scale,
     estimated_torque,
@@ -16,7 +11,13 @@ from lite6jax.recordings.checks import (
 )
 from lite6jax.recordings.files import Targets, read_recording, read_targets, recording_file, stranger, write_recording
 from lite6jax.recordings.readings import Readings, readings_from_arrays
-from lite6jax.recordings.recording import Recording, drop_missing, join_recordings
+from lite6jax.recordings.recording import (
+    Recording,
+    check_joint_scale,
+    check_position_scale,
+    drop_missing,
+    join_recordings,
+)
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import (
     FactoryUncertainty,
@@ -30,13 +31,10 @@ from lite6jax.recordings.units import require_radians
 __all__ = [
     "ArmJoints",
     "FactoryUncertainty",
-    "OutsideLimits",
     "Readings",
     "Recording",
     "RecordingSettings",
-    "RepeatedRows",
     "Targets",
-    "TimeDisorder",
     "check_joint_scale",
     "check_position_scale",
     "check_torque_scale",

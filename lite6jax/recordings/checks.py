@@ -1,6 +1,5 @@
 """What a recording's numbers reveal: refused where nothing can be made of them, located where a fit can still cope."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import final
 
@@ -12,64 +11,6 @@ from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
-from lite6jax.recordings.units import require_metres, require_near
-
-
-def check_joint_scale(
-    recording: Recording, joint_limits: ArrayLike, spelling: Mapping[str, str] | None = None, assumed: bool = False
-) -> None:
-    """Refuses joint positions so far outside the limits that they must be degrees (`units.far_joint`).
-
-    Args:
-        joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
-        spelling: SI column name to the name in the file, for the message.
-        assumed: whether degrees have been assumed already, so that the message does not ask.
-
-    Raises:
-        InputError: a tenth of the rows or more are beyond twice the widest limit of the arm.
-    """
-    given = np.asarray(joint_limits, dtype=float)
-    if given.shape != (recording.dof, 2):
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, the arm {len(given)}; choose the arm it is of"
-        )
-
-    def said(joint: int) -> tuple[str, str]:
-        name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-        remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees"
-        remedy = "check the unit" if not name.endswith("_rad") or assumed else remedy
-        if joint in recording.sliding:
-            remedy = f"are these millimetres? name the column q{joint + 1}_mm"
-        return f"{recording.source}: column {name}", remedy
-
-    require_near(recording.joint_position, given, said, recording.row, recording.sliding)
-
-
-def check_position_scale(
-    recording: Recording, reach: float, spelling: Mapping[str, str] | None = None, assumed: bool = False
-) -> None:
-    """Refuses measured positions that spread, or lie from the base, so far that they must be millimetres.
-
-    Medians decide, so outliers pass. Only `pose_frame: base` says where the base is; a tracker may stand anywhere.
-
-    Args:
-        reach: the arm's reach in m, without a tool.
-        spelling, assumed: as in `check_joint_scale`.
-
-    Raises:
-        InputError: the median distance from the middle (or the base) is over five reaches.
-    """
-    if recording.position is None:
-        return
-    names = [(spelling or {}).get(name, name) for name in ("x_m", "y_m", "z_m")]
-    if not names[0].endswith("_m") or assumed:
-        remedy = "check the unit"
-    else:
-        remedy = "are these millimetres? name the columns x_mm y_mm z_mm or add --assume-millimetres"
-    place = f"{recording.source}: columns {' '.join(names)}"
-    from_base = recording.settings.pose_frame == "base"
-    require_metres(recording.position, reach, from_base=from_base, remedy=remedy, place=place)
-
 
 HEAVIEST = 20.0
 """Times what the weight of an arm and its payload exerts at full reach: beyond, torques are in another unit. Torques in
@@ -137,24 +78,11 @@ def check_velocity_scale(recording: Recording) -> None:
 
 
 def require_samples(recording: Recording, unknowns: int) -> None:
-    """Refuses a recording from which nothing can be estimated: numbers missing, or fewer than are to be determined.
+    """Refuses a recording from which nothing can be estimated.
 
     Raises:
-        InputError: a number that is not real or not finite, which the readers of files and arrays leave out; no
-            measured pose; or too few samples, and the message gives both counts.
+        InputError: no measured pose; or fewer numbers than are to be determined, and the message gives both counts.
     """
-    for name, column in recording.columns().items():
-        if column.dtype == object:  # words
-            continue
-        if np.iscomplexobj(column):
-            raise InputError(f"{recording.source}: column {name} holds complex numbers; give real ones")
-        missing = np.flatnonzero(~np.isfinite(column))
-        if missing.size:
-            row = int(missing[0])
-            raise InputError(
-                f"{recording.source}: row {recording.row[row]} has {column[row]} in column {name}; leave such rows out "
-                "with drop_missing, as Recording.from_arrays and read_recording do"
-            )
     each = recording.numbers_per_sample
     if not each:
         raise InputError(f"{recording.source}: has no measured positions; a fit needs the columns x_m y_m z_m")
@@ -180,13 +108,8 @@ def time_disorder(recording: Recording) -> TimeDisorder:
     """Finds rows out of time order within their run; empty where there are none or no times."""
     if recording.time is None:
         return TimeDisorder(np.empty(0, np.int64), np.empty(0, np.int64), 0.0)
-    # the running maximum within each run: lift the ranks of every run above all before it, and one pass serves them all
-    order = np.argsort(recording.time, kind="stable")
-    rank = np.empty(recording.samples, np.int64)
-    rank[order] = np.arange(recording.samples)
-    lift = run_segments(recording.run) * recording.samples
-    latest = recording.time[order][np.maximum.accumulate(rank + lift) - lift]
-    back = latest - recording.time
+    runs = np.split(recording.time, np.flatnonzero(np.diff(recording.run)) + 1)
+    back = np.concatenate([np.maximum.accumulate(time) - time for time in runs])
     late = np.flatnonzero(back > 0)
     return TimeDisorder(late, recording.row[late], float(back.max()))
 
@@ -204,13 +127,9 @@ def repeated_rows(recording: Recording) -> RepeatedRows:
     """Finds samples with exactly the joints and pose of an earlier one, which a noisy sensor never gives twice."""
     blocks = (recording.joint_position, recording.position, recording.quaternion)
     table = np.column_stack([block for block in blocks if block is not None]) + 0.0  # -0.0 becomes 0.0
-    # sorting whole rows is slow: sort one hash each, and compare in full only where it recurs
-    factors = np.random.default_rng(0).integers(1, 2**63, size=table.shape[1], dtype=np.uint64) | np.uint64(1)
-    key = (table.view(np.uint64) ^ (table.view(np.uint64) >> np.uint64(29))) @ factors
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    earlier = first[inverse]
+    _, first, inverse = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    earlier = first[inverse.ravel()]
     again = np.flatnonzero(earlier != np.arange(recording.samples))
-    again = again[(table[again] == table[earlier[again]]).all(axis=1)]
     return RepeatedRows(again, recording.row[again], recording.row[earlier[again]])
 
 

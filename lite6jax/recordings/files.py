@@ -16,24 +16,22 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
-from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.parquet import INFO, SUFFIX, one_line, open_lerobot, open_parquet, open_stream, stream_path
-from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
+from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
-from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path, write_settings
-from lite6jax.recordings.table import RawTable, Table, make_arrays, tabulate
+from lite6jax.recordings.settings import RecordingSettings, read_sidecar, sidecar_path, write_settings
+from lite6jax.recordings.table import RawTable, make_arrays, tabulate
 from lite6jax.recordings.texts import open_text
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
 
 LOGS = (".mcap", ".db3", ".bag")
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
-SUFFIXES = (*TABLES, SUFFIX, *LOGS)
+SUFFIXES = (*TABLES, *LOGS)
 """Of the files that are recordings."""
 _READERS: Mapping[str, Callable[[Path, list[str]], RawTable]] = {
     **dict.fromkeys(TABLES[:-1], open_text),
     ".parquet": lambda path, notes: open_parquet(path),
-    SUFFIX: open_stream,
 }
 """Of all but logs and folders."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
@@ -86,27 +84,24 @@ def stranger(path: str | Path) -> str:
     )
 
 
-def open_table(
-    path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str], kinds: Sequence[str] = SUFFIXES
-) -> tuple[Path, RawTable]:
-    """The table of a recording and where it is: of a Parquet file that was not completed, the stream of its stem.
+def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> tuple[Path, RawTable]:
+    """The table of a recording and where it is: of a Parquet file that was not completed, the CSV of its stem.
 
     Args:
         path: the file or folder.
         topics: of a log, as in `ros.read_bag`.
         of_arm: the joints of the arm, as far as known, of which a log says less than a table.
         notes: what was chosen, assumed and dropped is added here.
-        kinds: the suffixes accepted.
 
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
     suffix, log = path.suffix.lower(), path
-    if suffix == ".parquet" and not exists(path) and exists(growing := stream_path(path)):
-        notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
-        path, suffix = growing, SUFFIX
+    if suffix == ".parquet" and not exists(path) and exists(growing := path.with_suffix(".csv")):
+        notes.append(f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended")
+        path, suffix = growing, ".csv"
     try:
-        if os.path.isdir(path) and kinds is SUFFIXES and suffix not in SUFFIXES:
+        if os.path.isdir(path) and suffix not in SUFFIXES:
             if exists(path / INFO):
                 return path, open_lerobot(path)
             inside = _logs(path)
@@ -120,14 +115,12 @@ def open_table(
                 log = inside[0]  # a recorder that was ended writes no metadata
         elif not suffix and not exists(path):
             raise InputError(f"{path}: no such file or folder; check the name")
-        elif suffix not in kinds:
-            other = "targets end in .csv or .parquet"
-            if kinds is SUFFIXES:
-                other = (
-                    "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot "
-                    "data set"
-                )
-            raise InputError(f"{path}: {stranger(path) or f'{other}; convert it or correct the name'}")
+        elif suffix not in SUFFIXES:
+            other = (
+                "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data "
+                "set; convert it or correct the name"
+            )
+            raise InputError(f"{path}: {stranger(path) or other}")
         elif suffix in _READERS:
             return path, _READERS[suffix](check_readable(path), notes)
         else:
@@ -188,7 +181,9 @@ def read_recording(
         named = sidecar.settings.arm_reference(path.parent) if sidecar.settings.arm is not None else None
         declared = ArmJoints.of(None if named is None else read_arm(named))._replace(dof=None)
         of_arm = declared if arm is None else of_arm.named_as(declared)
-    path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
+    of_arm = of_arm if dof is None else of_arm._replace(dof=dof)
+    path, raw = open_table(path, topics, of_arm, notes)
+    table = tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=raw.renamed(str(path), sidecar.columns))
     columns, values = table.columns, table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -247,8 +242,9 @@ def read_targets(
     """
     path, notes = Path(path), []
     sidecar = read_sidecar(sidecar_path(path))
-    named = sidecar._replace(columns=columns or sidecar.columns)
-    path, table = _read(path, (), named, ArmJoints(dof), notes, TABLES)
+    path, raw = open_table(path, (), ArmJoints(dof), notes)
+    renamed = raw.renamed(str(path), columns or sidecar.columns)
+    table = tabulate(raw, str(path), notes, dof=dof, renamed=renamed, joints_optional=True)
     if "x_m" not in table.columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
     given = "q1_rad" in table.columns
@@ -264,19 +260,6 @@ def read_targets(
     if reach is not None:
         check_position_scale(recording, reach, table.spelling, assumed=True)
     return Targets(recording, recording.joint_position if given else None)
-
-
-def _read(
-    path: Path,
-    topics: Sequence[str],
-    sidecar: Sidecar,
-    of_arm: ArmJoints,
-    notes: list[str],
-    kinds: Sequence[str] = SUFFIXES,
-) -> tuple[Path, Table]:
-    path, raw = open_table(path, topics, of_arm, notes, kinds)
-    renamed, targets = raw.renamed(str(path), sidecar.columns), kinds is TABLES
-    return path, tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=renamed, joints_optional=targets)
 
 
 # ------------------------------------------------------------------ writing

@@ -10,7 +10,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.recordings.recording import Recording
-from lite6jax.recordings.sequence import directions, run_segments
+from lite6jax.recordings.sequence import directions, run_segments, unwrap
 from lite6jax.recordings.settings import RecordingSettings
 
 
@@ -88,12 +88,9 @@ def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
     trajectory = recording.motion == "trajectory" and recording.time is not None
     segment = run_segments(recording.run)
     runs = [segment == run for run in np.unique(segment)]
+    turning = ~np.isin(np.arange(recording.dof), recording.sliding)
     for run in runs if trajectory else ():
-        unwrapped = np.unwrap(q[run], axis=0)
-        # only what is continuous without its wraps shows that these are wraps
-        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
-        smooth[list(recording.sliding)] = False
-        q[run] = np.where(smooth, unwrapped, q[run])
+        q[run] = np.where(turning, unwrap(q[run]), q[run])
     for joint in range(recording.dof):
         if joint in recording.sliding or not np.isfinite(high[joint] - low[joint]):
             continue

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Literal, final
 
 import msgspec
 import numpy as np
@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.description import bundled_of
+from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import MATRIX, OF_ARRAY, is_scalar, name_columns, quaternions
 from lite6jax.recordings.readings import Readings
@@ -18,9 +20,11 @@ from lite6jax.recordings.sequence import contiguous_blocks, differentiate, direc
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import make_arrays, read_frame
 from lite6jax.recordings.units import (
+    FAR_REACHES,
     LARGEST_MISSING_SHARE,
-    checked_arrays,
+    other_joints,
     real_array,
+    require_near,
     unit_quaternions,
     without_implausible,
 )
@@ -153,9 +157,14 @@ class Recording(PublicResult):
             "run": run,
             "readings": readings,
         }
-        settings = declared_settings(settings, arm, declared)
-        real = checked_arrays(arrays, arm, settings, source, {})
-        return drop_missing(cls.assemble_plausible(real, settings, source, {}, []))
+        real = {
+            name: real_array(f"{source}: {name}", value)
+            if value is not None and name in OF_ARRAY and name != "run"
+            else value
+            for name, value in arrays.items()
+        }
+        recording = cls.assemble_plausible(real, declared_settings(settings, arm, declared), source, {}, [])
+        return drop_missing(_of_arm(recording, arm, sliding))
 
     @classmethod
     def from_dataframe(
@@ -184,8 +193,9 @@ class Recording(PublicResult):
         notes: list[str] = []
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes, columns)
-        arrays = checked_arrays(make_arrays(table, source, notes), arm, settings, source, table.spelling)
-        return drop_missing(cls.assemble_plausible(arrays, settings, source, table.spelling, notes), table.spelling)
+        arrays = make_arrays(table, source, notes)
+        recording = cls.assemble_plausible(arrays, settings, source, table.spelling, notes)
+        return drop_missing(_of_arm(recording, arm, recording.sliding, table.spelling), table.spelling)
 
     @classmethod
     def assemble_plausible(
@@ -426,6 +436,136 @@ class Recording(PublicResult):
                 continue
             table |= dict(zip(name_columns(name, self.dof, self.sliding), np.atleast_2d(block.T), strict=True))
         return table if self.readings is None else table | self.readings.columns()
+
+
+# ------------------------------------------------------------------ units
+
+
+Given = Literal["file", "table", "arrays"]
+"""Where numbers are from, on which it depends what remedies a wrong unit."""
+
+
+def _of_arm(
+    recording: Recording,
+    arm: Arm | str | None,
+    sliding: tuple[int, ...] | None,
+    spelling: Mapping[str, str] | None = None,
+) -> Recording:
+    """A recording of a table or, without `spelling`, of arrays, whose arm shows that a unit is wrong.
+
+    Args:
+        arm: the arm; that of the settings, or of the bundled ones the one with the longest reach, where none is given.
+        sliding: the prismatic joints; the arm's where None.
+
+    Raises:
+        InputError: an arm of other joints, degrees, or millimetres.
+    """
+    if isinstance(arm, Arm):
+        known = arm
+    elif recording.settings.arm is not None:
+        known = read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+    else:
+        known = max(bundled_of(0 if sliding else recording.dof), key=lambda one: one.reach, default=None)
+    if known is None:
+        return recording
+    if recording.dof != known.dof:
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, but {known.name} has {known.dof}; give the arm that it is"
+            " of"
+        )
+    if sliding is not None and sliding != known.sliding:
+        raise InputError(f"{recording.source}: {other_joints(sliding, known.sliding, known.name)}")
+    recording = replace(recording, sliding=known.sliding)
+    given: Given = "arrays" if spelling is None else "table"
+    check_joint_scale(recording, known.possible_positions, spelling, given=given)
+    check_position_scale(recording, known.reach, spelling, given=given)
+    return recording
+
+
+def check_joint_scale(
+    recording: Recording,
+    joint_limits: ArrayLike,
+    spelling: Mapping[str, str] | None = None,
+    assumed: bool = False,
+    given: Given = "file",
+) -> None:
+    """Refuses joint positions so far outside the limits that they must be degrees (`units.require_near`).
+
+    Args:
+        joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
+        spelling: SI column name to the name in the file, for the message.
+        assumed: whether degrees have been assumed already, so that the message does not ask.
+        given: where the numbers are from.
+
+    Raises:
+        InputError: a tenth of the rows or more are beyond twice the widest limit of the arm.
+    """
+    limits = np.asarray(joint_limits, dtype=float)
+    if limits.shape != (recording.dof, 2):
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, the arm {len(limits)}; choose the arm it is of"
+        )
+
+    def said(joint: int) -> tuple[str, str]:
+        column = f"q{joint + 1}_rad"
+        name = (spelling or {}).get(column, column)
+        remedy = _ask_about("degrees", "q1_deg ...", "radians: np.deg2rad(joint_position)", given)
+        if joint in recording.sliding:
+            metres = f"metres: joint_position[:, {joint}] / 1000"
+            remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
+        elif assumed or not name.endswith("_rad"):
+            remedy = "check the unit"
+        return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
+
+    require_near(recording.joint_position, limits, said, recording.row, recording.sliding)
+
+
+def check_position_scale(
+    recording: Recording,
+    reach: float,
+    spelling: Mapping[str, str] | None = None,
+    assumed: bool = False,
+    given: Given = "file",
+) -> None:
+    """Refuses measured positions that spread, or lie from the base, so far that they must be millimetres.
+
+    Medians decide, so outliers pass. Only `pose_frame: base` says where the base is; a tracker may stand anywhere.
+
+    Args:
+        reach: the arm's reach in m, without a tool.
+        spelling, assumed, given: as in `check_joint_scale`.
+
+    Raises:
+        InputError: the median distance from the middle (or the base) is over five reaches.
+    """
+    if recording.position is None:
+        return
+    there = recording.position[np.isfinite(recording.position).all(1)]
+    if not len(there):
+        return
+    with np.errstate(over="ignore"):
+        middle = np.median(there, axis=0)
+        distance, origin = float(np.median(np.linalg.norm(there - middle, axis=1))), "from their middle"
+    if recording.settings.pose_frame == "base" and np.linalg.norm(middle) > distance:
+        distance, origin = float(np.linalg.norm(middle)), "from the base"
+    if distance > FAR_REACHES * reach:
+        names = [(spelling or {}).get(name, name) for name in name_columns("position")]
+        place = "position" if given == "arrays" else f"columns {' '.join(names)}"
+        remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
+        remedy = "check the unit" if assumed or not names[0].endswith("_m") else remedy
+        raise InputError(
+            f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
+            f"{reach:.3g} m; {remedy}"
+        )
+
+
+def _ask_about(unit: str, columns: str, numbers: str, given: Given) -> str:
+    option = f" or add --assume-{unit}" if given == "file" else ""
+    remedy = f"give {numbers}" if given == "arrays" else f"name the column{'s' * (' ' in columns)} {columns}{option}"
+    return f"are these {unit}? {remedy}"
+
+
+# ------------------------------------------------------------------ rows
 
 
 def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None) -> Recording:

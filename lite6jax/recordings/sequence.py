@@ -29,6 +29,14 @@ def stretches(inside: Bool[np.ndarray, " sample"], segment: Int[np.ndarray, " sa
     return [slice(first, stop) for first, stop in pairwise(edges) if inside[first]]
 
 
+def unwrap(joint_position: Float[np.ndarray, "sample joint"]) -> Float[np.ndarray, "sample joint"]:
+    """Joints without jumps of whole turns, where nothing but these breaks their motion."""
+    with np.errstate(invalid="ignore"):
+        unwrapped = np.unwrap(joint_position, axis=0)
+        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
+    return np.where(smooth, unwrapped, joint_position)
+
+
 def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sample"]]:
     """`count` masks, each a block of neighbouring samples; together they cover every sample once."""
     block = np.arange(samples) * count // samples

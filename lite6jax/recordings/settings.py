@@ -9,8 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import date
 from difflib import get_close_matches
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
 
 import msgspec
 import yaml
@@ -34,6 +37,7 @@ Motion = Literal["static", "trajectory"]
 TorqueSource = Literal["measured", "current", "estimated", "unknown"]
 PoseFrame = Literal["base", "unknown"]
 Unknown = Literal["unknown"]
+POSITIVE = "more than zero (leave it out where unknown)"
 
 Line = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f-\x9f\u2028\u2029]*\Z")]
 if TYPE_CHECKING:
@@ -53,7 +57,7 @@ Gravity = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
 TorqueSigma = Annotated[float, Meta(ge=1e-9, le=1e4)]
 Constant = Annotated[float, Meta(ge=-1e5, le=1e5)]
 Corners = Annotated[int, Meta(ge=1, le=10_000)]
-Places = dict[str, Point]  # one of a least length within a union ends the process (msgspec 0.22)
+Places = Mapping[str, Point]  # one of a least length within a union ends the process (msgspec 0.22)
 
 
 class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -131,6 +135,8 @@ class BoardSettings(_Record, frozen=True):
 class RecordingSettings:
     """What a sidecar declares; the defaults are those of a recording without one.
 
+    Beside the type of each key stands what it accepts, in the words of messages; of listed words these are enough.
+
     Lengths in m, angles in rad, one sigma for each noise, `tool` as x y z roll pitch yaw (R = Rz Ry Rx).
     `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them, where poses
     are explained. `inertial` is what holds where torques are: the numbers of the arm's description ("declared"), those
@@ -145,42 +151,84 @@ class RecordingSettings:
         InputError: a value of the wrong type, not finite, out of its range, or not a listed one.
     """
 
-    arm: str | None = None
-    factory_calibration: str | None = None
-    factory_uncertainty: FactoryUncertainty | None = None
+    arm: Annotated[
+        Line | None,
+        "a bundled arm's name, or the path of an arm description relative to the sidecar",
+    ] = None
+    factory_calibration: Annotated[
+        Line | None, "the path of the arm's own six-parameter file, relative to the sidecar"
+    ] = None
+    factory_uncertainty: Annotated[
+        FactoryUncertainty | None,
+        "{position_m: 1.0e-5, rotation_rad: 1.0e-5}, both positive (leave it out where the file holds exactly)",
+    ] = None
     joint_source: JointSource = "unknown"
-    joint_noise_rad: float = 0.0
+    joint_noise_rad: Annotated[FromZero, "one sigma in rad, zero or more"] = 0.0
     pose_source: PoseSource = "unknown"
     motion: Motion | None = None
     pose_frame: PoseFrame = "unknown"
-    tool: Literal["none", "unknown"] | tuple[float, float, float, float, float, float] = "unknown"
-    position_noise_m: float | None = None
-    orientation_noise_rad: float | None = None
-    payload_com_m: Point = (0.0, 0.0, 0.0)
-    reference_temperature_degC: float = 25.0  # noqa: N815 (the sidecar's key)
-    gravity_m_per_s2: Point = (0.0, 0.0, -9.81)
-    inertial_uncertainty: float = 0.1
-    payload_uncertainty_kg: float = 0.0
+    tool: Annotated[
+        Literal["none", "unknown"] | tuple[Length, Length, Length, Angle, Angle, Angle],
+        "none, unknown, or six numbers [x, y, z, roll, pitch, yaw] in m and rad, not in mm and degrees",
+    ] = "unknown"
+    position_noise_m: Annotated[Sigma | None, f"one sigma in m, {POSITIVE}"] = None
+    orientation_noise_rad: Annotated[Sigma | None, f"one sigma in rad, {POSITIVE}"] = None
+    payload_com_m: Annotated[tuple[Length, Length, Length], "three numbers [x, y, z] in m, not in mm"] = (0.0, 0.0, 0.0)
+    reference_temperature_degC: Annotated[  # noqa: N815 (the sidecar's key)
+        float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE), "a finite number in degrees Celsius"
+    ] = 25.0
+    gravity_m_per_s2: Annotated[
+        tuple[Gravity, Gravity, Gravity],
+        "three numbers [x, y, z] in m/s^2",
+    ] = (0.0, 0.0, -9.81)
+    inertial_uncertainty: Annotated[
+        Share, "one sigma relative to the masses, from 0 to 0.5, such as 0.1, not per cent"
+    ] = 0.1
+    payload_uncertainty_kg: Annotated[float, Meta(ge=0.0, le=1000.0), "one sigma in kg, zero or more"] = 0.0
     torque_source: TorqueSource = "unknown"
-    torque_noise_Nm: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
-    inertial: Literal["declared", "unknown"] | float = "declared"
-    torque_constant_Nm_per_A: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
-    contact_noise_m: float | None = None
-    contact_distances: tuple[KnownDistance, ...] = ()
-    contact_points: Mapping[str, Point] | None = None
-    plane_noise_m: float | None = None
-    planes: Mapping[str, KnownPlane] | None = None
-    distance_noise_m: float | None = None
-    anchor_m: Unknown | Point | Mapping[str, Point] = "unknown"
+    torque_noise_Nm: Annotated[  # noqa: N815 (the sidecar's key)
+        Annotated[tuple[TorqueSigma, ...], Meta(min_length=1)] | None,
+        "a list with one sigma in N m per joint, each more than zero (leave it out where unknown)",
+    ] = None
+    inertial: Annotated[
+        Literal["declared", "unknown"] | Annotated[float, Meta(gt=0.0, le=0.5)],
+        "declared, unknown (they are fitted), or a relative uncertainty up to 0.5, such as 0.1, not per cent",
+    ] = "declared"
+    torque_constant_Nm_per_A: Annotated[  # noqa: N815 (the sidecar's key)
+        Annotated[tuple[Constant, ...], Meta(min_length=1)] | None,
+        "a list with one number in N m per A for each joint, none zero",
+    ] = None
+    contact_noise_m: Annotated[
+        Sigma | None, "one sigma in m of the touched point about its contact, more than zero"
+    ] = None
+    contact_distances: Annotated[
+        tuple[KnownDistance, ...],
+        "a list of {between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}, in m, not in mm",
+    ] = ()
+    contact_points: Annotated[Places | None, "contacts by name, each with [x, y, z] in m"] = None
+    plane_noise_m: Annotated[Sigma | None, "one sigma in m of the touched point from its plane, more than zero"] = None
+    planes: Annotated[
+        Mapping[str, KnownPlane] | None, "planes by name, each with {normal: [x, y, z], offset_m: 0.0}"
+    ] = None
+    distance_noise_m: Annotated[Sigma | None, f"one sigma in m, {POSITIVE}"] = None
+    anchor_m: Annotated[Unknown | Point | Places, "unknown, [x, y, z] in m, or anchors by name with [x, y, z] each"] = (
+        "unknown"
+    )
     distance_offset: Literal["none", "unknown"] = "none"
-    axis_noise_m: float | None = None
-    axis: Unknown | Point = "unknown"
-    pixel_noise_px: float | None = None
-    camera: CameraSettings | None = None
-    board: BoardSettings | None = None
-    points_m: tuple[Point, ...] | None = None
-    date: str | None = None
-    instrument: str | None = None
+    axis_noise_m: Annotated[Sigma | None, f"one sigma in m, {POSITIVE}"] = None
+    axis: Annotated[Unknown | Point, "unknown, or a direction [x, y, z]"] = "unknown"
+    pixel_noise_px: Annotated[
+        Annotated[float, Meta(ge=SMALLEST_SIGMA, le=100.0)] | None,
+        "one sigma in pixels of a corner along each axis, such as 0.15",
+    ] = None
+    camera: Annotated[
+        CameraSettings | None,
+        "{mounted: fixed or on_flange, fx, fy, cx, cy, distortion: [k1, k2, p1, p2, k3], width, height}",
+    ] = None
+    board: Annotated[BoardSettings | None, "{columns: 7, rows: 5, square_m: 0.02, noise_m: 2.0e-5}"] = None
+    points_m: Annotated[tuple[Point, ...] | None, "a list of the corners' [x, y, z] in m"] = None
+    date: Annotated[str | None, "a day as YYYY-MM-DD, such as 2026-11-21"] = None
+    instrument: Annotated[Annotated[Line, Meta(max_length=120)] | None, "one line of at most 120 characters"] = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -240,74 +288,17 @@ class RecordingSettings:
         )
 
 
-_Noise = "one sigma in {}, more than zero (leave it out where unknown)"
+def _split_hint(hint: Any) -> tuple[Any, str]:
+    """The type of a value that is declared, for msgspec, and what it accepts in words."""
+    words = next((each for each in getattr(hint, "__metadata__", ()) if isinstance(each, str)), "")
+    kind = hint.__origin__ if getattr(hint, "__metadata__", ()) == (words,) else hint
+    if NoneType in get_args(kind):
+        kind = reduce(or_, (each for each in get_args(kind) if each is not NoneType))
+    return kind, words
+
+
 KEYS: Mapping[str, tuple[Any, str]] = {
-    "arm": (Line, "a bundled arm's name, or the path of an arm description relative to the sidecar"),
-    "factory_calibration": (Line, "the path of the arm's own six-parameter file, relative to the sidecar"),
-    "factory_uncertainty": (
-        FactoryUncertainty,
-        "{position_m: 1.0e-5, rotation_rad: 1.0e-5}, both positive (leave it out where the file holds exactly)",
-    ),
-    "joint_source": (JointSource, ""),
-    "joint_noise_rad": (FromZero, "one sigma in rad, zero or more"),
-    "pose_source": (PoseSource, ""),
-    "motion": (Motion, ""),
-    "pose_frame": (PoseFrame, ""),
-    "tool": (
-        Literal["none", "unknown"] | tuple[Length, Length, Length, Angle, Angle, Angle],
-        "none, unknown, or six numbers [x, y, z, roll, pitch, yaw] in m and rad, not in mm and degrees",
-    ),
-    "position_noise_m": (Sigma, _Noise.format("m")),
-    "orientation_noise_rad": (Sigma, _Noise.format("rad")),
-    "payload_com_m": (tuple[Length, Length, Length], "three numbers [x, y, z] in m, not in mm"),
-    "reference_temperature_degC": (
-        Annotated[float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE)],
-        "a finite number in degrees Celsius",
-    ),
-    "gravity_m_per_s2": (tuple[Gravity, Gravity, Gravity], "three numbers [x, y, z] in m/s^2"),
-    "inertial_uncertainty": (Share, "one sigma relative to the masses, from 0 to 0.5, such as 0.1, not per cent"),
-    "payload_uncertainty_kg": (Annotated[float, Meta(ge=0.0, le=1000.0)], "one sigma in kg, zero or more"),
-    "torque_source": (TorqueSource, ""),
-    "torque_noise_Nm": (
-        Annotated[tuple[TorqueSigma, ...], Meta(min_length=1)],
-        "a list with one sigma in N m per joint, each more than zero (leave it out where unknown)",
-    ),
-    "inertial": (
-        Literal["declared", "unknown"] | Annotated[float, Meta(gt=0.0, le=0.5)],
-        "declared, unknown (they are fitted), or a relative uncertainty up to 0.5, such as 0.1, not per cent",
-    ),
-    "torque_constant_Nm_per_A": (
-        Annotated[tuple[Constant, ...], Meta(min_length=1)],
-        "a list with one number in N m per A for each joint, none zero",
-    ),
-    "contact_noise_m": (Sigma, "one sigma in m of the touched point about its contact, more than zero"),
-    "contact_distances": (
-        tuple[KnownDistance, ...],
-        "a list of {between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}, in m, not in mm",
-    ),
-    "contact_points": (Places, "contacts by name, each with [x, y, z] in m"),
-    "plane_noise_m": (Sigma, "one sigma in m of the touched point from its plane, more than zero"),
-    "planes": (
-        dict[str, KnownPlane],
-        "planes by name, each with {normal: [x, y, z], offset_m: 0.0}",
-    ),
-    "distance_noise_m": (Sigma, _Noise.format("m")),
-    "anchor_m": (Unknown | Point | Places, "unknown, [x, y, z] in m, or anchors by name with [x, y, z] each"),
-    "distance_offset": (Literal["none", "unknown"], ""),
-    "axis_noise_m": (Sigma, _Noise.format("m")),
-    "axis": (Unknown | Point, "unknown, or a direction [x, y, z]"),
-    "pixel_noise_px": (
-        Annotated[float, Meta(ge=SMALLEST_SIGMA, le=100.0)],
-        "one sigma in pixels of a corner along each axis, such as 0.15",
-    ),
-    "camera": (
-        CameraSettings,
-        "{mounted: fixed or on_flange, fx, fy, cx, cy, distortion: [k1, k2, p1, p2, k3], width, height}",
-    ),
-    "board": (BoardSettings, "{columns: 7, rows: 5, square_m: 0.02, noise_m: 2.0e-5}"),
-    "points_m": (tuple[Point, ...], "a list of the corners' [x, y, z] in m"),
-    "date": (str, "a day as YYYY-MM-DD, such as 2026-11-21"),
-    "instrument": (Annotated[Line, Meta(max_length=120)], "one line of at most 120 characters"),
+    key: _split_hint(hint) for key, hint in get_type_hints(RecordingSettings, include_extras=True).items()
 }
 """Of each key the type of its value, and what it accepts in words; of listed words these are enough."""
 OF_READINGS = tuple(KEYS)[tuple(KEYS).index("contact_noise_m") : tuple(KEYS).index("date")]

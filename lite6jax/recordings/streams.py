@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.sequence import differentiate
+from lite6jax.recordings.sequence import differentiate, run_segments, unwrap
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -107,7 +107,7 @@ class JointStream:
         Joints are interpolated by straight lines, or by cubics whose slopes are those of a parabola through three joint
         states: by what finds joint states that are left out more exactly.
         """
-        position = _unwrapped(position)
+        position = unwrap(position)
         gap = np.diff(time)
         step = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
         with np.errstate(invalid="ignore", over="ignore"):
@@ -259,14 +259,6 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
     return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
 
 
-def _unwrapped(position: Array) -> Array:
-    """Joints `(state, joint)` without jumps of whole turns, where nothing but these breaks their motion."""
-    with np.errstate(invalid="ignore"):
-        unwrapped = np.unwrap(position, axis=0)
-        smooth = np.max(np.abs(np.diff(unwrapped, axis=0)), axis=0, initial=0.0) < np.pi / 2
-    return np.where(smooth, unwrapped, position)
-
-
 def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     """Times `(row,)` that grow from run to run, far apart between runs, where each run counts its own.
 
@@ -283,8 +275,7 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     if run is None or not np.isfinite(run).all():
         row = int(np.flatnonzero(there)[np.flatnonzero(anew)[0] + 1]) + 1
         raise InputError(f"times begin anew at row {row}; number the runs in a column `run`")
-    segment = np.concatenate([[0], np.cumsum(np.diff(run) != 0)])
-    return clock + segment * (10 * width + 1.0)
+    return clock + run_segments(run) * (10 * width + 1.0)
 
 
 def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:

@@ -4,19 +4,14 @@ Every public call that takes joint positions comes here, and so does every reade
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.description import bundled_of
-from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import OF_ARRAY, QUANTITIES, name_columns
-from lite6jax.recordings.settings import RecordingSettings
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows
 FAR_LIMITS = 2.0  # in multiples of the arm's widest limit: no swapped, mirrored or once-turned joint exceeds that
@@ -52,7 +47,7 @@ def require_radians(
         name: of the argument, for the message.
 
     Raises:
-        InputError: complex numbers, or degrees by `far_joint`.
+        InputError: complex numbers, or degrees as in `require_near`.
     """
     remedy = f"are these degrees? give radians: np.deg2rad({name.rpartition(': ')[2]})"
     require_near(np.atleast_1d(real_array(name, joint_position)), joint_limits, lambda _: (name, remedy))
@@ -67,9 +62,13 @@ def require_near(
 ) -> None:
     """Refuses joint positions so far outside the limits that they must be degrees, or millimetres.
 
+    That is where a tenth of the rows of any one arm or more exceed twice the arm's widest limit, and the limit by more
+    than a turn; a joint without end says nothing. A few such rows are outliers and pass, and so do joints that are
+    swapped, mirrored or a turn off: the diagnosis locates those.
+
     Args:
-        q: as in `far_joint`, with the limits.
-        joint_limits: likewise.
+        q: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad; numbers that are not finite are ignored.
+        joint_limits: as in `require_radians`.
         said: of a joint, counted from 0, what the message begins with, and the remedy.
         row: the number of each sample; from 1 where not given.
         sliding: the prismatic joints.
@@ -77,45 +76,27 @@ def require_near(
     Raises:
         InputError: as said; the message names a row.
     """
-    found = far_joint(q, joint_limits)
-    if found is None:
+    if not q.size:
         return
-    *at, joint = found
+    limits = np.tile(FULL_TURN, (q.shape[-1], 1)) if joint_limits is None else np.asarray(joint_limits, float)
+    ends = np.isfinite(limits).all(-1)
+    limits = np.where(np.isfinite(limits), limits, FULL_TURN)
+    widest = np.abs(limits).max()
+    far = (np.abs(q) > max(FAR_LIMITS * widest, widest + 2 * np.pi)) & ends
+    if not (np.atleast_1d(far.any(-1)).mean(-1) >= FAR_ROWS_SHARE).any():
+        return
+    joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))
+    at = tuple(map(int, np.argwhere(np.atleast_1d(far[..., joint]))[0]))[: q.ndim - 1]
     place, remedy = said(joint)
     named = f"sample {tuple(k + 1 for k in at)}" if at else "it"
     if len(at) == 1:
         named = f"row {at[0] + 1 if row is None else row[at[0]]}"
-    low, high = limits_of(q.shape[-1], joint_limits)[joint]
+    low, high = limits[joint]
     unit = "m" if joint in sliding else "rad"
     raise InputError(
-        f"{place}: {named} is at {q[found]:.5g} {unit} while the arm's joint {joint + 1} goes from {low:.4g} to "
+        f"{place}: {named} is at {q[(*at, joint)]:.5g} {unit} while the arm's joint {joint + 1} goes from {low:.4g} to "
         f"{high:.4g} {unit}; {remedy}"
     )
-
-
-def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | None = None) -> tuple[int, ...] | None:
-    """The index of the first joint position that shows degrees where radians belong; None where they are radians.
-
-    Degrees are suspected where a tenth of the rows of any one arm or more exceed twice the arm's widest limit, and the
-    limit by more than a turn; a joint without end says nothing. A few such rows are outliers and pass, and so do joints
-    that are swapped, mirrored or a turn off: the diagnosis locates those.
-
-    Args:
-        joint_position: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad.
-        joint_limits: as in `require_radians`.
-    """
-    q = joint_position
-    if not q.size:
-        return None
-    widest = np.abs(limits_of(q.shape[-1], joint_limits)).max()
-    far = np.abs(q) > max(FAR_LIMITS * widest, widest + 2 * np.pi)
-    if joint_limits is not None:
-        far &= np.isfinite(np.asarray(joint_limits, float)).all(-1)
-    if not (np.atleast_1d(far.any(-1)).mean(-1) >= FAR_ROWS_SHARE).any():
-        return None
-    joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))
-    first = np.argwhere(np.atleast_1d(far[..., joint]))[0]
-    return (*map(int, first[: q.ndim - 1]), joint)
 
 
 def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> str:
@@ -127,43 +108,6 @@ def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> s
             " or declare the arm in the sidecar of a log"
         )
     return f"q{joint} is a length, but joint {joint} of {arm} is revolute; name the column q{joint}_rad or q{joint}_deg"
-
-
-def limits_of(joints: int, joint_limits: ArrayLike | None) -> NDArray[np.float64]:
-    """`(joint, 2)` finite limits in rad: ±2π where none are given."""
-    if joint_limits is None:
-        return np.tile(FULL_TURN, (joints, 1))
-    limits = np.asarray(joint_limits, float)
-    return np.where(np.isfinite(limits), limits, FULL_TURN)
-
-
-def require_metres(position: NDArray[np.float64], reach: float, *, from_base: bool, remedy: str, place: str) -> None:
-    """Refuses measured positions that must be millimetres. Medians decide, so outliers pass.
-
-    Args:
-        position: `(sample, 3)` m; rows that are not finite are ignored.
-        reach: of the arm without a tool, m.
-        from_base: whether the positions are in the arm's base frame; else the sensor may stand anywhere, and only
-            their spread counts.
-        remedy: what the message recommends.
-        place: what the message begins with.
-
-    Raises:
-        InputError: the median distance from their median (or from the base) exceeds five reaches.
-    """
-    there = position[np.isfinite(position).all(1)]
-    if not len(there):
-        return
-    with np.errstate(over="ignore"):
-        middle = np.median(there, axis=0)
-        distance, origin = float(np.median(np.linalg.norm(there - middle, axis=1))), "from their middle"
-    if from_base and np.linalg.norm(middle) > distance:
-        distance, origin = float(np.linalg.norm(middle)), "from the base"
-    if distance > FAR_REACHES * reach:
-        raise InputError(
-            f"{place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches {reach:.3g} m; "
-            f"{remedy}"
-        )
 
 
 # ------------------------------------------------------------------ numbers that no arm or sensor can give
@@ -246,72 +190,6 @@ def _median(values: NDArray[np.float64]) -> float:
 LARGEST_MISSING_SHARE = 0.5
 QUATERNION_TOLERANCE = 0.01
 _ROUNDING = 1e-14  # a quaternion this close to unit length is left alone, so that normalising twice changes nothing
-
-
-def checked_arrays(
-    arrays: Mapping[str, Any],
-    arm: Arm | str | None,
-    settings: RecordingSettings,
-    source: str,
-    spelling: Mapping[str, str],
-) -> dict[str, Any]:
-    """The same arrays as float64, refused where the arm shows that a unit is wrong.
-
-    Args:
-        arrays: arguments of `Recording.assembled`, None where absent.
-        arm: the arm, where the caller named it.
-        settings: whose `arm` is taken otherwise.
-        source: what messages begin with.
-        spelling: column name in SI units to the name in a table; empty for arrays.
-
-    Raises:
-        InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
-    """
-    real: dict[str, Any] = {
-        name: real_array(f"{source}: {name}", value)
-        if value is not None and name in OF_ARRAY and name != "run"
-        else value
-        for name, value in arrays.items()
-    }
-    q, position = real["joint_position"], real["position"]
-    if q.ndim != 2:
-        return real  # of a wrong shape, which `assembled` refuses
-    given = real.get("sliding")
-    if isinstance(arm, Arm):
-        known = arm
-    elif settings.arm is not None:
-        known = read_arm(settings.arm_reference(Path(source).parent))
-    else:  # of the bundled ones of as many joints that with the longest reach
-        known = max(bundled_of(0 if given else q.shape[1]), key=lambda one: one.reach, default=None)
-    if known is None:
-        return real
-    if q.shape[1] != known.dof:
-        raise InputError(
-            f"{source}: has {q.shape[1]} joints, but {known.name} has {known.dof}; give the arm that it is of"
-        )
-    if given is None:
-        real["sliding"] = known.sliding
-    elif given != known.sliding:
-        raise InputError(f"{source}: {other_joints(given, known.sliding, known.name)}")
-
-    def said(argument: str, columns: list[str], unit: str, other: str, remedies: tuple[str, str]) -> tuple[str, str]:
-        """What a message begins with, and the remedy: in a table the name of a column, else another array."""
-        names = [spelling.get(name, "") for name in columns]
-        place = f"{source}: column{'s' * (len(names) > 1)} {' '.join(names)}" if spelling else f"{source}: {argument}"
-        remedy = f"are these {other}? {remedies[not spelling]}"
-        return place, "check the unit" if names[0].endswith(unit) else remedy
-
-    of_degrees = "name the columns q1_deg ...", "give radians: np.deg2rad(joint_position)"
-    require_near(
-        q,
-        known.possible_positions,
-        lambda joint: said("joint_position", [f"q{joint + 1}_rad"], "_deg", "degrees", of_degrees),
-    )
-    if position is not None and position.shape == (len(q), 3):
-        of_mm = "name the columns x_mm y_mm z_mm", "give metres: position / 1000"
-        place, remedy = said("position", name_columns("position"), "_mm", "millimetres", of_mm)
-        require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
-    return real
 
 
 def unit_quaternions(

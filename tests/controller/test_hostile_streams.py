@@ -68,13 +68,6 @@ STREAMS = {
     "a clock that is set back a step": Hostile([[whole(STEP * np.where(K < 20, K, K - 2))]], 40, runs=2),
     "a clock that jumps": Hostile([[whole(np.where(K < 20, 0, 10**9) + STEP * K)]], 40, runs=2),
     "a clock that jumps by an age": Hostile([[whole(np.where(K < 20, 0, 10**18) + STEP * K)]], 40, runs=2),
-    "a clock beyond 63 bits": Hostile([[whole([2**63 - 20 * STEP + int(k) * STEP for k in K])]], 40),
-    "a clock from zero to beyond 63 bits": Hostile(
-        [[whole([int(k) * STEP + (2**63 + 5 if k >= 20 else 0) for k in K])]], 40, runs=2
-    ),
-    "a clock that begins anew after 64 bits": Hostile(
-        [[whole([(2**64 - 20 * STEP + int(k) * STEP) % 2**64 for k in K])]], 40
-    ),
     "a clock that stops": Hostile(
         [[whole(STEP * np.minimum(np.arange(200), 30))]], 200, refusal="port 30000: the cont"
     ),

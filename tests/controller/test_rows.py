@@ -131,25 +131,3 @@ def test_the_tool_turns_the_orientation_that_is_expected():
     made["pose"] = protocol.encode_pose(six_parameter_poses(KINEMATICS, q.astype(float)) @ T)
     rows = Rows(station(tool_offset=np.array([0, 0, 100.0, 0.5, 0.6, 0.7])))
     assert "qw" in took(rows, [row.tobytes() for row in made])
-
-
-def resting(noise=0.0, connection=0):
-    """Rows of an arm at rest whose torques have some noise, in pieces of 33 reports."""
-    rows = Rows(station())
-    rng = np.random.default_rng(0)
-    for k in range(10):
-        many = np.frombuffer(b"".join(reports(STEP * np.arange(33 * k, 33 * (k + 1)), np.full((33, 6), 0.4))), "u1")
-        made = many.reshape(33, -1).copy().view(protocol.report_layout(protocol.REALTIME))[:, 0]
-        made["torque"][:, :6] += noise * rng.normal(size=(33, 6))
-        took(rows, [row.tobytes() for row in made], connection=k * connection)
-    return rows
-
-
-def test_torques_without_noise_are_the_controllers_own():
-    rows = resting()
-    assert rows.torques_computed
-    said = "the torques have no noise, not even at rest: the controller computes them from its own model"
-    assert any(note.startswith(said) for note in rows.notes())
-    measured = resting(noise=1e-3)
-    assert not measured.torques_computed
-    assert not any(note.startswith(said) for note in measured.notes())

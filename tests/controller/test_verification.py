@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from live import ARM, KINEMATICS, emulated
+from live import ARM, KINEMATICS, emulated, snapshot
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller import sdk
@@ -24,7 +24,7 @@ def calibration(kinematics=KINEMATICS):
 def test_the_precision_floor_of_the_sdk():
     with emulated() as (controller, address):
         found = verify(calibration(), address, samples=1500)
-        assert set(controller.snapshot().requests) == {1, 44}
+        assert set(snapshot(controller).requests) == {1, 44}
     assert found.passed
     assert found.position.max() <= FLOOR_M
     assert found.position.mean() < 2e-8

@@ -50,14 +50,10 @@ def test_it_says_where_it_listens_and_what_is_hidden(capsys):
         (["--arms", "0"], "--arms 0: give 1 to 32"),
         (["--arms", "3", "--factory", "a.yaml"], "--factory: 1 files for 3 arms; give one for each, or none"),
         (["--factory", "absent.yaml"], "absent.yaml"),
-        (["--fault", "nonsense"], "no fault 'nonsense'"),
         (["--motion", "dance"], "--motion 'dance': is neither rest, sines, poses nor a recording's file"),
-        (["--effect", "joint_compliance:joint=9,compliance_rad_per_Nm=1e-5"], "acts at joint 9, but the arm has 6"),
         (["--effect", "nothing"], "nothing"),
-        (["--speed", "-1"], "speed -1.0: the clock runs forward"),
         (["--duration", "0"], "--duration 0.0: give seconds above 0"),
         (["--payload", "-1"], "--payload -1.0: give kg, 0 or more"),
-        (["--control-port", "99999"], "control port 99999: is not a port"),
     ],
 )
 def test_what_is_refused(capsys, arguments, message):

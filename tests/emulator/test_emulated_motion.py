@@ -1,4 +1,4 @@
-"""Paths as functions of time: their laws, their limits, and how they follow one another."""
+"""Paths as functions of time: their laws and limits, and how an arm follows them."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.emulator import draw_sines, interpolate, read_path, visit
-from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Timeline, brake, move, rest, servo
+from lite6jax.emulator import Faults, draw_sines, interpolate, read_path, visit
+from lite6jax.emulator.core import Core
+from lite6jax.emulator.paths import MAX_SPEED, rest
 from lite6jax.errors import InputError
 
 LITE6 = load_bundled("lite6")
@@ -15,11 +16,6 @@ HERE = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
 THERE = np.array([1.1, 0.2, 0.3, -0.4, -0.1, 0.5])
 PATHS = {
     "rest": rest(HERE),
-    "move": move(HERE, THERE, 0.5, 3.0),
-    "short move": move(HERE, HERE + 1e-3, 3.0, 3.0),
-    "no move": move(HERE, HERE),
-    "brake": brake(HERE, THERE),
-    "servo": servo(HERE, THERE, 0.004),
     "sines": draw_sines(LITE6, seed=2),
     "visits": visit([HERE, THERE, HERE * 2]),
     "played": interpolate(np.linspace(3, 8, 40), np.sin(np.linspace(0, 2, 40))[:, None] * THERE),
@@ -31,18 +27,18 @@ def test_velocity_is_the_derivative_of_position(name):
     path = PATHS[name]
     t, h = np.linspace(1e-3, min(path.duration, 30.0) - 1e-3, 501) if path.duration else np.array([0.5]), 1e-5
     slope = (path.at(t + h)[0] - path.at(t - h)[0]) / (2 * h)
-    np.testing.assert_allclose(path.at(t)[1], slope, atol=1e-3 if name in ("move", "short move", "visits") else 1e-5)
+    np.testing.assert_allclose(path.at(t)[1], slope, atol=1e-3 if name == "visits" else 1e-5)
 
 
 @given(st.floats(0.01, 3.1), st.floats(0.1, 20.0), st.floats(1e-6, 6.0))
-def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
-    path = move(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
+def test_a_visit_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
+    path, pause = visit([np.zeros(2), [way, -way / 3]], 1.0, speed, acceleration), 1.0
     ramp = speed / acceleration
-    trapezoid = way / speed + ramp
-    expected = trapezoid if way > speed * ramp else 2 * np.sqrt(way / acceleration)
-    assert path.duration == pytest.approx(expected, rel=1e-9)
-    t = np.linspace(0, path.duration, 400)
+    expected = way / speed + ramp if way > speed * ramp else 2 * np.sqrt(way / acceleration)
+    t = np.linspace(pause, pause + expected, 400)
     q, dq = path.at(t)
+    assert q[-1, 0] == pytest.approx(way, rel=1e-9)
+    assert not path.at(t[-1:] + 0.5)[1].any()
     assert np.abs(dq).max() <= speed * (1 + 1e-9)
     assert np.abs(np.diff(dq[:, 0]) / np.diff(t)).max() <= acceleration * (1 + 1e-6)
     np.testing.assert_allclose(q[:, 1], -q[:, 0] / 3, atol=1e-12)  # in time with each other
@@ -62,37 +58,18 @@ def test_programs_stay_within_limits_and_speed(name):
     assert read_path("rest", arm) is None
 
 
-# ------------------------------------------------------------------------------------------ one after the other
-
-
-def test_a_timeline_is_its_paths_in_turn():
-    line = Timeline(HERE)
-    assert line.end == -np.inf
-    line.append(PATHS["move"], 1.0)
-    assert line.end == 1.0 + PATHS["move"].duration
-    line.append(move(THERE, HERE, 1.0, 5.0), line.end)
-    t = np.linspace(-1, line.end + 1, 3001)
-    q, dq = line.at(t)
-    assert np.abs(np.diff(q, axis=0)).max() < 0.01
-    assert q[0].tolist() == q[-1].tolist() == HERE.tolist()
-    assert not dq[0].any()
-    for k in (0, 500, 1500, 3000):
-        np.testing.assert_array_equal(line.at(t[k : k + 1])[0][0], q[k])
-
-
-def test_stopping_brakes_and_forgets_the_rest():
-    line = Timeline(HERE)
-    line.append(PATHS["move"], 0.0)
-    line.append(move(THERE, HERE), line.end)
-    before = line.at(np.array([1.0]))
-    line.stop(1.0)
-    after = line.at(np.array([1.0, 1.0 + 1e-6]))
-    np.testing.assert_allclose(after[0][0], before[0][0])
-    np.testing.assert_allclose(after[1][1], before[1][0], rtol=1e-3)
-    assert line.end == pytest.approx(1.0 + 0.5 / MAX_ACCELERATION)
-    assert not line.at(np.array([line.end + 1e-6, 100.0]))[1].any()
-    # what was, is still known
-    np.testing.assert_allclose(line.at(np.array([0.5]))[0], PATHS["move"].at(np.array([0.5]))[0])
+def test_an_arm_rests_before_and_after_its_path_and_where_an_error_stops_it(lite6):
+    core = Core(lite6, path=PATHS["played"])
+    times = np.array([-1.0, 0.0, 2.5, 5.0, 99.0])
+    q, dq = core.read_commands(times)
+    np.testing.assert_array_equal(q, PATHS["played"].at(np.clip(times, 0, 5))[0])
+    np.testing.assert_array_equal(dq.any(1), [False, False, True, False, False])
+    core.advance(2.0)
+    assert (core.state, core.enabled) == (1, 0b111111)
+    core.set_faults(Faults(error=22))
+    core.advance(3.0)
+    assert (core.state, core.enabled) == (4, 0)
+    np.testing.assert_array_equal(core.read_encoders(np.array([3.0]))[0], PATHS["played"].at(np.array([2.0]))[0])
 
 
 # ------------------------------------------------------------------------------------------ from a file

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from live import CONTROL_PORT, new_host, read_reports, until
+from live import CONTROL_PORT, new_host, read_reports, snapshot, until
+from scipy.interpolate import PPoly
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines, visit
-from lite6jax.emulator.paths import move
+from lite6jax.emulator.paths import Polynomials
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.gravity import gravity_moments
 
@@ -32,11 +33,6 @@ def recorded(lite6, sines):
 
 def seconds(records):
     return (records["time_us"].astype(float) - 60e6) / 1e6
-
-
-def test_every_sample_once_and_at_its_time(recorded):
-    assert set(np.diff(recorded["time_us"].astype(np.int64))) == {4000}
-    assert set(recorded["length"]) == {784}
 
 
 def test_targets_are_the_path(recorded, sines):
@@ -67,10 +63,10 @@ def test_without_physics_the_pose_is_the_chain_at_the_encoders(recorded, lite6):
 ])  # fmt: skip
 def test_ports_keep_their_rates(lite6, port, count, field):
     """Joint 1 turns evenly: it is the clock."""
-    there = np.array([3.0, 0, 1, 0, 0, 0])
-    path = move(there * [-1, 1, 1, 1, 1, 1], there, speed=0.1)  # for a minute
+    rate, start = [0.1, 0, 0, 0, 0, 0], [-3.0, 0, 1, 0, 0, 0]
+    path = Polynomials(PPoly(np.array([[rate], [start]]), [0.0, 60.0]), 60.0)
     with emulated(lite6, path=path, speed=4.0) as controller:
-        until(lambda: controller.snapshot().time > 0.1)
+        until(lambda: snapshot(controller).time > 0.1)
         turned = np.diff(read_reports(controller, port, count)[field][:, 0].astype(float))
     np.testing.assert_allclose(turned / 0.1, 1 / protocol.RATES[port], atol=1e-5)
 
@@ -91,9 +87,6 @@ def test_the_rich_report_through_the_sdk(lite6, connect):
         np.testing.assert_allclose(arm.position, pose, atol=1e-3)
         pose = arm.get_position()[1]
         np.testing.assert_allclose(arm.position, pose, atol=1e-3)
-        assert arm.get_position_aa()[1][:3] == pytest.approx(pose[:3], abs=1e-3)
-        turn = Rotation.from_rotvec(arm.get_position_aa()[1][3:]).inv() * Rotation.from_euler("xyz", pose[3:])
-        assert turn.magnitude() < 2e-6
         assert arm.voltages == [24.0] * 7
         assert arm.currents[1] == pytest.approx(0.08 * arm.get_joints_torque()[1][1], abs=1e-5)
         np.testing.assert_allclose(arm.joints_torque, arm.get_joints_torque()[1], atol=1e-4)
@@ -162,6 +155,3 @@ def test_a_lag_and_a_clock_that_is_off(lite6, sines):
     assert_poses(late, six_parameter_poses(lite6.kinematics, sines.at(seconds(late) - 0.008 - 0.05)[0]), atol=3e-3)
     early = shown(hidden(lite6, "time_offset:offset_s=0.05"), sines)
     assert_poses(early, six_parameter_poses(lite6.kinematics, sines.at(seconds(early) - 0.008 + 0.05)[0]), atol=3e-3)
-
-
-# ------------------------------------------------------------------------------------------ a long stream

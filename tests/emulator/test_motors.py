@@ -109,9 +109,7 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
     found = hidden("payload_error:mass_kg=0.4").torque(sample, ddq, Load(TOOL, 0.3, CENTER))
     np.testing.assert_allclose(found, rigid.torque(sample, ddq, Load(TOOL, 0.7, CENTER)), atol=1e-12)
     path = draw_sines(arm, seed=5)
-    late, plain = Core(hidden("time_offset:offset_s=-0.02")), Core(rigid)
-    for core in (late, plain):
-        core.follow(path)
+    late, plain = (Core(body, path=path) for body in (hidden("time_offset:offset_s=-0.02"), rigid))
     time = np.linspace(1.0, 2.0, 50)
     np.testing.assert_allclose(late.torque(time), plain.torque(time - 0.02), atol=1e-12)
     assert np.abs(late.torque(time) - plain.torque(time)).max() > 1e-2

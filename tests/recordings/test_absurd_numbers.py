@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from typed import unread
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, read_targets
@@ -61,9 +62,7 @@ def test_many_rows_are_listed_and_over_half_are_an_error(written):
         "numbers beyond any arm or sensor count as missing: 1e+09 in column y_m, row 2; rows 2, 4, 6, 8, 10, 12, 14, "
         "16, 18, 20, 22, 24 and 8 more"
     )
-    with pytest.raises(InputError) as caught:
-        read_recording(written(*((row, "q1_rad", "1e9") for row in range(1, SAMPLES))))
-    assert str(caught.value).endswith(
+    assert unread(written(*((row, "q1_rad", "1e9") for row in range(1, SAMPLES)))) == (
         "59 of 60 rows have numbers beyond any arm or sensor (1e+09 in column q1_rad, row 1); check the unit and the "
         "column"
     )

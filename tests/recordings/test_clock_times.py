@@ -6,8 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from typed import unread
 
-from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, read_targets
 
 SECONDS = [0.0, 0.123, 61.5, 3600.25]
@@ -74,11 +74,7 @@ def test_a_decimal_comma_and_missing_times(tmp_path):
     ],
 )
 def test_what_would_be_a_guess_is_refused(tmp_path, times, problem):
-    path = written(tmp_path, times)
-    with pytest.raises(InputError) as caught:
-        read_recording(path)
-    assert str(caught.value).startswith(f"{path}: column time_s: {problem}")
-    assert "\n" not in str(caught.value)
+    assert unread(written(tmp_path, times)).startswith(f"column time_s: {problem}")
 
 
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])

@@ -2,6 +2,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from typed import refusal
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, drop_missing
@@ -150,9 +151,8 @@ def test_a_quaternion_beyond_one_per_cent_is_refused_with_its_row():
     quaternion = np.tile([1.0, 0, 0, 0], (5, 1))
     quaternion[2] *= 1.02
     quaternion[4] = 0
-    with pytest.raises(InputError) as caught:
-        Recording.from_arrays(np.zeros((5, 6)), position=np.zeros((5, 3)), quaternion=quaternion, source="a.csv")
-    assert str(caught.value) == (
+    given = {"position": np.zeros((5, 3)), "quaternion": quaternion}
+    assert refusal(Recording.from_arrays, np.zeros((5, 6)), **given, source="a.csv") == (
         "a.csv: columns qw qx qy qz: row 3 has length 1.02 (and 1 more rows), not 1; give unit quaternions, scalar "
         "first, and leave the fields empty where the sensor lost its target"
     )

@@ -3,9 +3,9 @@
 import numpy as np
 import pyarrow as pa
 import pytest
+from typed import refusal
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
 
 LITE6 = load_bundled("lite6")
@@ -30,13 +30,6 @@ def columns_of(arrays, degrees=False, millimetres=False):
     return table | {name: arrays["quaternion"][:, k] for k, name in enumerate(("qw", "qx", "qy", "qz"))}
 
 
-def refused(function, *arguments, **options):
-    with pytest.raises(InputError) as caught:
-        function(*arguments, **options)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 # ------------------------------------------------------------------ arrays
 
 
@@ -58,15 +51,14 @@ def test_arrays_are_kept_and_keys_of_the_sidecar_are_declared(plausible):
 
 def test_degrees_are_refused_and_name_the_remedy(plausible):
     degrees = np.rad2deg(plausible["joint_position"])
-    row, joint = np.argwhere(abs(degrees) > 4 * np.pi)[0][0], 0
-    message = refused(Recording.from_arrays, degrees, arm="lite6", source="mine")
+    message = refusal(Recording.from_arrays, degrees, arm="lite6", source="mine")
     assert message.startswith("mine: joint_position: row ")
     assert message.endswith(" rad; are these degrees? give radians: np.deg2rad(joint_position)")
     # of one joint alone
     mixed = plausible["joint_position"].copy()
     mixed[:, 0] = degrees[:, 0]
-    row = int(np.argmax(abs(degrees[:, joint]) > 4 * np.pi))
-    assert refused(Recording.from_arrays, mixed) == (
+    row = int(np.argmax(abs(degrees[:, 0]) > 4 * np.pi))
+    assert refusal(Recording.from_arrays, mixed) == (
         f"recording: joint_position: row {row + 1} is at {degrees[row, 0]:.5g} rad while the arm's joint 1 goes from "
         "-6.283 to 6.283 rad; are these degrees? give radians: np.deg2rad(joint_position)"
     )
@@ -93,7 +85,7 @@ def test_degrees_are_refused_and_name_the_remedy(plausible):
 )
 def test_arrays_that_cannot_be_a_recording(changes, message):
     given = {"joint_position": np.zeros((3, 6)), "position": np.zeros((3, 3))} | changes
-    assert message in refused(Recording.from_arrays, **given)
+    assert message in refusal(Recording.from_arrays, **given)
 
 
 # ------------------------------------------------------------------ data frames
@@ -139,14 +131,11 @@ def test_data_frames_hold_what_a_file_with_the_same_columns_holds(plausible, tmp
     ],
 )
 def test_data_frames_that_cannot_be_a_recording(plausible, changes, message):
-    assert message in refused(Recording.from_dataframe, columns_of(plausible) | changes, arm="lite6")
+    assert message in refusal(Recording.from_dataframe, columns_of(plausible) | changes, arm="lite6")
 
 
 @pytest.mark.parametrize("frame", [np.zeros((3, 6)), [[0.0] * 6], {}, {1: [0.0]}, None])
 def test_what_is_no_data_frame(frame):
-    assert "has no named columns; give a data frame with columns q1_rad ... qN_rad" in refused(
+    assert "has no named columns; give a data frame with columns q1_rad ... qN_rad" in refusal(
         Recording.from_dataframe, frame
     )
-
-
-# ------------------------------------------------------------------ the check that public calls share

@@ -1,4 +1,5 @@
 import pytest
+from typed import unread
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import FactoryUncertainty, RecordingSettings, read_settings, write_settings
@@ -32,15 +33,6 @@ def sidecar(tmp_path, text):
     path = tmp_path / "run7.yaml"
     path.write_text(text)
     return path
-
-
-def refusal(path):
-    with pytest.raises(InputError) as caught:
-        read_settings(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert message.startswith(f"{path}: ")
-    return message.removeprefix(f"{path}: ")
 
 
 def test_every_key_is_read(tmp_path):
@@ -119,13 +111,13 @@ def test_round_trip_is_exact(tmp_path, settings):
     ],
 )
 def test_what_a_sidecar_must_not_say(tmp_path, text, message):
-    assert message in refusal(sidecar(tmp_path, text))
+    assert message in unread(sidecar(tmp_path, text), read_settings)
 
 
 def test_an_alias_bomb_is_refused(tmp_path):
     lines = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    assert "aliases expand" in refusal(sidecar(tmp_path, "\n".join([*lines, "recording: *a11"])))
+    assert "aliases expand" in unread(sidecar(tmp_path, "\n".join([*lines, "recording: *a11"])), read_settings)
 
 
 def test_a_sidecar_of_the_other_suffix_is_not_passed_over(tmp_path):

@@ -27,7 +27,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
-from lite6jax.recordings.files import TABLES, open_table
+from lite6jax.recordings.files import open_table
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
 from lite6jax.storage import exists
@@ -274,7 +274,7 @@ def _recognised(
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
-    _, table = open_table(path, (), ArmJoints(model.dof), [], TABLES)
+    _, table = open_table(path, (), ArmJoints(model.dof), [])
     if not given and (declared or any(name in ("x_m", "x_mm") for name in table.names)):
         return {}, ()
     columns = dict(table.numbers())
