@@ -11,9 +11,8 @@ from scipy.linalg import block_diag
 
 from lite6jax.calibration.quality import Quality, quality_of_poses
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
-from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
+from lite6jax.diagnosis.document import SCHEMA, Verdict, effect_entry, pose_model_entry
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.schema import Verdict
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin

@@ -8,20 +8,14 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
-from lite6jax.diagnosis.estimates import (
-    DISAGREE,
-    Known,
-    difference_p_value,
-    estimate_effect,
-    fit_with_effect,
-    side_entry,
-)
 from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.composition import read_driver
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
@@ -32,8 +26,9 @@ from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.terms import Terms
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
@@ -214,6 +209,91 @@ def _errors_without(
         return (problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma)[:, held]
 
     return HeldOutTorques(errors(found.reference, found.state.baseline), errors(found.problem, found.state.fit))
+
+
+# ------------------------------------------------------------------ what a diagnosis says of one effect
+
+
+DISAGREE = 0.0027
+"""The probability of a difference by chance, three standard deviations, below which two estimates disagree."""
+_VAGUE = 30.0
+"""Typical sizes beyond which the standard deviation of an estimate says that a recording does not show it."""
+
+
+class Known(NamedTuple):
+    """What one domain says of a quantity.
+
+    Attributes:
+        found: whether it is a finding; otherwise it was estimated beside the findings.
+        values: `(number,)`.
+        covariance: `(number, number)`.
+        parameters: the same with their names.
+    """
+
+    found: bool
+    values: Array
+    covariance: Array
+    parameters: dict[str, Estimate]
+
+
+def side_entry(known: Known | None) -> dict[str, Any] | None:
+    """What one side says of a quantity, as values that JSON can hold."""
+    if known is None:
+        return None
+    return {"found": known.found, "parameters": {key: e._asdict() for key, e in known.parameters.items()}}
+
+
+def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
+    """What a result says of an effect: as it was found, or fitted beside all that was; None where it is not shown.
+
+    Of an effect with an order or a speed that a search chose, its size is what is compared.
+    """
+    for finding in result.findings:
+        if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):
+            return _of(True, finding.effect, finding.values, finding.covariance)
+    candidates: tuple[Effect, ...] = result.problem.candidates
+    if (effect not in candidates and not effect.searched) or effect in result.confounded:
+        return None
+    beside = fit_with_effect(result, effect)
+    part = beside.terms.slices[-1]
+    values, covariance = beside.values[part], beside.covariance[part, part]
+    typical = np.array([number.typical for number in effect.coordinates])
+    std = np.sqrt(np.diagonal(covariance))
+    if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
+        return None
+    return _of(False, effect, values, covariance)
+
+
+def fit_with_effect(
+    result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
+) -> Fit:
+    """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""
+    at = result.fit
+    kept = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
+    rest, values = at.terms.part(at.values, kept)
+    terms, start = Terms((*rest.terms, effect)), np.append(values, np.zeros(effect.size))
+    return fit(result.problem, terms, result.options.engine, start, at.nuisance, at.training, at.noise)
+
+
+def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:
+    parameters = effect.reported(values, covariance)
+    if effect.searched:
+        size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
+        values, covariance = np.array([size.value]), np.array([[size.std**2]])
+    return Known(found, values, covariance, parameters)
+
+
+def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
+    """Of a difference as large as theirs, both being normal.
+
+    Args:
+        one: the first.
+        other: the second.
+        sign: of the second over the first.
+    """
+    off = one.values - sign * other.values
+    together = one.covariance + other.covariance
+    return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
 
 
 # ------------------------------------------------------------------ relative to a reference

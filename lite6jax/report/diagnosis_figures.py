@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMetho
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
@@ -20,7 +20,7 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import (
+from lite6jax.report.figures import (
     AFTER,
     BEFORE,
     BINS,
@@ -37,7 +37,7 @@ from lite6jax.report.canvas import (
     panels_in_rows,
     titled,
 )
-from lite6jax.report.remedies import effect_name, spaced
+from lite6jax.report.ranking import effect_name, spaced
 from lite6jax.report.words import joint_units, torque_units
 
 Array = NDArray[np.floating]

@@ -20,16 +20,17 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
-from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,
     STATISTICS,
+    fill,
     fixed,
     listed,
     listing,
     number,
     plus_minus,
+    read_texts,
     what_is_measured,
 )
 

@@ -18,10 +18,9 @@ from matplotlib.ticker import MaxNLocator
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Solution, write_solution
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import Sensitivity
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -33,10 +32,10 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures
-from lite6jax.report.canvas import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.compensation import compensation_columns
 from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
 from lite6jax.report.documents import document, has_document, text
+from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import page_text
 from lite6jax.report.statements import with_statements
 from lite6jax.report.words import SCREEN

@@ -16,8 +16,7 @@ from lite6jax.controller.recorder import LiveRecording, Progress
 from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import SCREEN, STATISTICS, fixed, listing, number
+from lite6jax.report.words import SCREEN, STATISTICS, fill, fixed, listing, number, read_texts
 
 Array = NDArray[np.floating]
 

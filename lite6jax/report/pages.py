@@ -17,18 +17,16 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import STYLE
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
-from lite6jax.report.ranking import Files, of_torques, units
-from lite6jax.report.remedies import effect_title
+from lite6jax.report.figures import STYLE
+from lite6jax.report.ranking import Files, effect_title, of_torques, units
 from lite6jax.report.sections import Picture, Report, Section, error_rows, sections_of, show_sections
-from lite6jax.report.texts import read_texts
-from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity
+from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity, read_texts
 
 Document = Mapping[str, Any]
 

@@ -18,8 +18,7 @@ from rich.text import Text
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
-from lite6jax.report.ranking import Files, of_torques
-from lite6jax.report.remedies import by_site
+from lite6jax.report.ranking import Files, by_site, of_torques
 from lite6jax.report.screen import indented
 from lite6jax.report.words import capital, counted, fixed, joint_units, listed, listing, number, significant
 

@@ -13,28 +13,30 @@ import numpy as np
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.report import faults, ranking
-from lite6jax.report.ranking import of_torques, units
-from lite6jax.report.remedies import (
+from lite6jax.report.ranking import (
     component,
     detail,
     distinct_rivals,
     drivers_of,
     effect_name,
     effect_title,
+    of_torques,
     shape,
+    units,
     with_articles,
 )
-from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     OF_TORQUES,
     SCREEN,
     Quantity,
     capital,
     each_with_unit,
+    fill,
     fixed,
     multiple,
     plus_minus,
     quantity,
+    read_texts,
     significant,
 )
 

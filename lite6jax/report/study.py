@@ -9,11 +9,10 @@ from rich.text import Text
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.design.candidates import Candidates
 from lite6jax.design.determination import Dependency, Determination
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.design.sensor import AnySensor, PlacedReading, Sensor
 from lite6jax.design.torques import (
     JOINT,

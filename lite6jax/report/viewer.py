@@ -22,15 +22,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
-from lite6jax.design.clearance import Capsule, chain_capsules, link_frames
+from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import AFTER, BEFORE
 from lite6jax.report.faults import fault_name
+from lite6jax.report.figures import AFTER, BEFORE
 from lite6jax.report.words import number
 
 if TYPE_CHECKING:

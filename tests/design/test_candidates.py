@@ -12,9 +12,9 @@ from lite6jax.design.candidates import (
     clear_of_itself,
     inside_box,
     inside_limits,
+    self_collision,
     user_filter,
 )
-from lite6jax.design.clearance import self_collision
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
 

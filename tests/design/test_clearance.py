@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import load_bundled
-from lite6jax.design.clearance import chain_capsules, link_frames, segment_distance, self_collision
+from lite6jax.design.candidates import chain_capsules, link_frames, segment_distance, self_collision
 from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses

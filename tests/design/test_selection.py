@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from lite6jax.design.selection import Criterion, Pool, accuracy_criterion, choose, exchange
+from lite6jax.design.poses import Criterion, Pool, accuracy_criterion, choose, exchange
 from lite6jax.errors import InputError
 
 

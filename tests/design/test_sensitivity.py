@@ -3,8 +3,8 @@
 import numpy as np
 
 from lite6jax.arms.description import load_bundled
+from lite6jax.design.identify import sensitivity
 from lite6jax.design.information import plan_experiment
-from lite6jax.design.sensitivity import sensitivity
 from tests.oracles.arms import random_positions
 from tests.oracles.chains import six_parameter_poses
 

@@ -9,7 +9,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.fleet import compare
 from lite6jax.errors import InputError
-from lite6jax.report import canvas, figures
+from lite6jax.report import figures
 from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
@@ -60,14 +60,14 @@ def test_the_distances_between_arms(comparison):
 
 def test_written_whole_and_the_same_again(tmp_path, solution):
     drawn = {"one": figures.error_by_joint(solution, "arm.yaml")}
-    paths = canvas.save(drawn, tmp_path)
+    paths = figures.save(drawn, tmp_path)
     assert [path.name for path in paths] == ["one.png", "one.svg"]
     image = imread(paths[0])
     assert image.shape[1] == 12 * 120
     assert image[..., :3].min() < 0.2 < 0.99 < image[..., :3].max()
     first = [path.read_bytes() for path in paths]
     again = {"one": figures.error_by_joint(solution, "arm.yaml")}
-    assert [path.read_bytes() for path in canvas.save(again, tmp_path, overwrite=True)] == first
+    assert [path.read_bytes() for path in figures.save(again, tmp_path, overwrite=True)] == first
     with pytest.raises(InputError, match=r"one\.png: exists already; choose another name or add --force"):
-        canvas.check_names(tmp_path, ["one"])
+        figures.check_names(tmp_path, ["one"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "one.svg"]

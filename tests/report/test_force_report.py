@@ -12,8 +12,7 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic import PayloadTorque, ViscousFriction
 from lite6jax.recordings import Recording
 from lite6jax.report.diagnosis_figures import drawings, ranking_figure
-from lite6jax.report.ranking import contribution, headline
-from lite6jax.report.remedies import remedy_of
+from lite6jax.report.ranking import contribution, headline, remedy_of
 from lite6jax.report.statements import with_statements
 from tests.oracles import kane
 

@@ -15,8 +15,9 @@ from torque_diagnosed import recorded as torques_recorded
 from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.recordings import write_recording
-from lite6jax.report import canvas, ranking
+from lite6jax.report import ranking
 from lite6jax.report.diagnosis_figures import NAMES, drawings
+from lite6jax.report.figures import SUFFIXES
 from lite6jax.report.pages import diagnosis_page
 
 DOMAINS = ("poses", "torques")
@@ -121,7 +122,7 @@ def test_the_command_writes_both(tmp_path, recorded, motors, monkeypatch, capsys
     assert "&lt;b&gt;run.csv" in page
     assert "<b>" not in page
     written = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert written == {f"<b>run_{name}{suffix}" for name in names for suffix in canvas.SUFFIXES}
+    assert written == {f"<b>run_{name}{suffix}" for name in names for suffix in SUFFIXES}
     said = capsys.readouterr().out
     assert "r.html" in said
     assert "<b>run_error_by_joint.png" in said

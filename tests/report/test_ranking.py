@@ -9,8 +9,7 @@ from diagnosed import documented
 
 from lite6jax.effects import catalogue
 from lite6jax.report import ranking
-from lite6jax.report.ranking import Files, steps
-from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
+from lite6jax.report.ranking import OF_POSES, OF_TORQUES, Files, cause_of, remedy_of, steps
 
 
 def ranked(document):
