@@ -86,11 +86,7 @@ class SelfCollision(NamedTuple):
     disabled: tuple[tuple[str, str], ...]
 
     def clearance(self, joint_position: Any) -> Any:
-        """The least distance between the surfaces of any pair, m, `(sample,)`: negative where they overlap.
-
-        Args:
-            joint_position: `(sample, joint)` rad, of NumPy or JAX.
-        """
+        """The least distance between surfaces of any pair, `(sample,)` m, negative where they overlap."""
         q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
         if not len(self.pairs):
             return np.full(len(q), np.inf)
@@ -137,12 +133,7 @@ def link_frames(arm: Arm, joint_position: ArrayLike) -> Array:
 
 
 def walk_chain(arm: Arm, q: Any) -> list[Any]:
-    """`T_base_link` `(sample, 4, 4)` of the base, of each link after its joint's motion, and of the flange.
-
-    Args:
-        arm: the chain.
-        q: `(sample, joint)` rad, of NumPy or JAX.
-    """
+    """`T_base_link` `(sample, 4, 4)` of the base, each link after its joint, and the flange, at `(sample, joint)`."""
     xp = q.__array_namespace__()
     walked = [xp.broadcast_to(xp.eye(4), (len(q), 4, 4))]
     for link, position, slides in zip(arm.links, q.T, arm.slides, strict=True):
@@ -305,13 +296,9 @@ def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np
 
 
 def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
-    """The tool point is in a box, such as what a sensor sees.
+    """The tool point `(3,)` m, in the flange's frame, is in a box, such as what a sensor sees.
 
-    Args:
-        arm: its chain.
-        lower: `(3,)` m, the least x, y, z of the box in the base's frame.
-        upper: the greatest.
-        tool_point: `(3,)` m in the flange's frame.
+    The box is from its least x, y, z to the greatest, m in the base's frame.
 
     Raises:
         InputError: the box is empty.

@@ -250,12 +250,7 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
 
 
 def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
-    """A model of poses as values that JSON can hold.
-
-    Args:
-        model: all that a prediction needs.
-        covariances: of the numbers of each effect.
-    """
+    """A model of poses as values that JSON can hold, with covariances of the numbers of each effect."""
     pairs = zip(model.physics.effects, model.physics.slices, covariances, strict=True)
     limits, known = model.joint_limits, model.uncertainty
     uncertainty = None
@@ -518,11 +513,7 @@ def write_document(document: Mapping[str, Any], path: str | Path, overwrite: boo
 def document_text(document: Any, line: str = "\n") -> str:
     """The text of a diagnosis file, with a line for each entry of objects and lists, but one for a list of numbers.
 
-    A covariance is then a line for each of its rows, where `json` with an indent takes one for each of its numbers.
-
-    Args:
-        document: what `json` can write.
-        line: what begins a line of the surrounding object or list.
+    A covariance is then a line for each of its rows. `line` begins a line of the surrounding object or list.
     """
     if isinstance(document, dict) and document:
         entries = [f"{json.dumps(name)}: {document_text(entry, line + ' ')}" for name, entry in document.items()]
@@ -575,10 +566,6 @@ def parse_document(path: str | Path) -> Any:
 
 def check_document(document: Any, path: str | Path) -> None:
     """Refuses what is no diagnosis or has no whole model, for a report; effects of a user's own are not needed.
-
-    Args:
-        document: of poses, of torques or of both, as JSON holds it.
-        path: what messages begin with.
 
     Raises:
         InputError: not a diagnosis, or something in a model is missing or not possible.

@@ -178,13 +178,9 @@ class HeldOutTorques(NamedTuple):
 
 
 def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among: Considered) -> HeldOutTorques:
-    """The errors on the samples of a fold, with the model that a search of the others selects.
+    """The errors on the samples of a fold `(sample,)`, with the model that a search of the others selects.
 
-    Args:
-        held: `(sample,)`, the fold.
-        problem: not linearised.
-        options: thresholds.
-        among: the processes to choose from.
+    The problem is not linearised; processes are chosen among `among`.
     """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
@@ -284,13 +280,7 @@ def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:
 
 
 def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
-    """Of a difference as large as theirs, both being normal.
-
-    Args:
-        one: the first.
-        other: the second.
-        sign: of the second over the first.
-    """
+    """Of a difference as large as theirs, both being normal; `sign` is that of the second over the first."""
     off = one.values - sign * other.values
     together = one.covariance + other.covariance
     return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
@@ -361,14 +351,7 @@ class TorqueComparison:
 def _diagnose_against(
     recording: Recording, reference: Recording, arm: Arm, alone: Callable[[Recording, Arm], TorqueDiagnosis]
 ) -> TorqueDiagnosis:
-    """The difference of two recordings of the same motion, diagnosed; else each alone, and what either shows compared.
-
-    Args:
-        recording: with torques.
-        reference: torques of the same arm, or of a simulator.
-        arm: the declared arm.
-        alone: the diagnosis of one.
-    """
+    """The difference of two recordings of one motion, diagnosed; else each alone, and what either shows compared."""
     by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
     if by_rows is not None:
         return replace(alone(by_rows.recording, arm), against=TorqueComparison(by_rows.file, by_rows))

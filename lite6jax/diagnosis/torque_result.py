@@ -15,6 +15,7 @@ from lite6jax.domains.torque.problem import FITTED, TorqueProblem
 from lite6jax.effects.catalogue import torque_catalogue
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.effect import Effect, slides
+from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
 from lite6jax.search.state import Alternative
 
@@ -27,6 +28,11 @@ _NORMAL = 1.4826
 @final
 class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
     """The diagnosis of torques."""
+
+    @property
+    def recording(self) -> Recording:
+        """As it was screened."""
+        return self.problem.data.recording
 
     @property
     def confounded(self) -> tuple[Effect, ...]:
@@ -78,9 +84,9 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
 
     def _own_parts(self) -> dict[str, Any]:
         problem, data = self.problem, self.problem.data
-        chosen, settings = data.filter, data.recording.settings
+        chosen = data.filter
         raw = problem.noise * np.sqrt(chosen.every)
-        return self._parts(settings) | {
+        return {
             "domain": "torque",
             "before": self._errors(self.before),
             "after": self._errors(self.after),
@@ -103,7 +109,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
                 "declared_torque_Nm": raw.tolist() if problem.declared else None,
                 "estimated_torque_Nm": (raw * self.fit.scale).tolist(),
             },
-            "torque_source": settings.torque_source,
+            "torque_source": data.recording.settings.torque_source,
             "findings": [self._finding(k) for k in range(len(self.findings))],
             "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
             "model": torque_model_entry(self.model, [finding.covariance for finding in self.findings]),

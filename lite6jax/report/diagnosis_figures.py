@@ -73,10 +73,7 @@ def drawings(
 ) -> Iterator[tuple[str, Figure]]:
     """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
-    Args:
-        found: the diagnosis.
-        title: of each figure.
-        document: its document, by whose ranking the findings are numbered; as they were found where not given.
+    The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
     if isinstance(found, CombinedDiagnosis):
         yield from drawings(found.poses, title, document)
@@ -343,7 +340,7 @@ def finding_figure(
     Args:
         found: with findings.
         title: of the figure.
-        chosen: places of findings, from 0; all, in their order, where not given.
+        chosen: places of findings, from 0; all where not given.
         order: places of all findings in the order in which they are numbered; theirs where not given.
     """
     order = range(len(found.findings)) if order is None else order
@@ -440,12 +437,7 @@ def _at_motor(curve: FindingCurve) -> str:
 
 @rc_context(STYLE)
 def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
-    """What each finding moves, beside the error before and after.
-
-    Args:
-        document: of poses or of torques, with findings.
-        title: of the figure.
-    """
+    """What each finding of a document moves, beside the error before and after."""
     measures = ranking.measures_of(document)
     findings, shown = statements.findings_of(document)[:_MOST], ranking.bars(document)[:_MOST]
     if len(measures) == 1:

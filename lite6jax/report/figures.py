@@ -124,10 +124,7 @@ def label_joint(panel: Axes, joint: int, unit: str) -> None:
 def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels in rows.
 
-    Args:
-        count: the number of panels.
-        shared: whether the panels share their vertical axis.
-        wide: whether panels are wide, as for curves; their size decreases with their number.
+    They may share their vertical axis. Wide panels, as for curves, are smaller the more there are.
     """
     columns = min(count, 4 if count > 6 else 3)
     width, height = 3.0 + 3.0 / columns, 3.2
@@ -171,13 +168,13 @@ def dots(panel: Axes, x: Array, y: Array, color: str, zorder: float = 2) -> None
 
 
 def medians(x: Array, y: Array, count: int = BINS, share: float = 0.0) -> tuple[Array, Array, Array]:
-    """Centres of bins of equal width, medians and their standard errors; NaN where a bin has too few samples.
+    """Centres of bins of equal width, medians `(bin,)` and their standard errors; NaN where a bin has too few samples.
 
     Args:
         x: `(sample,)`, which is binned.
         y: `(sample,)`.
         count: the number of bins.
-        share: of the samples that an even distribution would have, what a bin has at least beside `_LEAST_IN_BIN`.
+        share: of the samples of an even distribution, which a bin has at least beside `_LEAST_IN_BIN`.
     """
     if not len(x):
         return np.zeros(0), np.zeros(0), np.zeros(0)
@@ -199,11 +196,7 @@ def errors_over_joints(
 ) -> Figure:
     """Position errors against each joint, before and after; lines are medians, where samples are enough.
 
-    Args:
-        stages: positions of the joints `(sample, joint)`, errors `(sample,)` m, and the label of each.
-        sliding: the prismatic joints, from 0.
-        title: of the figure.
-        share: as of `medians`.
+    Each stage has positions of the joints `(sample, joint)`, errors `(sample,)` m and a label; `share` as of `medians`.
     """
     joints = stages[0][0].shape[1]
     scales, units = joint_units(sliding, joints)

@@ -123,11 +123,9 @@ def _result_line(solution: Solution, recorded: bool) -> str:
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
-    """The parameters of a chain: of a Hayati form its base, then a row for each joint.
+    """The parameters of a six-parameter chain, or of a Hayati form its base, then a row for each joint.
 
-    Args:
-        chain: six parameters a joint, or a Hayati form.
-        cell: the text of a parameter by its name and by that of its column; the form may have none of the name.
+    `cell` gives the text of a parameter by its name and its column's; the form may have none of the name.
     """
     if isinstance(chain, HayatiForm):
         given = set(chain.names)
@@ -246,12 +244,7 @@ def _place_tables(solution: Solution) -> Iterator[RenderableType]:
 
 
 def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
-    """What touches leave open, a sentence each.
-
-    Args:
-        recording: of touches.
-        frame: whether the frame of their points is another than the arm's base.
-    """
+    """What touches leave open, a sentence each; `frame`: whether their frame is another than the arm's base."""
     settings = recording.settings
     facts = {
         "frame": frame,

@@ -152,8 +152,7 @@ def _sensitivity(found: Sensitivity, title: str) -> Figures:
 @draw.register(Diagnosis)
 @draw.register(TorqueDiagnosis)
 def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
-    data = found.problem.data if isinstance(found, TorqueDiagnosis) else found.problem
-    title, document = title or Path(data.recording.source).name, found.to_dict()
+    title, document = title or Path(found.recording.source).name, found.to_dict()
     ranked = {"ranking": ranking_figure(document, title)} if document["findings"] else {}
     return Figures({**ranked, **dict(diagnosis_figures.drawings(found, title, document))})
 

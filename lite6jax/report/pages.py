@@ -70,15 +70,12 @@ def diagnosis_page(
 def page_text(
     found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, document: dict[str, Any], files: Files | None = None
 ) -> str:
-    """The page of a diagnosis with its figures, HTML.
+    """The page of a diagnosis with its figures, HTML; its document has statements.
 
-    Args:
-        found: the diagnosis.
-        document: as in its JSON file, with statements.
-        files: for commands to copy; the recording's, where that is a file, where not given.
+    Commands to copy name `files`, or the recording's where that is a file.
     """
     poses = found.poses if isinstance(found, CombinedDiagnosis) else found
-    source = (poses.problem.data if isinstance(poses, TorqueDiagnosis) else poses.problem).recording.source
+    source = poses.recording.source
     if files is None and storage.exists(source):
         files = Files(Path(source))
     figures = dict(drawings(found, Path(source).name, document))

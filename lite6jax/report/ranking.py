@@ -60,12 +60,7 @@ _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sen
 
 
 def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
-    """The remedy of an effect, that of a user's own where neither catalogue has it.
-
-    Args:
-        entry: a finding of the document.
-        torques: whether it acts on torques.
-    """
+    """The remedy of a finding of the document, that of a user's own effect where neither catalogue has it."""
     found, exerted = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN), _exerted(entry)
     if not torques and entry["site"] in ("sensor", "clock"):
         return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)

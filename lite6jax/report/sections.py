@@ -293,13 +293,9 @@ def show_sections(sections: Sequence[Section]) -> Iterator[RenderableType]:
 def diagnosis_report(
     document: Document, source: str, files: Files | None = None, details: bool = False
 ) -> Iterator[RenderableType]:
-    """What a terminal shows of a diagnosis; of both domains the poses, the torques, and what both depend on.
+    """What a terminal shows of a document with statements; of both domains poses, torques, and what both depend on.
 
-    Args:
-        document: as in the JSON file, with statements.
-        source: the recording.
-        files: for commands to copy; without them there are none.
-        details: whether to list also the rejected alternatives, what was ruled out and what was not tested.
+    Without files there are no commands to copy. Details: rejected alternatives, what was ruled out and not tested.
     """
     parts = [("Poses", Report(document, files, details))]
     parts += [("Torques", Report(document["torques"], None, details))] if "torques" in document else []

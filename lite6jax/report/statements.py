@@ -153,11 +153,7 @@ def cautions(document: Document) -> list[str]:
 
 
 def quality_statement(quality: Entry) -> str | None:
-    """Why a model does not describe the poses it was fitted to, and what to check; None where it does.
-
-    Args:
-        quality: as in JSON documents.
-    """
+    """Why a model does not describe the poses it was fitted to, and what to check; None where it does."""
     return fill(_TEXTS["quality"], quality) if quality["verdict"] == "bad" else None
 
 
@@ -175,12 +171,7 @@ class Error(NamedTuple):
 
 
 def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterator[Error]:
-    """The held-out errors that a document has: of positions and orientations, or of all joints and then of each.
-
-    Args:
-        document: of poses or of torques.
-        statistics: keys of `STATISTICS`.
-    """
+    """The held-out errors of a document: of positions and orientations, or of all joints and then of each."""
     before, after, rows = document["before"], document["after"], []
     if of_torques(document):
         both = dict.fromkeys(units(document))
@@ -248,12 +239,7 @@ def _detailed(document: Document) -> list[dict[str, Any]]:
 
 
 def finding_statement(finding: Entry, torques: bool = False) -> str:
-    """A finding in one sentence, with its numbers and its contribution.
-
-    Args:
-        finding: with the fields of its effect as `where`.
-        torques: whether it acts on torques.
-    """
+    """A finding, with the fields of its effect as `where`, in one sentence with its numbers and its contribution."""
     where, unnamed = finding["where"], finding["effect"] == "unnamed"
     named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
     if torques:
@@ -411,22 +397,15 @@ def with_comparison(comparison: Document) -> dict[str, Any]:
 
 
 def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -> str:
-    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference.
-
-    Args:
-        comparison: as in the JSON file.
-        joint_units: of each joint, where it is of torques.
-    """
+    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference."""
     in_units = partial(each_with_unit, units=tuple(joint_units))
     return fill(_TEXTS["against"]["headline"], comparison, in_units=in_units)
 
 
 def model_statement(file: str, of: str | bool) -> str:
-    """What a model that was estimated relative to a reference contains.
+    """What a model that was estimated relative to a reference file contains.
 
-    Args:
-        file: the reference.
-        of: of poses whether it is rigid; of torques what was compared, `effects` or `rows`.
+    `of` is, of poses, whether it is rigid; of torques what was compared, `effects` or `rows`.
     """
     kind = of if isinstance(of, str) else "rigid" if of else "flexible"
     return fill(_TEXTS["against"][kind], {"file": file})

@@ -77,13 +77,7 @@ def described(sensor: AnySensor) -> str:
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
-    """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy.
-
-    Args:
-        found: the study.
-        source: the arm or the file.
-        drawn: whether the poses were drawn inside the limits.
-    """
+    """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy."""
     experiment, d = found.experiment, found.determination
     poses = f"{counted(d.samples, 'pose')}{' drawn inside the limits' if drawn else ''}"
     yield from _beginning(source, f"{experiment.arm.name}, {poses}; a sensor of {described(experiment.sensor)}.")
@@ -230,14 +224,9 @@ def design_report(
     source: str,
     accuracy: float | None = None,
 ) -> Iterator[RenderableType]:
-    """Which poses were chosen, from how many, and what they are worth.
+    """Which poses were chosen among candidates, and what they are worth.
 
-    Args:
-        found: the design.
-        drawn: the candidates.
-        disabled: pairs of links that are not checked against each other.
-        source: the arm.
-        accuracy: m, the target of which `found.needed` says how many poses reach it.
+    Pairs of links that are `disabled` are not checked against each other. `accuracy` is a target in m.
     """
     refused = ", ".join(f"{name} refused {count}" for name, count in drawn.refused.items() if count)
     why = f" ({refused})" if refused else ""
@@ -354,13 +343,7 @@ def combination(terms: Sequence[tuple[str, float]]) -> str:
 
 
 def torque_identification_report(found: TorqueIdentification, source: str, motion: str) -> Iterator[RenderableType]:
-    """What a motion determines: the rank, the base parameters in words, friction, what is not determined and why.
-
-    Args:
-        found: the study.
-        source: the arm or the file.
-        motion: which motion, in a phrase.
-    """
+    """What a motion determines: the rank, base parameters in words, friction, what is not determined and why."""
     model, deviations = found.model, found.deviations
     yield from _beginning(source, f"{model.arm.name}, {motion}; {_torque_noise(model)}.")
     yield Text(_rank(found))
@@ -437,13 +420,7 @@ def _undetermined(found: TorqueIdentification) -> Iterator[str]:
 
 
 def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
-    """What a designed motion determines, beside random ones of the same limits.
-
-    Args:
-        found: the design.
-        disabled: pairs of links that are not checked against each other.
-        source: the arm.
-    """
+    """What a designed motion determines, beside random ones of the same limits."""
     designed, random, room = found.identification, found.random, found.room
     scales, units = joint_units(room.arm.sliding, room.arm.dof)
     limits = []

@@ -106,12 +106,7 @@ class PoseErrors:
         return there[np.unique(np.linspace(0, len(there) - 1, min(MOST_ARROWS, len(there))).astype(int))]
 
     def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
-        """Ends `(arrow, 2, 3)` m, from where the point is predicted to where it is measured, enlarged by `scale`.
-
-        Args:
-            scale: of the errors.
-            samples: those that have an arrow; `shown` where not given.
-        """
+        """Ends `(arrow, 2, 3)` m, from predicted to measured, of some samples or of `shown`."""
         rows = self.shown if samples is None else samples
         start = self.predicted[rows, :3, 3]
         return np.stack([start, start + scale * self.error[rows]], 1)
@@ -200,12 +195,7 @@ def shades(share: Array) -> NDArray[np.uint8]:
 
 
 def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) -> Scene:
-    """A diagnosis of poses beside a recording.
-
-    Args:
-        document: as in its file.
-        model: in it.
-        recording: the diagnosed one or another of the same set-up; without poses there are no errors.
+    """A diagnosis of poses beside its recording or another of the same set-up; without poses there are no errors.
 
     Raises:
         InputError: as `predict`.
@@ -231,12 +221,7 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
 
 
 def torque_scene(document: Document, model: DiagnosedMotors, recording: Recording) -> Scene:
-    """A diagnosis of torques beside a recording of torques.
-
-    Args:
-        document: that of the torques alone.
-        model: in it.
-        recording: the diagnosed one or another of the same arm.
+    """A diagnosis of torques, its own document, beside its recording or another of the same arm.
 
     Raises:
         InputError: as `predict_torques`, or it has no torques.
@@ -315,12 +300,7 @@ _Colour = tuple[int, int, int]
 
 @contextmanager
 def served(scene: Scene, host: str, port: int | None) -> "Iterator[Shown]":
-    """The scene in a web server of this machine, within the `with` statement.
-
-    Args:
-        scene: what is shown.
-        host: the address on which to listen.
-        port: 0 for any; `PORT` or the next one that is free where None.
+    """The scene in a web server of this machine, within the `with` statement; of no port, `PORT` or the next free one.
 
     Raises:
         InputError: viser is not installed; nothing can listen there.

@@ -112,14 +112,7 @@ def listing(
     left: Sequence[int] = (),
     wrapped: Sequence[int] = (),
 ) -> Table:
-    """A table of numbers whose first column names the row.
-
-    Args:
-        headers: of the columns.
-        rows: cells.
-        left: further columns that are aligned to the left.
-        wrapped: columns whose cells take several lines where they are long.
-    """
+    """A table of numbers whose first column names the row; further columns may be aligned to the left, or wrapped."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, header_style="")
     for i, header in enumerate(headers):
         justify = "left" if i == 0 or i in left else "right"
@@ -251,13 +244,7 @@ class Quantity(NamedTuple):
 
 
 def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = _NAMED) -> Quantity:
-    """A parameter by the name and the estimate, `value` and `std`, that the JSON file has.
-
-    Args:
-        name: as in the file.
-        estimate: `value` and `std`.
-        named: factors and units of parameters whose names do not say how they are read.
-    """
+    """A parameter by its name in the JSON file and its estimate, `value` and `std`; some names have special units."""
     fitting = (known for known in _UNITS if name.endswith(known[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
     if name in named:
