@@ -382,7 +382,7 @@ def experiment(
 
     The sensor's own unknowns are unknown, and somewhere within reach.
     """
-    own = () if isinstance(sensor, Sensor) else sensor.own
+    own = sensor.own
     movable = np.ones(form.size, bool) if movable is None else movable
     precision = np.zeros(form.size) if precision is None else precision
     return Experiment(

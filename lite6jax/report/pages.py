@@ -25,7 +25,7 @@ from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
 from lite6jax.report.ranking import Files, effect_title, of_torques, units
-from lite6jax.report.sections import Picture, Report, Section, error_rows, sections_of, show_sections
+from lite6jax.report.sections import Picture, Report, Section, sections_of, show_sections
 from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity, read_texts
 
 Document = Mapping[str, Any]
@@ -102,14 +102,11 @@ def _pictures(
 
 
 def _picture(figure: Figure, caption: str) -> Picture:
-    return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
-
-
-def _embedded(figure: Figure) -> str:
     held = BytesIO()
     with rc_context(STYLE):
         figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
-    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+    data = "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+    return Picture(data, caption, sum(panel.get_visible() for panel in figure.axes) == 1)
 
 
 @cache
@@ -171,7 +168,7 @@ def certificate(document: Document) -> Figure:
         Section(
             "Accuracy on rows that were not used",
             [
-                ("table", error_rows(document)),
+                ("table", statements.error_rows(document)),
                 ("text", statements.held_out_statement(document)),
                 *([] if of_torques(document) else [("text", iso)]),
             ],

@@ -3,7 +3,7 @@
 The texts are in `templates/diagnosis.yaml`; here is what they are filled with.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -34,6 +34,7 @@ from lite6jax.report.words import (
     fill,
     fixed,
     multiple,
+    number,
     plus_minus,
     quantity,
     read_texts,
@@ -48,7 +49,7 @@ NOT_CHECKED: str = _TEXTS["not_checked"]
 COMPUTED: str = _TEXTS["computed"]
 SHARED = "What poses and torques both depend on"
 """The heading of the sentences of `shared_statements`."""
-STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
+_STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
@@ -160,36 +161,27 @@ def quality_statement(quality: Entry) -> str | None:
 # ------------------------------------------------------------------ errors and noise
 
 
-class Error(NamedTuple):
-    """A held-out error before and after, in the unit shown: of what, and which statistic, as keys of `STATISTICS`."""
-
-    name: str
-    unit: str
-    statistic: str
-    before: float
-    after: float
-
-
-def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterator[Error]:
-    """The held-out errors of a document: of positions and orientations, or of all joints and then of each."""
-    before, after, rows = document["before"], document["after"], []
-    if of_torques(document):
+def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
+    """The table of held-out errors: headers, and a row for each with its unit and statistic."""
+    before, after, rows, torques = document["before"], document["after"], [], of_torques(document)
+    kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
+    if torques:
         both = dict.fromkeys(units(document))
-        kinds = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
-        rows = [(f"{kinds[unit]} joints", "torque", unit, (1.0, unit)) for unit in both]
-    else:
-        rows = [
-            ("position error", "position", "m", SCREEN["m"]),
-            ("orientation error", "orientation", "rad", SCREEN["rad"]),
-        ]
-    for name, what, unit, (scale, shown) in rows:
-        for key in statistics:
+        own = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
+        kinds = [(f"{own[unit]} joints", "torque", unit) for unit in both]
+    for name, what, unit in kinds:
+        scale, shown = SCREEN.get(unit, (1.0, unit))
+        for key, statistic in _STATISTICS.items():
             if (at := f"heldout_{what}_{key}_{unit}") in before and at in after:
-                yield Error(name, shown, key, scale * before[at], scale * after[at])
-    if of_torques(document):
+                rows.append((f"{name} ({shown}), {statistic}", scale * before[at], scale * after[at]))
+    if torques:
         by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
-        for joint, (unit, own, left) in enumerate(zip(units(document), *by_joint, strict=True), 1):
-            yield Error(f"joint {joint}", unit, "rms", own, left)
+        each = enumerate(zip(units(document), *by_joint, strict=True), 1)
+        rows += [(f"joint {joint} ({unit}), RMS", *sizes) for joint, (unit, *sizes) in each]
+    found, size = bool(document["findings"]), significant if torques else number
+    headers = ["held-out error", "before", "after", *(["after / before"] if found else [])]
+    ratio = lambda own, left: [f"{100 * left / own:.0f} %" if own else "–"] if found else []  # noqa: E731
+    return headers, [[name, size(own), size(left), *ratio(own, left)] for name, own, left in rows]
 
 
 def held_out_statement(document: Document) -> str:

@@ -13,7 +13,7 @@ from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensor import AnySensor, PlacedReading, Sensor
+from lite6jax.design.sensor import AnySensor, PlacedReading
 from lite6jax.design.torques import (
     JOINT,
     JOINT_UNITS,
@@ -58,22 +58,10 @@ def _beginning(source: str, what: str, disabled: Sequence[tuple[str, str]] = ())
 # ------------------------------------------------------------------ what poses determine
 
 
-_READS = {
-    "position": "positions",
-    "pose": "positions and orientations",
-    "axis": "positions along one axis",
-    "distance": "distances to a point",
-}
-
-
 def described(sensor: AnySensor) -> str:
-    """A sensor in a phrase."""
+    """A sensor in a phrase, with the noise of the joints' read-outs."""
     joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-    if not isinstance(sensor, Sensor):
-        return sensor.phrase + joints
-    turns = sensor.orientation_noise
-    noise = f"{1e3 * sensor.position_noise:.3g} mm" + (f" and {np.rad2deg(turns):.2g} deg" if turns else "")
-    return f"{_READS[sensor.quantity]} to ±{noise}{' per axis' if sensor.rows > 1 else ''}{joints}"
+    return sensor.phrase + joints
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
