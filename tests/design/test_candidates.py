@@ -85,8 +85,6 @@ RARE = Filter("rare", lambda q: q[:, 1] > ARM.joint_limits[1, 1] - 1e-4)
         (lambda: candidates(ARM, 10, limit_margin=-1.0), "limit margin -1 rad: give zero or more"),
         (lambda: inside_box(ARM, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "empty; give the least x, y, z, then the greatest"),
         (lambda: user_filter("mine.py"), "filter 'mine.py': write FILE.py:function"),
-        (lambda: user_filter("mine.txt:bent"), "write FILE.py:function"),
-        (lambda: user_filter("mine.py:not a name"), "write FILE.py:function"),
         (lambda: user_filter("absent.py:bent"), "absent.py: no such file; a filter is FILE.py:function"),
     ],
 )
@@ -100,12 +98,9 @@ def test_refusals(call, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("def bent(q:\n", "cannot be loaded (SyntaxError: "),
         ("raise RuntimeError('two\\nlines')\n", "cannot be loaded (RuntimeError: two lines); correct it"),
         ("def other(q): pass\n", "has no function 'bent'; write one, or name another"),
-        ("bent = 3\n", "has no function 'bent'; write one, or name another"),
         ("def bent(q): return q[9, 9, 9]\n", "bent: fails (IndexError: "),
-        ("def bent(q): return True\n", "bent: returns bool of shape () for 5 samples; return (5,) bool"),
         ("def bent(q): return 1.0 * q[:, 0]\n", "bent: returns float64 of shape (5,) for 5 samples; return (5,) bool"),
     ],
 )

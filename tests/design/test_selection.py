@@ -38,15 +38,6 @@ NAMES = tuple(ORACLES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_criterion_is_what_its_name_says(name):
-    for seed in range(5):
-        rows = random_rows(seed, rows=3)
-        pool = Pool(rows)
-        found = apply(name, pool).value(pool.accumulate(pool.rows))[-1]
-        assert found == pytest.approx(ORACLES[name](information(rows)), rel=1e-10)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_gains_are_what_poses_add(name):
     rows = random_rows(11, candidates=40, rows=2)
     pool = Pool(rows)

@@ -22,14 +22,10 @@ FITTED = "fitted displacement of the measured pose (mm)"
 GEAR = "joint_harmonic:joint=1,order=80.4,amplitude_rad=4e-4,phase_rad=1"
 CURVES = [
     (COMPLIANCE, {}, "gravity torque of joint 2 (Nm)", TURN),
-
-
     ("joint_backlash:joint=2,gap_rad=8e-4", {}, "direction of motion of joint 2", TURN),
     ("joint_lag:joint=1,lag_s=2e-3", {"motion": "trajectory"}, "velocity of joint 1 (deg/s)", TURN),
     (GEAR, {}, "phase of the harmonic, position of joint 1 (deg)", TURN),
-
     ("tool_offset:x_m=2e-3,y_m=1e-3", {}, "row of the recording", ALONG),
-
     ("time_offset:offset_s=0.02", {"motion": "trajectory"}, FITTED, ALONG),
 ]  # fmt: skip
 
