@@ -21,7 +21,7 @@ from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
+from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import (
     DISAGREE,
     Known,
@@ -276,12 +276,8 @@ def compare_domains(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared,
     """The quantities that a finding of either concerns, each as both see it."""
     found = []
     for quantity, kinematic, dynamic, sign in _PAIRS:
-        if _has(poses, kinematic) or _has(torques, dynamic):
+        if poses.has(kinematic) or torques.has(dynamic):
             one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
             p = None if one is None or other is None else difference_p_value(one, other, sign)
             found.append(Shared(quantity, one, other, p))
     return tuple(found)
-
-
-def _has(result: DomainDiagnosis[Any], effect: Effect) -> bool:
-    return any(finding.effect == effect for finding in result.findings)

@@ -244,6 +244,10 @@ class DomainDiagnosis(Generic[P]):
         """Of the nuisance and all findings."""
         return self.selection.state.fit
 
+    def has(self, effect: Effect) -> bool:
+        """Whether this very effect is a finding."""
+        return any(finding.effect == effect for finding in self.findings)
+
     @property
     def untestable(self) -> tuple[Untestable, ...]:
         """Effects that this recording cannot show, and why."""

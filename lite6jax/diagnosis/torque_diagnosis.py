@@ -395,17 +395,13 @@ def _curves(effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosi
     functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
     if functions is None or not functions.any():
         whole = np.eye(effect.size)
-        here, there = (_fitted_curve(each, effect, whole) if _has(each, effect) else None for each in (found, other))
+        here, there = (_fitted_curve(each, effect, whole) if each.has(effect) else None for each in (found, other))
         return here, there
     # the directions that these rows show, each a root mean square of the torque along it
     _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
     seen = sizes > _VISIBLE * sizes[0]
     along = sizes[seen, None] * V[seen]
     return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
-
-
-def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
-    return any(finding.effect == effect for finding in result.findings)
 
 
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
@@ -420,10 +416,10 @@ def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
 def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> Known:
     """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
     at = result.fit
-    if not _has(result, effect):
+    if not result.has(effect):
         at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
     part = at.terms.slices[at.terms.terms.index(effect)]
     values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
     size = float(np.sqrt(values @ values))
     std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
-    return Known(_has(result, effect), values, covariance, {"rms_Nm": Estimate(size, std)})
+    return Known(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})

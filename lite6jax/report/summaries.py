@@ -109,21 +109,17 @@ def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Des
     return Description(title, (*before, *(line for line in said if not line.startswith("Note: "))), tuple(notes))
 
 
-@describe.register
-def _comparison(found: Comparison) -> Description:
-    return _as_shown(
+describe.register(
+    Comparison,
+    lambda found: _as_shown(
         f"Comparison of {len(found.names)} arms, {found.arm.name}", fits.comparison_report(found, width=80)
-    )
-
-
-@describe.register
-def _sensitivity(found: Sensitivity) -> Description:
-    return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, ""))
-
-
-@describe.register
-def _registration(found: Registration) -> Description:
-    return _as_shown("Registration of sensor and tool", registration_report(found))
+    ),
+)
+describe.register(
+    Sensitivity,
+    lambda found: _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, "")),
+)
+describe.register(Registration, lambda found: _as_shown("Registration of sensor and tool", registration_report(found)))
 
 
 @describe.register(Identification)

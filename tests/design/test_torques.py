@@ -113,10 +113,8 @@ def test_a_joint_that_does_not_move():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"motion": Motion(*np.zeros((3, 3, 4)))}, "motion: 4 samples of 3 torques for"),
         ({"motion": Motion(*np.zeros((3, 2, 90)))}, "motion: q has the shape (2, 90); an arm takes (3, sample)"),
         ({"motion": Motion(*np.full((3, 3, 90), np.nan))}, "motion: q has a number that is not finite"),
-        ({"noise": [0.1, 0.2]}, "torque noise 0.1 0.2 Nm: give one standard deviation above 0, or 3 of them"),
         ({"noise": 0.0}, "torque noise 0 Nm: give one standard deviation above 0"),
         ({"gravity": (0, 0)}, "gravity [0, 0]: give three finite numbers in m/s²"),
     ],

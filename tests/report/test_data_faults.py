@@ -3,7 +3,7 @@
 import pytest
 
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statement
+from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 
 COLUMNS = {"median_error_m": 0.2, "corrected_error_m": 1e-4, "alternatives": []}
 COLUMN_ERRORS = {"median_error_m": 3e-4, "suspected_above_m": 7.48e-3}
@@ -102,9 +102,11 @@ RULED_OUT = [
 ]  # fmt: skip
 
 
-SAID = [
-    (stated, *one) for stated, cases in ((fault_statement, FOUND), (ruled_out_statement, RULED_OUT)) for one in cases
-]
+def ruled_out_statement(fault):
+    return ruled_out_statements([fault])[0]
+
+
+SAID = [*((fault_statement, *one) for one in FOUND), *((ruled_out_statement, *one) for one in RULED_OUT)]
 
 
 @pytest.mark.parametrize(("stated", "fault", "words"), SAID, ids=lambda value: getattr(value, "code", ""))
