@@ -1,6 +1,5 @@
-"""Figures of a diagnosis: errors, explained shares, orders, friction, spectra, curves of findings and their ranking."""
+"""Figures of a diagnosis: errors, explained shares, orders, friction, spectra, and curves of findings."""
 
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report import ranking, statements
+from lite6jax.report import ranking
 from lite6jax.report.figures import (
     AFTER,
     BEFORE,
@@ -64,8 +63,6 @@ _WIDTH = 0.38
 """Of a bar, over the distance of two joints."""
 _LOWEST = 1e-4
 """Nm, the shortest bar."""
-_MOST = 20
-"""Findings that are ranked in a figure."""
 
 
 def drawings(
@@ -433,27 +430,3 @@ def _up(curve: FindingCurve, unnamed: bool) -> tuple[float, str]:
 def _at_motor(curve: FindingCurve) -> str:
     assert curve.site is not None
     return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
-
-
-@rc_context(STYLE)
-def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
-    """What each finding of a document moves, beside the error before and after."""
-    measures = ranking.measures_of(document)
-    findings, shown = statements.findings_of(document)[:_MOST], ranking.bars(document)[:_MOST]
-    if len(measures) == 1:
-        sizes = [measures[0].scale * finding[measures[0].moves] for finding in findings]
-        label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
-    else:
-        sizes = [bar.share for bar in shown]
-        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
-    names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
-    figure = blank(9.0, 1.7 + 0.42 * len(findings))
-    panel = figure.subplots()
-    bars = panel.barh(range(len(findings)), sizes, color=AFTER, zorder=3)
-    panel.bar_label(bars, [bar.size for bar in shown], padding=4)
-    panel.set_yticks(range(len(findings)), names)
-    panel.invert_yaxis()
-    panel.set_xlim(0, 1.15 * max(sizes) or 1.0)
-    panel.set_xlabel(label)
-    panel.grid(visible=False, axis="y")
-    return titled(figure, f"{title}: what each finding moves")

@@ -33,7 +33,7 @@ from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures
 from lite6jax.report.compensation import compensation_columns
-from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
+from lite6jax.report.diagnosis_figures import PREFIX
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import page_text
@@ -152,9 +152,8 @@ def _sensitivity(found: Sensitivity, title: str) -> Figures:
 @draw.register(Diagnosis)
 @draw.register(TorqueDiagnosis)
 def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
-    title, document = title or Path(found.recording.source).name, found.to_dict()
-    ranked = {"ranking": ranking_figure(document, title)} if document["findings"] else {}
-    return Figures({**ranked, **dict(diagnosis_figures.drawings(found, title, document))})
+    title = title or Path(found.recording.source).name
+    return Figures(diagnosis_figures.drawings(found, title, found.to_dict()))
 
 
 @draw.register
