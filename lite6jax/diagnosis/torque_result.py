@@ -21,9 +21,6 @@ from lite6jax.search.state import Alternative
 
 Array = NDArray[np.floating]
 
-_NORMAL = 1.4826
-"""Standard deviation over median magnitude of a normal distribution."""
-
 
 @final
 class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
@@ -47,8 +44,8 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         if not self.problem.declared:
             return None
         errors = (self.after / self.problem.sigma)[:, self.problem.valid]
-        # spikes that pass the filter are outliers of the sensor and nothing that the model leaves
-        limit = self.options.engine.winsor * _NORMAL * np.median(np.abs(errors), 1, keepdims=True)
+        # spikes that pass the filter are outliers of the sensor, and not what the model leaves; 1.4826: std over median
+        limit = self.options.engine.winsor * 1.4826 * np.median(np.abs(errors), 1, keepdims=True)
         return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1))
 
     @cached_property

@@ -39,8 +39,8 @@ _DPI = 120
 def diagnosis_page(
     found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis,
     document: Document,
-    source: str,
-    figures: Mapping[str, Figure],
+    source: str | None = None,
+    figures: Mapping[str, Figure] | None = None,
     files: Files | None = None,
 ) -> str:
     """The page, HTML; of both domains one after the other.
@@ -48,11 +48,16 @@ def diagnosis_page(
     Args:
         found: the diagnosis, of which the figures of single findings are drawn.
         document: as in its JSON file, with statements; all text is made from it.
-        source: the recording's name, of any characters.
-        figures: those of `diagnosis_figures.drawings`.
-        files: for commands to copy; without them there are none.
+        source: the recording's name, of any characters; that of the diagnosis where not given.
+        figures: those of `diagnosis_figures.drawings`; drawn where not given.
+        files: for commands to copy; without them there are none, and without a source the recording's where it is one.
     """
     poses = found.poses if isinstance(found, CombinedDiagnosis) else found
+    recorded = poses.recording.source
+    if source is None and storage.exists(recorded):
+        files = files or Files(Path(recorded))
+    source = recorded if source is None else source
+    figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
     torques = found.torques if isinstance(found, CombinedDiagnosis) else None
     parts = [("", sections_of(Report(document, files, pictures=_pictures(poses, document, figures))))]
     if torques is not None:
@@ -65,21 +70,6 @@ def diagnosis_page(
             ("Both", [both]),
         ]
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
-
-
-def page_text(
-    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, document: dict[str, Any], files: Files | None = None
-) -> str:
-    """The page of a diagnosis with its figures, HTML; its document has statements.
-
-    Commands to copy name `files`, or the recording's where that is a file.
-    """
-    poses = found.poses if isinstance(found, CombinedDiagnosis) else found
-    source = poses.recording.source
-    if files is None and storage.exists(source):
-        files = Files(Path(source))
-    figures = dict(drawings(found, Path(source).name, document))
-    return diagnosis_page(found, document, source, figures, files)
 
 
 def _pictures(
