@@ -29,14 +29,9 @@ _SMALLEST = 1e-30
 
 
 class Capsule(NamedTuple):
-    """All points within `radius` of a segment, in m, in the frame of the link that carries it.
+    """All points within `radius`, m, of a segment between two points `(3,)` m in the frame of the link that carries it.
 
-    Attributes:
-        name: one for messages.
-        link: 0 is the base, in the base frame; i is what joint i moves, in the frame after its rotation.
-        start: `(3,)`, one end of the segment.
-        end: `(3,)`, the other.
-        radius: of the capsule.
+    Link 0 is the base; link i is what joint i moves, its frame that after the joint's motion.
     """
 
     name: str
@@ -209,13 +204,7 @@ class Filter(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Joint positions that pass every filter.
-
-    Attributes:
-        joint_position: `(candidate, joint)` rad.
-        tried: how many were drawn for them.
-        refused: of each filter, how many it was the first to refuse.
-    """
+    """Positions `(candidate, joint)` rad that pass every filter, how many were drawn, and how many each refused."""
 
     joint_position: Array
     tried: int

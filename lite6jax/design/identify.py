@@ -63,13 +63,9 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
 
 
 class Accuracy(NamedTuple):
-    """One standard deviation of the pose that the fitted model predicts, root mean square over joint positions.
+    """One standard deviation of the pose that the fitted model predicts, RMS over joint positions: m in 3-D, and rad.
 
-    Attributes:
-        position_rms: m, 3-D.
-        orientation_rms: rad.
-        position_determined: whether all that positions depend on is determined; else their error is unbounded.
-        orientation_determined: likewise.
+    Where not all that they depend on is determined their error is unbounded.
     """
 
     position_rms: float

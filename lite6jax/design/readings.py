@@ -44,13 +44,9 @@ _ROUNDS = 5
 
 
 class Reader(NamedTuple):
-    """A reading that is no pose.
+    """A reading that is no pose: one sigma of it, m or px, its name in a sidecar, and where the tool is.
 
-    Attributes:
-        kind: of readings.
-        noise: one sigma, m, and px of a camera.
-        source: its name in a sidecar.
-        tool: m in the flange's frame, where the point, the board or the camera is, away from the last joint's axis.
+    The point, the board or the camera is away from the last joint's axis, m in the flange's frame.
     """
 
     kind: Kind

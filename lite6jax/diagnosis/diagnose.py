@@ -25,12 +25,12 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import (
     DISAGREE,
     Known,
+    TorqueDiagnosis,
     diagnose_torques,
     difference_p_value,
     estimate_effect,
     side_entry,
 )
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
@@ -170,13 +170,9 @@ _PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
 @final
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """A quantity on which both domains depend, one of which at least has a finding that concerns it.
+    """A quantity on which both domains depend, what each says of it, and the p-value of a difference as large.
 
-    Attributes:
-        quantity: which.
-        poses: what the poses say; None where they do not show it.
-        torques: what the torques say.
-        p_value: of a difference as large as theirs; None where one of them says nothing.
+    A domain that does not show it says None. A finding of one at least concerns it.
     """
 
     quantity: Quantity

@@ -132,12 +132,7 @@ class Finding:
 class Withdrawn:
     """Effects that were significant, and do not hold on rows that were not used.
 
-    The errors there are larger than without them, or several times those on the rows that they were fitted to.
-
-    Attributes:
-        findings: the effects.
-        before: m, the root mean square of held-out position errors without them; of torques Nm.
-        after: with them.
+    RMS errors there, m or Nm, are larger than without them, or several times those on rows that they were fitted to.
     """
 
     findings: tuple[Finding, ...]

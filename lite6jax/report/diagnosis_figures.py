@@ -15,7 +15,7 @@ from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking

@@ -23,7 +23,7 @@ from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration

@@ -19,7 +19,7 @@ from rich.console import Console
 from lite6jax import storage
 from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name

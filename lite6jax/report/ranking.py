@@ -259,14 +259,9 @@ def is_nearly_significant(nearest: Entry | None) -> bool:
 
 
 class Measure(NamedTuple):
-    """In what findings are ranked.
+    """In what findings are ranked: the keys of what one moves and of the RMS error, and how sizes are shown.
 
-    Attributes:
-        moves: the key of a finding.
-        error: the key of the root mean square error before and after.
-        scale: from SI units to the unit shown.
-        unit: shown.
-        what: is moved.
+    `scale` leads from SI units to `unit`; `what` is moved.
     """
 
     moves: str
@@ -404,13 +399,7 @@ def _error_at(errors: Entry, document: Document, measure: Measure, finding: Entr
 
 
 class Files(NamedTuple):
-    """The files of a diagnosis, as they were named on the command line.
-
-    Attributes:
-        recording: that was diagnosed.
-        diagnosis: its JSON file; None where it was not written.
-        effects: of effects of the user's own; None where there are none.
-    """
+    """The files of a diagnosis as named on the command line: recording, JSON file, and effects of the user's own."""
 
     recording: Path
     diagnosis: Path | None = None

@@ -33,13 +33,7 @@ _MOST = 12
 
 
 class Picture(NamedTuple):
-    """A figure on a page.
-
-    Attributes:
-        data: the whole image, as a `data:` address.
-        caption: one sentence.
-        narrow: whether it has one panel.
-    """
+    """A figure on a page: the image as a `data:` address, a sentence, and whether it has one panel."""
 
     data: str
     caption: str
@@ -47,13 +41,7 @@ class Picture(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A part of a report; one without blocks is not shown.
-
-    Attributes:
-        title: its heading; empty for none.
-        blocks: below each other.
-        kind: the class of its element on a page.
-    """
+    """A part of a report: its heading, or none, and blocks below each other; `kind` is its class on a page."""
 
     title: str
     blocks: Sequence[Block]

@@ -292,13 +292,7 @@ def rivals(finding: Entry, torques: bool = False, rejected: bool = False) -> lis
 
 
 class Untested(NamedTuple):
-    """Effects that a recording cannot show for one and the same reason.
-
-    Attributes:
-        reason: a sentence.
-        remedy: what to give or to record; empty where `what_to_record` states it.
-        entries: of the document, one for each effect.
-    """
+    """Effects that a recording cannot show for one reason; no remedy where `what_to_record` states it."""
 
     reason: str
     remedy: str

@@ -51,14 +51,9 @@ WITH, WITHOUT = "with the findings", "without the findings"
 
 
 class Place(NamedTuple):
-    """A finding and where it is.
+    """A finding and where it is: its rank from 1, what it moves with its unit, and parts of the arm as drawn.
 
-    Attributes:
-        number: its rank, from 1.
-        title: such as "Joint compliance at joint2".
-        statement: a sentence.
-        size: what it moves, with its unit.
-        parts: of the arm as drawn, `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
+    Parts are `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
     """
 
     number: int

@@ -221,14 +221,9 @@ _DAY = 86400.0  # s
 
 
 class Quantity(NamedTuple):
-    """A parameter as it is read.
+    """A parameter as it is read: its value rounded to its standard deviation, and that to two digits.
 
-    Attributes:
-        name: without its unit.
-        value: rounded to its standard deviation.
-        std: two digits; empty where the number was chosen and not estimated.
-        unit: of both; empty for plain numbers.
-        also: the same in another unit, with its name or unit; empty where there is none.
+    One that was chosen has no `std`, a plain number no unit. `also` is the same in another unit.
     """
 
     name: str

@@ -8,7 +8,7 @@ from report.diagnosed import found_without_search
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import screening
 from lite6jax.domains.torque.hypotheses import ScreenedTorques
 from lite6jax.domains.torque.problem import torque_problem
