@@ -8,7 +8,7 @@ from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE
 from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
-from lite6jax.design.selection import Criterion, Design, Pool, choose
+from lite6jax.design.poses import Criterion, Design, Pool, choose
 from lite6jax.design.sensor import Sensor
 from tests.oracles.chains import seed_poses
 

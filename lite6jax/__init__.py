@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     )
     from lite6jax.arms.dynamics import inverse_dynamics as inverse_dynamics, link_parameters as link_parameters
     from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
-    from lite6jax.diagnosis.combined import (
+    from lite6jax.diagnosis.diagnose import (
         CombinedDiagnosis as CombinedDiagnosis,
+        Diagnosis as Diagnosis,
+        diagnose as diagnose,
         diagnose_combined as diagnose_combined,
     )
-    from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from lite6jax.diagnosis.options import Options as Options
     from lite6jax.diagnosis.torque_diagnosis import (
         TorqueDiagnosis as TorqueDiagnosis,
@@ -77,12 +78,16 @@ if TYPE_CHECKING:
         all_pass as all_pass,
         candidates as candidates,
         clear_of_itself as clear_of_itself,
+        link_frames as link_frames,
+        self_collision as self_collision,
     )
-    from lite6jax.design.clearance import link_frames as link_frames, self_collision as self_collision
-    from lite6jax.design.identify import identify as identify, identify_recording as identify_recording
+    from lite6jax.design.identify import (
+        identify as identify,
+        identify_recording as identify_recording,
+        sensitivity as sensitivity,
+    )
     from lite6jax.design.information import Experiment as Experiment, plan_experiment as plan_experiment
     from lite6jax.design.poses import plan_poses as plan_poses
-    from lite6jax.design.sensitivity import sensitivity as sensitivity
     from lite6jax.design.sensor import Sensor as Sensor
     from lite6jax.recordings import (
         Recording as Recording,
@@ -104,8 +109,7 @@ _NAMES = {
     "lite6jax.arms.dh": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
     "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
-    "lite6jax.diagnosis.combined": ("CombinedDiagnosis", "diagnose_combined"),
-    "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
+    "lite6jax.diagnosis.diagnose": ("CombinedDiagnosis", "Diagnosis", "diagnose", "diagnose_combined"),
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis", "diagnose_torques"),
     "lite6jax.domains.pose.compensate": ("compensate",),
@@ -126,12 +130,12 @@ _NAMES = {
     "lite6jax.calibration.fleet": ("FleetSolution", "fit_fleet", "fit_fleet_calibrations"),
     "lite6jax.calibration.quality": ("Result",),
     "lite6jax.calibration.solution": ("Solution",),
-    "lite6jax.design.candidates": ("above_floor", "all_pass", "candidates", "clear_of_itself"),
-    "lite6jax.design.clearance": ("link_frames", "self_collision"),
-    "lite6jax.design.identify": ("identify", "identify_recording"),
+    "lite6jax.design.candidates": (
+        *("above_floor", "all_pass", "candidates", "clear_of_itself", "link_frames", "self_collision"),
+    ),
+    "lite6jax.design.identify": ("identify", "identify_recording", "sensitivity"),
     "lite6jax.design.information": ("Experiment", "plan_experiment"),
     "lite6jax.design.poses": ("plan_poses",),
-    "lite6jax.design.sensitivity": ("sensitivity",),
     "lite6jax.design.sensor": ("Sensor",),
     "lite6jax.recordings": ("Recording", "RecordingSettings", "join_recordings", "read_recording", "write_recording"),
     "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),

@@ -82,7 +82,9 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of a diagnosis without their pictures, where only text is read: painting them takes seconds."""
-    monkeypatch.setattr("lite6jax.report.pages._embedded", lambda figure: "data:image/png;base64,")
+    from lite6jax.report.sections import Picture  # after types are instrumented
+
+    monkeypatch.setattr("lite6jax.report.pages._picture", lambda _, caption: Picture("data:,", caption, False))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -65,7 +65,7 @@ def test_the_faults_of_poses_are_documented_in_their_order():
 def test_the_verdicts_of_a_diagnosis_and_the_keys_of_its_model_are_documented():
     from typing import get_args
 
-    from lite6jax.diagnosis.schema import PoseModel, Verdict
+    from lite6jax.diagnosis.document import PoseModel, Verdict
 
     text = (ROOT / "docs/reference/results.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in re.split("\n##+ ", text)[1:]}

@@ -16,7 +16,7 @@ from lite6jax import InputError, results
 from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.fleet import compare
 from lite6jax.design.poses import plan_discrimination
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.report import kinds, summaries  # noqa: F401 (they register)
 from lite6jax.results import Figures, PublicResult
 

@@ -8,7 +8,7 @@ import urllib.request
 
 import numpy as np
 import pytest
-from report.diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
+from report.diagnosed import COMPLIANCE, HARMONIC, LITE6, diagnosed, documented, recording_maker
 from report.torque_diagnosed import diagnosed as torques_diagnosed
 from report.torque_diagnosed import recorded as torques_recorded
 from scipy.spatial.transform import Rotation
@@ -16,16 +16,21 @@ from typed import flat, refused, run
 
 from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
+from lite6jax.domains.pose.predict import predict
 from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report import statements
 from lite6jax.report.viewer import (
     FOUND,
+    MEDIAN_ARROW,
+    WITH,
+    WITHOUT,
     _rgb,
     pose_scene,
     served,
     torque_scene,
 )
+from tests.oracles.chains import joint_frames, six_parameter_poses
 
 HOST = "127.0.0.1"
 
@@ -44,6 +49,37 @@ def made(tmp_path_factory):
 def scene(made):
     _, path, document = made
     return pose_scene(document, model_from_document(document), read_recording(path))
+
+
+def test_the_arm_stands_as_its_joints_say(scene, made):
+    recording = read_recording(made[1])
+    expected = [np.broadcast_to(np.eye(4), (recording.samples, 4, 4))]
+    expected += joint_frames(LITE6.kinematics, recording.joint_position)
+    np.testing.assert_allclose(scene.frames, np.stack(expected, 1), atol=1e-12)
+    # each link ends where the next joint is, the last one where the tool is
+    after = np.concatenate([scene.frames[:, 1:, :3, 3], scene.frames[:, -1:, :3, 3]], 1)
+    for capsule in scene.capsules:
+        T = scene.frames[:, capsule.link]
+        np.testing.assert_allclose(T[:, :3, :3] @ capsule.start + T[:, :3, 3], T[:, :3, 3], atol=1e-12)
+        np.testing.assert_allclose(T[:, :3, :3] @ capsule.end + T[:, :3, 3], after[:, capsule.link], atol=1e-12)
+
+
+def test_arrows_lead_from_predicted_to_measured_points(scene, made):
+    _, path, document = made
+    model, recording = model_from_document(document), read_recording(path)
+    found, rigid = scene.poses
+    assert (found.caption, rigid.caption) == (WITH, WITHOUT)
+    flange = six_parameter_poses(LITE6.kinematics, recording.joint_position)[:, :3, 3]  # geometry and frames are known
+    np.testing.assert_allclose(rigid.error, recording.position - flange, atol=1e-9)
+    np.testing.assert_allclose(found.error, recording.position - predict(model, recording)[:, :3, 3], atol=1e-12)
+    ends = rigid.arrows(100.0)
+    assert ends.shape == (recording.samples, 2, 3)
+    np.testing.assert_allclose(ends[:, 0], flange, atol=1e-9)
+    np.testing.assert_allclose(ends[:, 1] - ends[:, 0], 100 * (recording.position - flange), atol=1e-7)
+    for errors in (found, rigid):
+        usual = np.linalg.norm(np.diff(errors.arrows(errors.scale), axis=1)[:, 0], axis=1)
+        assert np.median(usual) == pytest.approx(MEDIAN_ARROW, rel=0.06)  # a scale of two digits
+    assert found.median < 0.5 * rigid.median
 
 
 @pytest.fixture

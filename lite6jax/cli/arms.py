@@ -140,11 +140,11 @@ class Arms:
         """Prints."""
         if self.arm is not None:
             arm = files.read_arm(self.arm)
-            found = listings.arm_entry(arm).to_dict() | {"joint_list": listings.joint_entries(arm)}
+            found = listings.arm_entry(arm)._asdict() | {"joint_list": listings.joint_entries(arm)}
             report = listings.arm_report(arm)
         else:
             entries = [listings.arm_entry(description.load_bundled(name)) for name in description.bundled_arms()]
-            found = [entry.to_dict() for entry in entries]
+            found = [entry._asdict() for entry in entries]
             report = listings.arms_report(entries, screen.console().width)
         if self.json:
             _print_json(found)

@@ -22,7 +22,7 @@ with import_lazily():
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.report import canvas, documents, screen
+    from lite6jax.report import documents, figures, screen
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -247,7 +247,7 @@ def check_processes(processes: int | None, scheduler: str | None) -> None:
 def check_figures(folder: Path | None, names: Sequence[str], overwrite: bool) -> None:
     """Refuses figures that cannot be written where they are asked for, if they are."""
     if folder is not None:
-        canvas.check_names(folder, names, overwrite)
+        figures.check_names(folder, names, overwrite)
 
 
 # ------------------------------------------------------------------ results
@@ -257,7 +257,7 @@ def save_figures(
     folder: Path | None, names: Sequence[str], draw: "Callable[[], Iterable[Figure]]", overwrite: bool
 ) -> list[Path]:
     """Draws figures and writes them by these names, as far as there are some, where a folder is given."""
-    return [] if folder is None else canvas.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
+    return [] if folder is None else figures.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
 
 
 def present(

@@ -26,7 +26,7 @@ from lite6jax.storage import exists, file_sha256, write_atomically
 with import_lazily():
     from lite6jax import recordings, workers
     from lite6jax.calibration import source
-    from lite6jax.diagnosis import combined, diagnose, fold_processes, torque_diagnosis
+    from lite6jax.diagnosis import diagnose, fold_processes, torque_diagnosis
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.domains.pose import compensate, registration
@@ -37,10 +37,10 @@ with import_lazily():
     from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
-        canvas,
         compensation,
         diagnosis_figures,
         documents,
+        figures,
         fleets,
         pages,
         ranking,
@@ -183,7 +183,7 @@ class Diagnose:
         search, own = {
             "poses": (diagnose.diagnose, kinematic),
             "torques": (torque_diagnosis.diagnose_torques, dynamic),
-            "both": (combined.diagnose_combined, effects),
+            "both": (diagnose.diagnose_combined, effects),
         }[domain]
         return recording, domain, partial(search, recording, arm, effects=own, **given)
 
@@ -211,7 +211,7 @@ class Diagnose:
                 advance(1)
             if self.figures:
                 named = {f"{self.source.stem}_{each}": figure for each, figure in drawn.items()}
-                written += canvas.save(named, self.figures, self.force)
+                written += figures.save(named, self.figures, self.force)
             advance(most)
             if self.report:
                 against = self.reference if domain == "both" else found.against and found.against.file

@@ -18,7 +18,7 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.calibration import source
-    from lite6jax.design import candidates, clearance, identify, information, motions, poses, sensitivity, torques
+    from lite6jax.design import candidates, identify, information, motions, poses, torques
     from lite6jax.design import readings as touching
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
@@ -356,7 +356,7 @@ class Sensitivity:
         command.check_figures(self.figures, names, self.force)
         arm = files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
-        found = sensitivity.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
+        found = identify.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
         written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
         return command.present(self.json, found, study.sensitivity_report(found, self.source), written)
 
@@ -509,7 +509,7 @@ class Design:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.link_radius != 0:
             radius = None if self.link_radius is None else self.link_radius / 1e3
-            apart = clearance.self_collision(arm, clearance.chain_capsules(arm, radius, at))
+            apart = candidates.self_collision(arm, candidates.chain_capsules(arm, radius, at))
             disabled = apart.disabled
             filters.append(candidates.clear_of_itself(apart))
         filters += map(candidates.user_filter, self.filter)

@@ -1,4 +1,8 @@
-"""Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
+"""Joint positions among which a design may choose: inside the limits, clear of the arm itself, and as filters allow.
+
+Distances between links, capsules around the chain, are array code of NumPy and of JAX alike: filters take them of many
+poses, and designs of motions with their gradient.
+"""
 
 import os
 import runpy
@@ -8,11 +12,175 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm, joint_sizes
-from lite6jax.design.clearance import SelfCollision, walk_chain
+from lite6jax.arms.arm import Arm, joint_sizes, sample_joints
 from lite6jax.errors import InputError
+from lite6jax.recordings import require_radians
 
 Array = NDArray[np.floating]
+
+SLENDERNESS = 20.0
+"""Reach over radius where no radius is given: 4 cm on a Lite 6, 10 cm on a UR10e; an assumption, not a measurement."""
+ALWAYS = 0.95
+"""A pair that overlaps in more than this share of poses overlaps by construction (MoveIt's setup assistant does so)."""
+_SAMPLES = 2048
+_BLOCK = 4096
+_SMALLEST = 1e-30
+"""m²; the root of a squared distance of zero has no gradient."""
+
+
+class Capsule(NamedTuple):
+    """All points within `radius`, m, of a segment between two points `(3,)` m in the frame of the link that carries it.
+
+    Link 0 is the base; link i is what joint i moves, its frame that after the joint's motion.
+    """
+
+    name: str
+    link: int
+    start: Array
+    end: Array
+    radius: float
+
+
+def chain_capsules(arm: Arm, radius: float | None = None, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> list[Capsule]:
+    """Straight capsules between successive joint origins, from the base to the tool: all that a bare chain tells.
+
+    Args:
+        arm: the chain. A link without length, two axes that meet, has no capsule of its own.
+        radius: of all capsules, m; an assumption: a twentieth of the reach if not given.
+        tool_point: `(3,)` m in the flange's frame, where the last capsule ends.
+
+    Raises:
+        InputError: a radius that is not positive.
+    """
+    radius = arm.reach / SLENDERNESS if radius is None else radius
+    if not 0 < radius < np.inf:
+        raise InputError(f"capsule radius {radius:g} m: give a positive length")
+    tool = arm.T_joint_flange[:3, :3] @ np.asarray(tool_point, float) + arm.T_joint_flange[:3, 3]
+    ends = [*arm.kinematics[:, :3], tool]
+    names = ["base", *(f"link{i + 1}" for i in range(arm.dof))]
+    return [
+        Capsule(name, link, np.zeros(3), end, float(radius))
+        for link, (name, end) in enumerate(zip(names, ends, strict=True))
+        if np.linalg.norm(end) > 1e-6
+    ]
+
+
+class SelfCollision(NamedTuple):
+    """The capsules of an arm and the pairs of them that must stay apart.
+
+    Attributes:
+        arm: whose joints move the capsules.
+        capsules: one or more on each link that has a shape.
+        pairs: `(pair, 2)` capsules; never those of one link or of neighbours.
+        disabled: the names of the pairs that overlap in nearly every pose and are not tested.
+    """
+
+    arm: Arm
+    capsules: tuple[Capsule, ...]
+    pairs: NDArray[np.integer]
+    disabled: tuple[tuple[str, str], ...]
+
+    def clearance(self, joint_position: Any) -> Any:
+        """The least distance between surfaces of any pair, `(sample,)` m, negative where they overlap."""
+        q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
+        if not len(self.pairs):
+            return np.full(len(q), np.inf)
+        if not isinstance(q, np.ndarray):
+            return _pair_clearances(self.arm, self.capsules, self.pairs, q).min(0)
+        blocks = (q[first : first + _BLOCK] for first in range(0, max(len(q), 1), _BLOCK))
+        return np.concatenate([_pair_clearances(self.arm, self.capsules, self.pairs, some).min(0) for some in blocks])
+
+
+def self_collision(arm: Arm, capsules: Sequence[Capsule] | None = None) -> SelfCollision:
+    """What must be apart on an arm: all pairs of links but neighbours, and but those that overlap nearly always.
+
+    Args:
+        arm: whose limits say which poses there are.
+        capsules: `chain_capsules` if not given.
+    """
+    capsules = tuple(chain_capsules(arm) if capsules is None else capsules)
+    pairs = np.array([(i, j) for i in range(len(capsules)) for j in range(i)], int).reshape(-1, 2)
+    link, radius = (np.array([getattr(each, name) for each in capsules]) for name in ("link", "radius"))
+    i, j = pairs.T
+    pairs = pairs[(np.abs(link[i] - link[j]) > 1) & (radius[i] + radius[j] > 0)]
+    lower, upper = arm.joint_limits.T
+    q = lower + (upper - lower) * (sample_joints(arm.dof, _SAMPLES) / (2 * np.pi) + 0.5)
+    always = (
+        np.mean(_pair_clearances(arm, capsules, pairs, q) < 0, axis=1) > ALWAYS if len(pairs) else np.zeros(0, bool)
+    )
+    disabled = tuple((capsules[j].name, capsules[i].name) for i, j in pairs[always])
+    return SelfCollision(arm, capsules, pairs[~always], disabled)
+
+
+def link_frames(arm: Arm, joint_position: ArrayLike) -> Array:
+    """The frames after each joint's rotation, and the flange's: `T_base_link` `(joint + 1, 3, 4, sample)`.
+
+    Args:
+        arm: the chain.
+        joint_position: `(sample, joint)` rad.
+
+    Raises:
+        InputError: joint positions in degrees.
+    """
+    require_radians(joint_position, arm.joint_limits)
+    _, *moved = walk_chain(arm, np.asarray(joint_position, float))
+    return np.moveaxis(np.stack(moved)[:, :, :3], 1, -1)
+
+
+def walk_chain(arm: Arm, q: Any) -> list[Any]:
+    """`T_base_link` `(sample, 4, 4)` of the base, each link after its joint, and the flange, at `(sample, joint)`."""
+    xp = q.__array_namespace__()
+    walked = [xp.broadcast_to(xp.eye(4), (len(q), 4, 4))]
+    for link, position, slides in zip(arm.links, q.T, arm.slides, strict=True):
+        x, y, z, p = (column for column in xp.moveaxis(walked[-1] @ link, -1, 0))
+        if slides:
+            p = p + position[:, None] * z
+        else:
+            cos, sin = xp.cos(position)[:, None], xp.sin(position)[:, None]
+            x, y = cos * x + sin * y, cos * y - sin * x
+        walked.append(xp.stack([x, y, z, p], -1))
+    return [*walked, walked[-1] @ arm.T_joint_flange]
+
+
+def segment_distance(p1: Any, q1: Any, p2: Any, q2: Any) -> Any:
+    """The distance between segments p1 q1 and p2 q2; each end `(3, …)`, points and parallels included.
+
+    The least of what each end is from the other segment and, where the common perpendicular of the lines meets both
+    segments, of its length (C. Ericson, Real-Time Collision Detection, 2005, 5.1.9, its cases taken at once). Lines
+    within 1 µrad of parallel are left to their ends: nothing is divided by what rounding made.
+    """
+    xp = p1.__array_namespace__()
+    d1, d2, between = q1 - p1, q2 - p2, p2 - p1
+    a, e, n = xp.sum(d1 * d1, 0), xp.sum(d2 * d2, 0), xp.cross(d1, d2, axis=0)
+    n2 = xp.sum(n * n, 0)
+    oblique = n2 > 1e-12 * a * e
+    safe = xp.where(oblique, n2, 1.0)
+    s, t = (xp.sum(xp.cross(between, d, axis=0) * n, 0) / safe for d in (d2, d1))
+    meets = oblique & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+    squares = [xp.where(meets, xp.sum(between * n, 0) ** 2 / safe, np.inf)]
+    for p, start, d, length2 in ((p1, p2, d2, e), (q1, p2, d2, e), (p2, p1, d1, a), (q2, p1, d1, a)):
+        to = p - start
+        along = xp.clip(xp.sum(to * d, 0) / xp.where(length2 > 0, length2, 1.0), 0.0, 1.0)
+        squares.append(xp.sum((to - along * d) ** 2, 0))
+    return xp.sqrt(xp.maximum(xp.stack(squares).min(0), _SMALLEST))
+
+
+def _pair_clearances(arm: Arm, capsules: Sequence[Capsule], pairs: NDArray[np.integer], q: Any) -> Any:
+    """Each pair's distance of surfaces, m, `(pair, sample)`."""
+    xp, walked = q.__array_namespace__(), walk_chain(arm, q)
+    p, r = (
+        xp.stack(
+            [walked[c.link][:, :3, :3] @ end + walked[c.link][:, :3, 3] for c, end in zip(capsules, ends, strict=True)]
+        )
+        for ends in ([c.start for c in capsules], [c.end for c in capsules])
+    )
+    (i, j), radius = pairs.T, np.array([c.radius for c in capsules])
+    apart = segment_distance(*(xp.moveaxis(each, -1, 0) for each in (p[i], r[i], p[j], r[j])))
+    return apart - (radius[i] + radius[j])[:, None]
+
+
+# ------------------------------------------------------------------ joint positions and filters
+
 
 _BATCH = 16384
 _FEWEST = 1e-3
@@ -36,13 +204,7 @@ class Filter(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Joint positions that pass every filter.
-
-    Attributes:
-        joint_position: `(candidate, joint)` rad.
-        tried: how many were drawn for them.
-        refused: of each filter, how many it was the first to refuse.
-    """
+    """Positions `(candidate, joint)` rad that pass every filter, how many were drawn, and how many each refused."""
 
     joint_position: Array
     tried: int
@@ -123,13 +285,9 @@ def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np
 
 
 def inside_box(arm: Arm, lower: ArrayLike, upper: ArrayLike, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
-    """The tool point is in a box, such as what a sensor sees.
+    """The tool point `(3,)` m, in the flange's frame, is in a box, such as what a sensor sees.
 
-    Args:
-        arm: its chain.
-        lower: `(3,)` m, the least x, y, z of the box in the base's frame.
-        upper: the greatest.
-        tool_point: `(3,)` m in the flange's frame.
+    The box is from its least x, y, z to the greatest, m in the base's frame.
 
     Raises:
         InputError: the box is empty.

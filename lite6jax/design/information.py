@@ -251,10 +251,7 @@ class Experiment:
         return np.sign(np.diff(joint_position, axis=0, prepend=np.zeros((1, joint_position.shape[1]))))
 
     def rows(self, joint_position: ArrayLike) -> Array:
-        """How readings change with the parameters.
-
-        Args:
-            joint_position: `(sample, joint)` rad.
+        """How readings at `(sample, joint)` rad change with the parameters.
 
         Returns:
             `(sample, row, size)`: standard deviations of a reading's numbers per tolerance of a parameter.
@@ -304,11 +301,7 @@ class Experiment:
         return replace(self, sensor=sensor)
 
     def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
-        """The same with these effects unknown too.
-
-        Args:
-            effects: in the order of their numbers.
-            values: `(number,)` where they are linearised; neutral where not given.
+        """The same with these effects unknown too, linearised at `values` `(number,)`, or where they are neutral.
 
         Raises:
             InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
@@ -389,7 +382,7 @@ def experiment(
 
     The sensor's own unknowns are unknown, and somewhere within reach.
     """
-    own = () if isinstance(sensor, Sensor) else sensor.own
+    own = sensor.own
     movable = np.ones(form.size, bool) if movable is None else movable
     precision = np.zeros(form.size) if precision is None else precision
     return Experiment(

@@ -245,11 +245,7 @@ def ascend(
 ) -> tuple[Matrix, float, int]:
     """Moves uphill from motions that pass the filters, by Adam (D. Kingma, J. Ba, 2015) with a falling rate.
 
-    Args:
-        room: where a motion may be.
-        height: of a motion of few samples, traceable.
-        starts: from where, each `(joint, 2 harmonics)`.
-        steps: from each.
+    `height` is of a motion of few samples, traceable; each start is `(joint, 2 harmonics)`.
 
     Returns:
         the best motion met that passes, its height, and how many steps led to a better one.

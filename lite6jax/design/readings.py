@@ -44,13 +44,9 @@ _ROUNDS = 5
 
 
 class Reader(NamedTuple):
-    """A reading that is no pose.
+    """A reading that is no pose: one sigma of it, m or px, its name in a sidecar, and where the tool is.
 
-    Attributes:
-        kind: of readings.
-        noise: one sigma, m, and px of a camera.
-        source: its name in a sidecar.
-        tool: m in the flange's frame, where the point, the board or the camera is, away from the last joint's axis.
+    The point, the board or the camera is away from the last joint's axis, m in the flange's frame.
     """
 
     kind: Kind
@@ -175,14 +171,9 @@ def _point(at: Array) -> Point:
 def draw_readings(
     of: Experiment, count: int, seed: int = 0, filters: Sequence[Filter] = (), limit_margin: float = 0.0
 ) -> Candidates:
-    """Joint positions at which an arm reads, as many of each place, until `count` pass all filters.
+    """Joint positions at which an arm reads, as many of each place, until `count` pass all filters, applied in order.
 
-    Args:
-        of: with the places, and the camera or the board.
-        count: how many.
-        seed: the same gives the same.
-        filters: applied in this order.
-        limit_margin: rad, how far each joint stays from its limits.
+    Each joint stays `limit_margin`, rad, from its limits.
 
     Raises:
         InputError: the arm reaches too few of the places, or filters refuse nearly all.

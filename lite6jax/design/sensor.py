@@ -68,6 +68,23 @@ class Sensor:
         """How many numbers a reading has."""
         return {"position": 3, "pose": 6, "axis": 1, "distance": 1}[self.quantity]
 
+    @property
+    def phrase(self) -> str:
+        """It in words."""
+        reads = {
+            "position": "positions",
+            "pose": "positions and orientations",
+            "axis": "positions along one axis",
+            "distance": "distances to a point",
+        }[self.quantity]
+        turns = f" and {np.rad2deg(self.orientation_noise):.2g} deg" if self.orientation_noise else ""
+        return f"{reads} to ±{1e3 * self.position_noise:.3g} mm{turns}{' per axis' if self.rows > 1 else ''}"
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """None: it has no unknowns of its own."""
+        return ()
+
     def with_noise(
         self, position: float | None = None, orientation: float | None = None, joint: float | None = None
     ) -> "Sensor":

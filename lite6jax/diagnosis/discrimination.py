@@ -23,12 +23,9 @@ Array = NDArray[np.floating]
 
 
 class SeparatingPoses(NamedTuple):
-    """Poses that separate two effects.
+    """Poses `(pose, joint)` rad that separate two effects, given by their labels, in an order of short moves.
 
-    Attributes:
-        effects: their labels.
-        joint_position: `(pose, joint)` rad, in an order of short moves; inside the arm's limits, not checked for
-            collisions.
+    They are inside the arm's limits, and not checked for collisions.
     """
 
     effects: tuple[str, str]

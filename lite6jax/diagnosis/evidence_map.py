@@ -12,7 +12,7 @@ from scipy.special import chdtri
 
 from lite6jax.diagnosis.partial_residuals import added_torque
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.drivers import Driver
@@ -81,12 +81,7 @@ class ExplainedShares(NamedTuple):
 
 
 class Spectrum(NamedTuple):
-    """What a harmonic of each order of a joint explains.
-
-    Attributes:
-        orders: `(order,)`, per turn of the joint.
-        shares: `(order,)`, of the variance that the model leaves, from 0 to 1.
-    """
+    """What a harmonic of each order `(order,)` per turn explains of the variance that the model leaves, 0 to 1."""
 
     orders: Array
     shares: Array

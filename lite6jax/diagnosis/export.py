@@ -103,15 +103,8 @@ def read_diagnosed_arm(
 def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool = True) -> tuple[Arm, tuple[str, ...]]:
     """The arm of a diagnosed model of poses, with every displacement that does not depend on the motion in its chain.
 
-    It ends at the point that was measured. Where the base stands in the sensor's frame is no part of it.
-
-    Args:
-        model: as diagnosed.
-        nominal: as of `read_diagnosed_arm`.
-        alone: likewise.
-
-    Returns:
-        the arm, and what it has no place for, a phrase each.
+    It ends at the point that was measured. Where the base stands in the sensor's frame is no part of it. Arguments and
+    what is returned as of `read_diagnosed_arm`.
     """
     if nominal is None and model.arm in bundled_arms():
         nominal = load_bundled(model.arm)

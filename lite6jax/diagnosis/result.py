@@ -11,9 +11,8 @@ from scipy.linalg import block_diag
 
 from lite6jax.calibration.quality import Quality, quality_of_poses
 from lite6jax.diagnosis.discrimination import SeparatingPoses, differ
-from lite6jax.diagnosis.document import SCHEMA, effect_entry, pose_model_entry
+from lite6jax.diagnosis.document import SCHEMA, Verdict, effect_entry, pose_model_entry
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.schema import Verdict
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
@@ -32,7 +31,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.model import ArmModel
-from lite6jax.recordings import RecordingSettings
+from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
 from lite6jax.search.scan import Scan
@@ -133,12 +132,7 @@ class Finding:
 class Withdrawn:
     """Effects that were significant, and do not hold on rows that were not used.
 
-    The errors there are larger than without them, or several times those on the rows that they were fitted to.
-
-    Attributes:
-        findings: the effects.
-        before: m, the root mean square of held-out position errors without them; of torques Nm.
-        after: with them.
+    RMS errors there, m or Nm, are larger than without them, or several times those on rows that they were fitted to.
     """
 
     findings: tuple[Finding, ...]
@@ -162,12 +156,7 @@ class SearchedAgain:
 
 
 class Contribution(NamedTuple):
-    """What a finding of poses moves, root mean square over the rows that are no outliers.
-
-    Attributes:
-        position: m.
-        orientation: rad; None where no orientation was measured.
-    """
+    """What a finding of poses moves, RMS over rows that are no outliers: m, and rad, None where it was not measured."""
 
     position: float
     orientation: float | None
@@ -189,22 +178,17 @@ class Left(NamedTuple):
     white: bool
     acts_at: Concentration | None = None
 
-    def is_noise(self, limit: float) -> bool:
-        """Whether it is white, and at most `limit` times the noise of each quantity whose noise is declared."""
-        return self.white and all(ratio is None or ratio <= limit for ratio in (self.position, self.orientation))
+    @property
+    def over_noise(self) -> float | None:
+        """The larger ratio; None where no noise is declared."""
+        return max((ratio for ratio in (self.position, self.orientation) if ratio is not None), default=None)
 
 
 class Against(Protocol):
-    """How a recording was compared with a reference.
+    """How a recording was compared with a reference."""
 
-    Attributes:
-        file: the reference's name.
-    """
-
-    @property
-    def file(self) -> str: ...
     def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
+        """Codes and numbers, with the reference's name as `file`."""
         ...
 
 
@@ -255,6 +239,10 @@ class DomainDiagnosis(Generic[P]):
         """Of the nuisance and all findings."""
         return self.selection.state.fit
 
+    def has(self, effect: Effect) -> bool:
+        """Whether this very effect is a finding."""
+        return any(finding.effect == effect for finding in self.findings)
+
     @property
     def untestable(self) -> tuple[Untestable, ...]:
         """Effects that this recording cannot show, and why."""
@@ -298,9 +286,10 @@ class DomainDiagnosis(Generic[P]):
             return "undetermined"
         return "explained" if found else "consistent"
 
-    def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes and numbers in SI units."""
-        return self._own_parts() | ({} if self.against is None else {"against": self.against.to_dict()})
+    @property
+    def recording(self) -> Recording:
+        """As it was screened."""
+        raise NotImplementedError
 
     @property
     def _too_few(self) -> bool:
@@ -313,13 +302,13 @@ class DomainDiagnosis(Generic[P]):
         raise NotImplementedError
 
     def _own_parts(self) -> dict[str, Any]:
-        """The document, with the parts that only this domain has or has in another form."""
+        """What of the document only this domain has, or has in another form."""
         raise NotImplementedError
 
-    def _parts(self, settings: RecordingSettings) -> dict[str, Any]:
-        """The parts of the document that every domain has."""
-        nearest, again = self.nearest, self.searched_again
-        return {
+    def to_dict(self) -> dict[str, Any]:
+        """The document `lite6jax/diagnosis/2`: codes and numbers in SI units."""
+        nearest, again, settings = self.nearest, self.searched_again, self.recording.settings
+        shared = {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "heldout_blocks": block_count(self.folds),
@@ -338,6 +327,8 @@ class DomainDiagnosis(Generic[P]):
             ],
             "confounded": [effect_entry(effect) for effect in self.confounded],
         }
+        against = {} if self.against is None else {"against": self.against.to_dict()}
+        return shared | self._own_parts() | against
 
 
 def block_count(folds: tuple[Mask, ...] | list[Mask]) -> int:
@@ -348,6 +339,11 @@ def block_count(folds: tuple[Mask, ...] | list[Mask]) -> int:
 @final
 class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     """The diagnosis of poses."""
+
+    @property
+    def recording(self) -> Recording:
+        """As it was screened."""
+        return self.problem.recording
 
     @property
     def left_out(self) -> Mask:
@@ -413,9 +409,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
-        reach, over_noise = problem.arm.reach, max(left, default=None)
-        noise = problem.declared_noise[0]
+        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.left.over_noise
         return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property
@@ -488,9 +482,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
 
         Of each driver the central 96 % count: few samples are beyond.
-
-        Args:
-            k: which of the findings.
         """
         finding, at = self.findings[k], self.problem.deflections
         assert isinstance(finding.effect, Unnamed)
@@ -512,8 +503,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     @property
     def _leaves_noise(self) -> bool:
         # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
-        as_noise = self.left.is_noise(self.options.as_noise) and self.quality.verdict != "bad"
-        return as_noise and (not self.findings or self.left.position is not None)
+        left = self.left
+        as_noise = left.white and (left.over_noise or 0.0) <= self.options.as_noise and self.quality.verdict != "bad"
+        return as_noise and (not self.findings or left.position is not None)
 
     def _errors(self, stage: int) -> dict[str, float]:
         """Statistics of the held-out errors before (0) or after (1)."""
@@ -526,18 +518,17 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         return found
 
     def _own_parts(self) -> dict[str, Any]:
-        problem, kept, settings = self.problem, ~self.outliers, self.problem.recording.settings
-        parts, left, withdrawn = self._parts(settings), self.left, self.withdrawn
-        outliers, acts_at = self.outliers & problem.valid, self.left.acts_at
+        problem, left, withdrawn = self.problem, self.left, self.withdrawn
+        faults, outliers, acts_at = list(self.faults), self.outliers & problem.valid, left.acts_at
         if outliers.any():
-            wild = {"fault": "outliers", "rows": problem.recording.row[outliers].tolist(), "numbers": {}}
-            parts["data_faults"].append(wild)
+            faults.append(DataFault("outliers", tuple(problem.recording.row[outliers].tolist())))
         before, after = self._errors(0), self._errors(1)
         heldout = {
             "heldout_rms_before_m": before["heldout_position_rms_m"],
             "heldout_rms_after_m": after["heldout_position_rms_m"],
         }
-        return parts | {
+        return {
+            "data_faults": [fault.to_dict() for fault in faults],
             "before": before,
             "after": after,
             "left": {
@@ -558,8 +549,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
             "samples": problem.samples,
             "left_out": problem.recording.row[self.left_out].tolist(),
-            "heldout_rows": int(kept.sum()),
-            "pose_source": settings.pose_source,
+            "heldout_rows": int((~self.outliers).sum()),
+            "pose_source": problem.recording.settings.pose_source,
             "noise": {
                 "declared_position_m": problem.declared_noise[0],
                 "declared_orientation_rad": problem.declared_noise[1],

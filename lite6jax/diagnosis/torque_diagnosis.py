@@ -1,48 +1,169 @@
-"""The diagnosis of torques: screen, filter, search, estimate finally, verify; alone, or relative to a reference."""
+"""The diagnosis of torques: screen, filter, search, estimate finally, verify; alone, or relative to a reference.
+
+Its result has what a diagnosis of poses has, some of it in another form.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
-from lite6jax.diagnosis.estimates import (
-    DISAGREE,
-    Known,
-    difference_p_value,
-    estimate_effect,
-    fit_with_effect,
-    side_entry,
-)
+from lite6jax.diagnosis.document import effect_entry, torque_model_entry
 from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
+from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.composition import read_driver
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
-from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
+from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.problem import FITTED, TorqueProblem, torque_problem
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.domains.torque.screening import contacts, screen_torques
+from lite6jax.effects.catalogue import torque_catalogue
 from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
-from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.effect import Effect, Estimate, slides
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.terms import Terms
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
+from lite6jax.results import PublicResult
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import fitted_again
+from lite6jax.search.state import Alternative, fitted_again
 
 Array = NDArray[np.floating]
+
+
+@final
+class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
+    """The diagnosis of torques."""
+
+    @property
+    def recording(self) -> Recording:
+        """As it was screened."""
+        return self.problem.data.recording
+
+    @property
+    def confounded(self) -> tuple[Effect, ...]:
+        """Effects that are confounded with the inertial numbers that are fitted."""
+        problem = self.problem
+        fitted = torque_catalogue(problem.rows, problem.data.arm.sliding) if len(problem.precision) else ()
+        return (*super().confounded, *(effect for effect in fitted if isinstance(effect, FITTED)))
+
+    @cached_property
+    def over_noise(self) -> Array | None:
+        """`(joint,)`, held-out errors, winsorised, over the declared noise as the filter leaves it."""
+        if not self.problem.declared:
+            return None
+        errors = (self.after / self.problem.sigma)[:, self.problem.valid]
+        # spikes that pass the filter are outliers of the sensor, and not what the model leaves; 1.4826: std over median
+        limit = self.options.engine.winsor * 1.4826 * np.median(np.abs(errors), 1, keepdims=True)
+        return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1))
+
+    @cached_property
+    def model(self) -> DiagnosedMotors:
+        """The arm with the effects found, as `read_torque_model` gives it from a file."""
+        problem, fit = self.problem, self.fit
+        against = {} if self.against is None else self.against.to_dict()
+        return DiagnosedMotors(
+            arm=problem.data.arm,
+            links=problem.links_at(fit.nuisance),
+            payload_center=problem.data.bodies.payload_center,
+            gravity=problem.data.bodies.gravity,
+            terms=fit.terms,
+            values=fit.values,
+            reference_temperature=problem.data.recording.settings.reference_temperature_degC,
+            uncertainty=uncertainty_of_torques(problem, fit, self.after, self.folds),
+            relative_to=against["file"] if against.get("by") == "rows" else None,
+        )
+
+    @property
+    def _leaves_noise(self) -> bool:
+        if self.over_noise is None:
+            return not self.findings and self.fit.noise.white and self.withdrawn is None
+        return bool((self.over_noise <= self.options.as_noise).all())
+
+    def _errors(self, errors: Array) -> dict[str, Any]:
+        """Statistics of held-out errors `(joint, sample)` Nm: over revolute joints, and in N over those that slide."""
+        errors, found = errors[:, self.problem.valid], {}
+        there = errors if errors.size else np.zeros((len(errors), 1))
+        for name, of in STATISTICS.items():
+            found |= by_kind(f"heldout_torque_{name}_Nm", np.abs(there), self.problem.data.arm.slides, of)
+        return found | {"heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
+
+    def _own_parts(self) -> dict[str, Any]:
+        problem, data = self.problem, self.problem.data
+        chosen = data.filter
+        raw = problem.noise * np.sqrt(chosen.every)
+        return {
+            "domain": "torque",
+            "before": self._errors(self.before),
+            "after": self._errors(self.after),
+            "left": {
+                "torque_over_noise": None if self.over_noise is None else self.over_noise.tolist(),
+                "white": self.fit.noise.white,
+            },
+            "withdrawn": [effect_entry(f.effect) for f in (self.withdrawn.findings if self.withdrawn else ())],
+            "samples": data.recording.samples,
+            "kept_samples": int(problem.valid.sum()),
+            "filter": None
+            if data.recording.motion == "static"
+            else {
+                "rate_Hz": chosen.rate,
+                "cutoff_Hz": chosen.cutoff,
+                "motion_cutoff_Hz": data.motion_cutoff,
+                "every": chosen.every,
+            },
+            "noise": {
+                "declared_torque_Nm": raw.tolist() if problem.declared else None,
+                "estimated_torque_Nm": (raw * self.fit.scale).tolist(),
+            },
+            "torque_source": data.recording.settings.torque_source,
+            "findings": [self._finding(k) for k in range(len(self.findings))],
+            "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
+            "model": torque_model_entry(self.model, [finding.covariance for finding in self.findings]),
+        }
+
+    def _finding(self, k: int) -> dict[str, Any]:
+        problem, fit, finding = self.problem, self.fit, self.findings[k]
+        effect, sliding = finding.effect, problem.data.arm.slides
+        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))
+        moved = np.tensordot(fit.values[fit.terms.slices[k]], columns, 1) * problem.sigma
+        acts = np.abs(moved).max(1) > 0
+        where = acts if acts.any() else np.ones_like(acts)
+        size: dict[str, Any] = {}
+        if isinstance(effect, UnnamedTorque):
+            size[effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
+        contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], sliding[where], STATISTICS["rms"])
+        contribution["joints"] = (1 + np.flatnonzero(acts)).tolist()
+        others = [one for one in finding.alternatives if one.term not in fit.terms.terms]
+        alternatives = [self._alternative(one) for one in sorted(others, key=lambda one: one.gap)]
+        return finding.to_dict(size, contribution, alternatives)
+
+    def _alternative(self, one: Alternative) -> dict[str, Any]:
+        assert isinstance(one.term, Effect)
+        repeats = "period_m" if slides(one.term) else "order"
+        numbers = {key: getattr(one.term, key, None) for key in (repeats, "source_joint")}
+        known = {key: value for key, value in numbers.items() if value is not None}
+        status = "rejected" if one.gap >= self.options.engine.close else "undecided"
+        return {**effect_entry(one.term), **known, "log_likelihood_gap": one.gap, "status": status}
+
+
+# ------------------------------------------------------------------ the diagnosis
+
 
 _FOLDS = 10
 """Of static postures at least."""
@@ -148,11 +269,9 @@ def _diagnose_alone(
 
 
 class HeldOutTorques(NamedTuple):
-    """Errors of torques on held-out samples, `(joint, sample)` Nm each.
+    """Errors on held-out samples, `(joint, sample)` Nm: with the nuisance alone, and with effects too.
 
-    Attributes:
-        before: with the nuisance alone.
-        after: with the effects that a search of the other samples selects, or that are fitted to them.
+    These are what a search of the other samples selects, or are fitted to them.
     """
 
     before: Array
@@ -183,13 +302,9 @@ class HeldOutTorques(NamedTuple):
 
 
 def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among: Considered) -> HeldOutTorques:
-    """The errors on the samples of a fold, with the model that a search of the others selects.
+    """The errors on the samples of a fold `(sample,)`, with the model that a search of the others selects.
 
-    Args:
-        held: `(sample,)`, the fold.
-        problem: not linearised.
-        options: thresholds.
-        among: the processes to choose from.
+    The problem is not linearised; processes are chosen among `among`.
     """
 
     def searched(there: TorqueProblem, training: Mask) -> Selection:
@@ -216,19 +331,90 @@ def _errors_without(
     return HeldOutTorques(errors(found.reference, found.state.baseline), errors(found.problem, found.state.fit))
 
 
+# ------------------------------------------------------------------ what a diagnosis says of one effect
+
+
+DISAGREE = 0.0027
+"""The probability of a difference by chance, three standard deviations, below which two estimates disagree."""
+_VAGUE = 30.0
+"""Typical sizes beyond which the standard deviation of an estimate says that a recording does not show it."""
+
+
+class Known(NamedTuple):
+    """What one domain says of a quantity: its values `(number,)`, their covariance, and the same with their names.
+
+    What is not `found` was estimated beside the findings.
+    """
+
+    found: bool
+    values: Array
+    covariance: Array
+    parameters: dict[str, Estimate]
+
+
+def side_entry(known: Known | None) -> dict[str, Any] | None:
+    """What one side says of a quantity, as values that JSON can hold."""
+    if known is None:
+        return None
+    return {"found": known.found, "parameters": {key: e._asdict() for key, e in known.parameters.items()}}
+
+
+def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
+    """What a result says of an effect: as it was found, or fitted beside all that was; None where it is not shown.
+
+    Of an effect with an order or a speed that a search chose, its size is what is compared.
+    """
+    for finding in result.findings:
+        if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):
+            return _of(True, finding.effect, finding.values, finding.covariance)
+    candidates: tuple[Effect, ...] = result.problem.candidates
+    if (effect not in candidates and not effect.searched) or effect in result.confounded:
+        return None
+    beside = fit_with_effect(result, effect)
+    part = beside.terms.slices[-1]
+    values, covariance = beside.values[part], beside.covariance[part, part]
+    typical = np.array([number.typical for number in effect.coordinates])
+    std = np.sqrt(np.diagonal(covariance))
+    if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
+        return None
+    return _of(False, effect, values, covariance)
+
+
+def fit_with_effect(
+    result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
+) -> Fit:
+    """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""
+    at = result.fit
+    kept = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
+    rest, values = at.terms.part(at.values, kept)
+    terms, start = Terms((*rest.terms, effect)), np.append(values, np.zeros(effect.size))
+    return fit(result.problem, terms, result.options.engine, start, at.nuisance, at.training, at.noise)
+
+
+def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:
+    parameters = effect.reported(values, covariance)
+    if effect.searched:
+        size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
+        values, covariance = np.array([size.value]), np.array([[size.std**2]])
+    return Known(found, values, covariance, parameters)
+
+
+def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
+    """Of a difference as large as theirs, both being normal; `sign` is that of the second over the first."""
+    off = one.values - sign * other.values
+    together = one.covariance + other.covariance
+    return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
+
+
 # ------------------------------------------------------------------ relative to a reference
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class EffectDifference:
-    """An effect that one of two recordings shows, as each shows it.
+    """An effect that one of two recordings shows, as the recording and the reference each show it, or None.
 
-    Attributes:
-        effect: which.
-        here: in the recording; None where it does not show it.
-        there: in the reference.
-        p_value: of a difference as large, family-wise over all effects that are compared; None where one is silent.
+    The p-value of a difference as large is family-wise over all effects compared; None where one is silent.
     """
 
     effect: TorqueEffect
@@ -281,14 +467,7 @@ class TorqueComparison:
 def _diagnose_against(
     recording: Recording, reference: Recording, arm: Arm, alone: Callable[[Recording, Arm], TorqueDiagnosis]
 ) -> TorqueDiagnosis:
-    """The difference of two recordings of the same motion, diagnosed; else each alone, and what either shows compared.
-
-    Args:
-        recording: with torques.
-        reference: torques of the same arm, or of a simulator.
-        arm: the declared arm.
-        alone: the diagnosis of one.
-    """
+    """The difference of two recordings of one motion, diagnosed; else each alone, and what either shows compared."""
     by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
     if by_rows is not None:
         return replace(alone(by_rows.recording, arm), against=TorqueComparison(by_rows.file, by_rows))
@@ -332,17 +511,13 @@ def _curves(effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosi
     functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
     if functions is None or not functions.any():
         whole = np.eye(effect.size)
-        here, there = (_fitted_curve(each, effect, whole) if _has(each, effect) else None for each in (found, other))
+        here, there = (_fitted_curve(each, effect, whole) if each.has(effect) else None for each in (found, other))
         return here, there
     # the directions that these rows show, each a root mean square of the torque along it
     _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
     seen = sizes > _VISIBLE * sizes[0]
     along = sizes[seen, None] * V[seen]
     return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
-
-
-def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
-    return any(finding.effect == effect for finding in result.findings)
 
 
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
@@ -357,10 +532,10 @@ def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
 def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> Known:
     """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
     at = result.fit
-    if not _has(result, effect):
+    if not result.has(effect):
         at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
     part = at.terms.slices[at.terms.terms.index(effect)]
     values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
     size = float(np.sqrt(values @ values))
     std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
-    return Known(_has(result, effect), values, covariance, {"rms_Nm": Estimate(size, std)})
+    return Known(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})

@@ -120,11 +120,7 @@ def _left_of_poses(
 def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds: Sequence[Mask]) -> Uncertainty:
     """How uncertain predictions of torques are: as `uncertainty_of_poses`, of each joint.
 
-    Args:
-        problem: that was fitted.
-        fit: with all findings.
-        after: `(joint, sample)` Nm, held-out errors.
-        folds: `(sample,)` each, the samples that were held out together.
+    `after` are held-out errors `(joint, sample)` Nm.
     """
     terms, values = with_free_numbers(fit.terms, fit.values)
     columns = problem.nuisance_columns(fit.terms, fit.values)
@@ -186,8 +182,8 @@ def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Arra
 
     Args:
         fit: all of it.
-        valid: `(sample,)`, the samples that are not left out.
-        columns: `(number, row, sample)`, the derivative of each row over its noise by each number.
+        valid: `(sample,)`, samples that are not left out.
+        columns: `(number, row, sample)`, derivatives of each row over its noise.
         precision: `(number,)`, one over the variance of the prior.
     """
     if not len(columns):
@@ -239,11 +235,7 @@ def _rows_kept(rows: Rows) -> Rows:
 def _spacing(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
     """The distance from a row to the nearest kept one of other blocks that 95 % of rows do not exceed, rad.
 
-    Args:
-        q: `(sample, joint)` rad.
-        rows: indices.
-        kept: indices of those that the model keeps.
-        folds: the blocks, `(sample,)` each.
+    `q` is `(sample, joint)` rad; rows and those kept are indices.
     """
     distances = []
     for fold in folds:

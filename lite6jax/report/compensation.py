@@ -64,14 +64,7 @@ def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
 def compensation_report(
     found: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
 ) -> Iterator[RenderableType]:
-    """The page.
-
-    Args:
-        found: the joint positions.
-        model: with which they were found.
-        source: the targets' file.
-        frame: of the targets.
-    """
+    """What a terminal shows of a compensation: which targets are reached, why others are not, and how accurately."""
     count, hit = len(found.reached), int(found.reached.sum())
     kind = "positions" if found.orientation_error is None else "positions and orientations"
     where = "the sensor's frame" if frame == "sensor" else "the arm's base"
@@ -147,13 +140,7 @@ def _missed(found: Compensation, rows: NDArray) -> str:
 
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:
-    """How many rows are outside what was recorded.
-
-    Args:
-        outside: how many are.
-        rows: how many there are.
-        noun: what a row is called, in the singular.
-    """
+    """How many rows are outside what was recorded; `noun` is what a row is called."""
     if not outside:
         return f"No {noun} is outside what was recorded."
     return (
@@ -163,12 +150,7 @@ def outside_sentence(outside: int, rows: int, noun: str) -> str:
 
 
 def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
-    """Which targets leave the recorded range, and by how much; empty where none does.
-
-    Args:
-        found: the joint positions.
-        model: with which they were found.
-    """
+    """Which targets leave the recorded range, and by how much; empty where none does."""
     if found.outside is None or model.uncertainty is None or not found.outside.any():
         return ""
     rows = found.recording.row[found.outside].tolist()

@@ -1,6 +1,5 @@
-"""Figures of a diagnosis: errors, explained shares, orders, friction, spectra, curves of findings and their ranking."""
+"""Figures of a diagnosis: errors, explained shares, orders, friction, spectra, and curves of findings."""
 
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -12,15 +11,15 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMetho
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import (
+from lite6jax.report import ranking
+from lite6jax.report.figures import (
     AFTER,
     BEFORE,
     BINS,
@@ -37,7 +36,7 @@ from lite6jax.report.canvas import (
     panels_in_rows,
     titled,
 )
-from lite6jax.report.remedies import effect_name, spaced
+from lite6jax.report.ranking import effect_name, spaced
 from lite6jax.report.words import joint_units, torque_units
 
 Array = NDArray[np.floating]
@@ -64,8 +63,6 @@ _WIDTH = 0.38
 """Of a bar, over the distance of two joints."""
 _LOWEST = 1e-4
 """Nm, the shortest bar."""
-_MOST = 20
-"""Findings that are ranked in a figure."""
 
 
 def drawings(
@@ -73,10 +70,7 @@ def drawings(
 ) -> Iterator[tuple[str, Figure]]:
     """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
-    Args:
-        found: the diagnosis.
-        title: of each figure.
-        document: its document, by whose ranking the findings are numbered; as they were found where not given.
+    The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
     if isinstance(found, CombinedDiagnosis):
         yield from drawings(found.poses, title, document)
@@ -343,7 +337,7 @@ def finding_figure(
     Args:
         found: with findings.
         title: of the figure.
-        chosen: places of findings, from 0; all, in their order, where not given.
+        chosen: places of findings, from 0; all where not given.
         order: places of all findings in the order in which they are numbered; theirs where not given.
     """
     order = range(len(found.findings)) if order is None else order
@@ -436,32 +430,3 @@ def _up(curve: FindingCurve, unnamed: bool) -> tuple[float, str]:
 def _at_motor(curve: FindingCurve) -> str:
     assert curve.site is not None
     return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
-
-
-@rc_context(STYLE)
-def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
-    """What each finding moves, beside the error before and after.
-
-    Args:
-        document: of poses or of torques, with findings.
-        title: of the figure.
-    """
-    measures = ranking.measures_of(document)
-    findings, shown = statements.findings_of(document)[:_MOST], ranking.bars(document)[:_MOST]
-    if len(measures) == 1:
-        sizes = [measures[0].scale * finding[measures[0].moves] for finding in findings]
-        label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
-    else:
-        sizes = [bar.share for bar in shown]
-        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
-    names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
-    figure = blank(9.0, 1.7 + 0.42 * len(findings))
-    panel = figure.subplots()
-    bars = panel.barh(range(len(findings)), sizes, color=AFTER, zorder=3)
-    panel.bar_label(bars, [bar.size for bar in shown], padding=4)
-    panel.set_yticks(range(len(findings)), names)
-    panel.invert_yaxis()
-    panel.set_xlim(0, 1.15 * max(sizes) or 1.0)
-    panel.set_xlabel(label)
-    panel.grid(visible=False, axis="y")
-    return titled(figure, f"{title}: what each finding moves")

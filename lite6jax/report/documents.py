@@ -18,9 +18,8 @@ from lite6jax.arms.files import Conversion
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.station import CalibrationRead
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import Sensitivity
 from lite6jax.design.torques import TorquePlan
 from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation

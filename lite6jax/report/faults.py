@@ -16,8 +16,7 @@ from rich.text import Text
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.screen import indented
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import capital, joined, milli, rows_named
+from lite6jax.report.words import capital, fill, joined, milli, read_texts, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
@@ -49,30 +48,23 @@ def fault_statement(fault: DataFault) -> str:
     return _fill(_TEXTS["mismatch"], numbers, said=_clause({**numbers, "fault": fault.code}), remedy=remedy)
 
 
-def ruled_out_statement(fault: DataFault) -> str:
-    """Why a fault that was tested for is not there, with the number that rules it out."""
-    if fault.code in _MISMATCHES:
-        return _fill(_TEXTS["no_mismatch"], fault.numbers, names=fault_name(fault.code))
-    text = _FAULTS.get(fault.code, {}).get("ruled_out")
-    return f"{fault_name(fault.code)}: none was found." if text is None else _fill(text, fault.numbers)
-
-
 def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
-    """The same for several; faults that the same numbers rule out share a sentence."""
+    """Why faults that were tested for are not there; those that the same numbers rule out share a sentence."""
     groups: dict[str, list[DataFault]] = {}
     for number, fault in enumerate(faults):
         groups.setdefault(str(fault.numbers) if fault.code in _MISMATCHES else str(number), []).append(fault)
-    return [
-        ruled_out_statement(group[0])
-        if len(group) == 1
-        else _fill(_TEXTS["no_mismatch"], group[0].numbers, names=", ".join(fault_name(one.code) for one in group))
-        for group in groups.values()
-    ]
+    said = []
+    for group in groups.values():
+        names, text = ", ".join(fault_name(fault.code) for fault in group), _TEXTS["no_mismatch"]
+        if group[0].code not in _MISMATCHES:
+            text = _FAULTS.get(group[0].code, {}).get("ruled_out")
+        said.append(f"{names}: none was found." if text is None else _fill(text, group[0].numbers, names=names))
+    return said
 
 
 def with_statements(document: Mapping[str, Any]) -> dict[str, Any]:
     """A diagnosis as in its JSON file, with a `statement` added to each data fault, found or ruled out."""
-    sentences = (("data_faults", fault_statement), ("ruled_out", ruled_out_statement))
+    sentences = (("data_faults", fault_statement), ("ruled_out", lambda fault: ruled_out_statements([fault])[0]))
     return dict(document) | {
         key: [
             {**entry, "statement": sentence(DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]))}

@@ -12,7 +12,7 @@ from rich.text import Text
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
-from lite6jax.report.remedies import effect_title
+from lite6jax.report.ranking import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import capital, chance, counted, listing, number, quantity
 from lite6jax.schema import FLEET
@@ -34,11 +34,7 @@ _NEAR = 6.0
 
 
 def folder_report(rows: Iterable[Row]) -> Iterator[RenderableType]:
-    """Position errors by type of arm, and a line for each file without a usable fit.
-
-    Args:
-        rows: of the files, looked at once.
-    """
+    """Position errors by type of arm, and a line for each file without a usable fit; rows are looked at once."""
     groups: dict[tuple[str, str], list[tuple[bool, float | None, float | None]]] = {}
     bad: list[str] = []
     count = 0
@@ -75,11 +71,7 @@ def read_diagnoses(path: Path) -> list[dict[str, Any]]:
 
 
 def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:
-    """A line for each recording with its verdict, its errors and its findings, and for each that was not diagnosed.
-
-    Args:
-        rows: of `fleet.diagnoses.SCHEMA`.
-    """
+    """A line for each recording, a row of `fleet.diagnoses.SCHEMA`: verdict, errors, findings, or why none."""
     done = [row for row in rows if row["result"] == DIAGNOSED]
     table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])
     for column in table.columns[:2]:

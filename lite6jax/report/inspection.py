@@ -22,7 +22,7 @@ from lite6jax.recordings.naming import Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
 from lite6jax.report.screen import indented
-from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import fill, read_texts
 
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3
@@ -165,12 +165,9 @@ def arm_statement(found: Inspection) -> str:
 
 
 def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> str:
-    """The YAML of a sidecar with every key and what it means; keys without a value are commented out.
+    """The YAML of a table's sidecar with every key and what it means; keys without a value are commented out.
 
-    Args:
-        found: the columns.
-        settings: keys of `recording` that are known, as plain YAML values.
-        table: the name of the recording's file.
+    `settings` are the keys of `recording` that are known, as plain YAML values.
     """
     lines = [
         f"# How lite6jax reads {' '.join(table.split())}. Written by `lite6jax init`, to be corrected by hand;",

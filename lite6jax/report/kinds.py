@@ -8,7 +8,7 @@ class, as a table, and a diagnosis as a page; a class whose file is another one 
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,13 +18,12 @@ from matplotlib.ticker import MaxNLocator
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Solution, write_solution
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import Sensitivity
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
@@ -33,11 +32,11 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures
-from lite6jax.report.canvas import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.compensation import compensation_columns
-from lite6jax.report.diagnosis_figures import PREFIX, ranking_figure
+from lite6jax.report.diagnosis_figures import PREFIX
 from lite6jax.report.documents import document, has_document, text
-from lite6jax.report.pages import page_text
+from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
+from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.statements import with_statements
 from lite6jax.report.words import SCREEN
 from lite6jax.results import Figures, PublicResult, draw, tabulate, write
@@ -48,41 +47,26 @@ Columns = dict[str, Any]
 # ------------------------------------------------------------------ figures
 
 
-class Drawing(NamedTuple):
-    """Columns of a result's table over its rows.
-
-    Attributes:
-        columns: an expression that matches their names.
-        title: what they are.
-        marked: the column that is not zero where a row has another colour; empty for none.
-        mark: what is true of these rows.
-    """
-
-    columns: str
-    title: str
-    marked: str = ""
-    mark: str = ""
-
-
-_OUTSIDE = ("outside", "outside what was recorded")
-_DRAWINGS: dict[type, dict[str, Drawing]] = {
+_DRAWINGS: dict[type, dict[str, tuple[str, str]]] = {
     Recording: {
-        "joints": Drawing(r"q\d+_(rad|m)", "joint positions"),
-        "positions": Drawing(r"[xyz]_m", "measured positions"),
+        "joints": (r"q\d+_(rad|m)", "joint positions"),
+        "positions": (r"[xyz]_m", "measured positions"),
     },
-    FleetSolution: {"errors": Drawing(r"(position|orientation)_rms_(m|rad)", "errors of the fits")},
+    FleetSolution: {"errors": (r"(position|orientation)_rms_(m|rad)", "errors of the fits")},
     Prediction: {
-        "positions": Drawing(r"[xyz]_m", "predicted positions", *_OUTSIDE),
-        "std": Drawing(r"[xyz]_std_m", "standard deviation of a position", *_OUTSIDE),
+        "positions": (r"[xyz]_m", "predicted positions"),
+        "std": (r"[xyz]_std_m", "standard deviation of a position"),
     },
-    TorquePrediction: {"torques": Drawing(r"tau\d+_Nm?", "predicted torques", *_OUTSIDE)},
+    TorquePrediction: {"torques": (r"tau\d+_Nm?", "predicted torques")},
     Compensation: {
-        "error": Drawing(r"position_error_mm", "distance from the target", *_OUTSIDE),
-        "joints": Drawing(r"q\d+_(rad|m)", "joint positions", *_OUTSIDE),
+        "error": (r"position_error_mm", "distance from the target"),
+        "joints": (r"q\d+_(rad|m)", "joint positions"),
     },
-    Registration: {"error": Drawing(r"distance_m", "distance from the model", "outlier", "outlier")},
+    Registration: {"error": (r"distance_m", "distance from the model")},
 }
-"""Of results that are tables of rows, the figures by name."""
+"""Of results that are tables of rows, the figures by name: an expression that matches their columns, and a title."""
+_MARKED = {"outside": "outside what was recorded", "outlier": "outlier"}
+"""Columns that are not zero in rows that have another colour, and what these are."""
 
 
 @rc_context(STYLE)
@@ -92,11 +76,12 @@ def _draw_rows(found: PublicResult, title: str) -> Figures:
     across = "arm" if isinstance(found, FleetSolution) else "row"
     row = np.asarray(found.row) if isinstance(found, Recording) else np.arange(1, len(next(iter(table.values()))) + 1)
     source = Path(found.source).name if isinstance(found, Recording) else type(found).__name__
-    for name, drawing in _DRAWINGS[type(found)].items():
-        columns = [column for column in table if re.fullmatch(drawing.columns, column)]
+    marked = next((name for name in _MARKED if name in table), "")
+    other = np.asarray(table.get(marked, np.zeros(len(row)))) > 0
+    for name, (matching, what) in _DRAWINGS[type(found)].items():
+        columns = [column for column in table if re.fullmatch(matching, column)]
         if not columns:
             continue
-        other = np.asarray(table.get(drawing.marked, np.zeros(len(row)))) > 0
         figure, axes = panels_in_rows(len(columns), wide=len(columns) == 1)
         for axis, column in zip(axes, columns, strict=True):
             of, _, unit = column.rpartition("_")
@@ -106,9 +91,9 @@ def _draw_rows(found: PublicResult, title: str) -> Figures:
             axis.set(xlabel=across, ylabel=f"{of.replace('_', ' ')} ({shown})")
             axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         if other.any():
-            axes[0].plot([], [], "o", color=BEFORE, label=drawing.mark)
+            axes[0].plot([], [], "o", color=BEFORE, label=_MARKED[marked])
             figure.legend(loc="outside lower center", frameon=False)
-        drawn[name] = titled(figure, f"{title or source}: {drawing.title}")
+        drawn[name] = titled(figure, f"{title or source}: {what}")
     return Figures(drawn)
 
 
@@ -153,10 +138,8 @@ def _sensitivity(found: Sensitivity, title: str) -> Figures:
 @draw.register(Diagnosis)
 @draw.register(TorqueDiagnosis)
 def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
-    data = found.problem.data if isinstance(found, TorqueDiagnosis) else found.problem
-    title, document = title or Path(data.recording.source).name, found.to_dict()
-    ranked = {"ranking": ranking_figure(document, title)} if document["findings"] else {}
-    return Figures({**ranked, **dict(diagnosis_figures.drawings(found, title, document))})
+    title = title or Path(found.recording.source).name
+    return Figures(diagnosis_figures.drawings(found, title, found.to_dict()))
 
 
 @draw.register
@@ -289,7 +272,7 @@ def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
     stated = with_statements(found.to_dict())
     if suffix == ".json":
         return write_atomically(path, document_text(stated), overwrite)
-    return write_atomically(path, page_text(found, stated), overwrite)
+    return write_atomically(path, diagnosis_page(found, stated), overwrite)
 
 
 def _check_suffix(result: object, path: Path, forms: Sequence[str]) -> None:

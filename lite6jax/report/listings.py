@@ -52,10 +52,6 @@ class ArmEntry(NamedTuple):
     inertia: bool
     source: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        return self._asdict()
-
 
 def arm_entry(arm: Arm) -> ArmEntry:
     """What is listed of an arm."""

@@ -17,18 +17,16 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import STYLE
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
-from lite6jax.report.ranking import Files, of_torques, units
-from lite6jax.report.remedies import effect_title
-from lite6jax.report.sections import Picture, Report, Section, error_rows, sections_of, show_sections
-from lite6jax.report.texts import read_texts
-from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity
+from lite6jax.report.figures import STYLE
+from lite6jax.report.ranking import Files, effect_title, of_torques, units
+from lite6jax.report.sections import Picture, Report, Section, sections_of, show_sections
+from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity, read_texts
 
 Document = Mapping[str, Any]
 
@@ -41,8 +39,8 @@ _DPI = 120
 def diagnosis_page(
     found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis,
     document: Document,
-    source: str,
-    figures: Mapping[str, Figure],
+    source: str | None = None,
+    figures: Mapping[str, Figure] | None = None,
     files: Files | None = None,
 ) -> str:
     """The page, HTML; of both domains one after the other.
@@ -50,11 +48,16 @@ def diagnosis_page(
     Args:
         found: the diagnosis, of which the figures of single findings are drawn.
         document: as in its JSON file, with statements; all text is made from it.
-        source: the recording's name, of any characters.
-        figures: those of `diagnosis_figures.drawings`.
-        files: for commands to copy; without them there are none.
+        source: the recording's name, of any characters; that of the diagnosis where not given.
+        figures: those of `diagnosis_figures.drawings`; drawn where not given.
+        files: for commands to copy; without them there are none, and without a source the recording's where it is one.
     """
     poses = found.poses if isinstance(found, CombinedDiagnosis) else found
+    recorded = poses.recording.source
+    if source is None and storage.exists(recorded):
+        files = files or Files(Path(recorded))
+    source = recorded if source is None else source
+    figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
     torques = found.torques if isinstance(found, CombinedDiagnosis) else None
     parts = [("", sections_of(Report(document, files, pictures=_pictures(poses, document, figures))))]
     if torques is not None:
@@ -67,24 +70,6 @@ def diagnosis_page(
             ("Both", [both]),
         ]
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
-
-
-def page_text(
-    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, document: dict[str, Any], files: Files | None = None
-) -> str:
-    """The page of a diagnosis with its figures, HTML.
-
-    Args:
-        found: the diagnosis.
-        document: as in its JSON file, with statements.
-        files: for commands to copy; the recording's, where that is a file, where not given.
-    """
-    poses = found.poses if isinstance(found, CombinedDiagnosis) else found
-    source = (poses.problem.data if isinstance(poses, TorqueDiagnosis) else poses.problem).recording.source
-    if files is None and storage.exists(source):
-        files = Files(Path(source))
-    figures = dict(drawings(found, Path(source).name, document))
-    return diagnosis_page(found, document, source, figures, files)
 
 
 def _pictures(
@@ -107,14 +92,11 @@ def _pictures(
 
 
 def _picture(figure: Figure, caption: str) -> Picture:
-    return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
-
-
-def _embedded(figure: Figure) -> str:
     held = BytesIO()
     with rc_context(STYLE):
         figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
-    return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+    data = "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+    return Picture(data, caption, sum(panel.get_visible() for panel in figure.axes) == 1)
 
 
 @cache
@@ -176,7 +158,7 @@ def certificate(document: Document) -> Figure:
         Section(
             "Accuracy on rows that were not used",
             [
-                ("table", error_rows(document)),
+                ("table", statements.error_rows(document)),
                 ("text", statements.held_out_statement(document)),
                 *([] if of_torques(document) else [("text", iso)]),
             ],

@@ -4,7 +4,7 @@ To add a section, write a function that yields its blocks and put it into `secti
 report. To add a kind of block, give it a look in `_LOOKS` here and a macro of its name in `templates/page.html`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -18,10 +18,9 @@ from rich.text import Text
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
-from lite6jax.report.ranking import Files, of_torques
-from lite6jax.report.remedies import by_site
+from lite6jax.report.ranking import Files, by_site, of_torques
 from lite6jax.report.screen import indented
-from lite6jax.report.words import capital, counted, fixed, joint_units, listed, listing, number, significant
+from lite6jax.report.words import capital, counted, fixed, joint_units, listed, listing
 
 Document = Mapping[str, Any]
 Block = tuple[str, Any]
@@ -34,13 +33,7 @@ _MOST = 12
 
 
 class Picture(NamedTuple):
-    """A figure on a page.
-
-    Attributes:
-        data: the whole image, as a `data:` address.
-        caption: one sentence.
-        narrow: whether it has one panel.
-    """
+    """A figure on a page: the image as a `data:` address, a sentence, and whether it has one panel."""
 
     data: str
     caption: str
@@ -48,13 +41,7 @@ class Picture(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A part of a report; one without blocks is not shown.
-
-    Attributes:
-        title: its heading; empty for none.
-        blocks: below each other.
-        kind: the class of its element on a page.
-    """
+    """A part of a report: its heading, or none, and blocks below each other; `kind` is its class on a page."""
 
     title: str
     blocks: Sequence[Block]
@@ -80,26 +67,56 @@ class Report:
     pictures: Mapping[str, Picture] | None = None
     anchor: str = ""
 
+    def pictures_of(self, *names: str) -> list[Block]:
+        """Those there are of some names."""
+        pictures = self.pictures or {}
+        return [("picture", pictures[name]) for name in names if name in pictures]
+
 
 def sections_of(report: Report) -> list[Section]:
     """The sections that have something to show."""
-    unit = f"{ranking.unit_of(report.document)} RMS".strip()
+    document, files = report.document, report.files
+    unit = f"{ranking.unit_of(document)} RMS".strip()
+    ranked = statements.findings_of(document)
+    bars = [(finding["title"], bar) for bar, finding in zip(ranking.bars(document), ranked, strict=True)]
+    cause = [statements.verdict_statement(document), *statements.cautions(document)]
+    measured = [statements.held_out_statement(document), statements.noise_statement(document)]
+    several, actions = len(ranked) > 1, ranking.actions(document)
+    to_do = [f"{listed(ranks)}. {said}" if several else said for ranks, said in actions]
+    commands = [] if files is None else ranking.steps(document, files)
     made = [
-        Section("Difference from the reference", list(_comparison(report.document)), "against"),
-        Section("", list(_cause(report.document))),
-        Section(f"What each finding moves ({unit})", list(_contributions(report))),
-        Section("Held-out errors before and after", list(_errors(report))),
+        Section("Difference from the reference", list(_comparison(document)), "against"),
+        Section(
+            "",
+            [
+                ("cause", (document["verdict"], ranking.headline(document))),
+                *_texts([*cause, statements.setting_statement(document)]),
+            ],
+        ),
+        Section(f"What each finding moves ({unit})", [("bars", (bars, report.anchor))] if bars else []),
+        Section(
+            "Held-out errors before and after",
+            [
+                ("table", statements.error_rows(document)),
+                *_texts([*measured, *statements.assumptions(document)]),
+                *report.pictures_of("error_by_joint", "over_time"),
+            ],
+        ),
         Section("Data faults", list(_faults(report))),
-        Section("Findings", list(_findings(report))),
-        Section("What to do", list(_actions(report))),
-        Section("Commands to copy", list(_commands(report))),
-        Section("Explained variance by site, driver and order", list(_pictures(report, "where", "orders"))),
-        Section("Friction", list(_pictures(report, "friction"))),
-        Section("Filter", list(_pictures(report, "spectra"))),
-        Section("What to record next", list(_next_recording(report.document))),
+        Section("Findings", list(_findings(report, ranked))),
+        Section("What to do", [("bullets", to_do)] if to_do else []),
+        Section("Commands to copy", [("command", (capital(step.purpose), step.command)) for step in commands]),
+        Section("Explained variance by site, driver and order", report.pictures_of("where", "orders")),
+        Section("Friction", report.pictures_of("friction")),
+        Section("Filter", report.pictures_of("spectra")),
+        Section("What to record next", list(_next_recording(document))),
         Section("Tested and ruled out, and not tested", list(_tests(report)), "folded" if report.details else ""),
     ]
     return [section for section in made if section.blocks]
+
+
+def _texts(lines: Iterable[str]) -> list[Block]:
+    return [("text", line) for line in lines]
 
 
 def _comparison(document: Document) -> Iterator[Block]:
@@ -111,38 +128,6 @@ def _comparison(document: Document) -> Iterator[Block]:
         yield "text", comparison["statement"]
 
 
-def _cause(document: Document) -> Iterator[Block]:
-    yield "cause", (document["verdict"], ranking.headline(document))
-    yield "text", statements.verdict_statement(document)
-    yield from (("text", line) for line in statements.cautions(document))
-    yield "text", statements.setting_statement(document)
-
-
-def _contributions(report: Report) -> Iterator[Block]:
-    pairs = zip(ranking.bars(report.document), statements.findings_of(report.document), strict=True)
-    if bars := [(finding["title"], bar) for bar, finding in pairs]:
-        yield "bars", (bars, report.anchor)
-
-
-def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
-    """The table of held-out errors: its headers, and a row for each error with its unit and statistic."""
-    torques, found = of_torques(document), bool(document["findings"])
-    rows = []
-    for name, unit, statistic, before, after in statements.errors(document):
-        shown = significant if torques else number
-        ratio = [f"{100 * after / before:.0f} %" if before else "–"] if found else []
-        rows.append([f"{name} ({unit}), {statements.STATISTICS[statistic]}", shown(before), shown(after), *ratio])
-    return ["held-out error", "before", "after", *(["after / before"] if found else [])], rows
-
-
-def _errors(report: Report) -> Iterator[Block]:
-    yield "table", error_rows(report.document)
-    yield "text", statements.held_out_statement(report.document)
-    yield "text", statements.noise_statement(report.document)
-    yield from (("text", line) for line in statements.assumptions(report.document))
-    yield from _pictures(report, "error_by_joint", "over_time")
-
-
 def _faults(report: Report) -> Iterator[Block]:
     if found := report.document["data_faults"]:
         yield "faults", [(fault_name(each["fault"]), each["statement"], listed(each["rows"])) for each in found]
@@ -150,9 +135,9 @@ def _faults(report: Report) -> Iterator[Block]:
         yield "text", "None found."
 
 
-def _findings(report: Report) -> Iterator[Block]:
+def _findings(report: Report, ranked: Iterable[Document]) -> Iterator[Block]:
     found = []
-    for rank, finding in enumerate(statements.findings_of(report.document), 1):
+    for rank, finding in enumerate(ranked, 1):
         lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
         if finding["rivals"]:
             lines.append(f"Not distinguished from {', '.join(finding['rivals'])}.")
@@ -164,22 +149,6 @@ def _findings(report: Report) -> Iterator[Block]:
         yield "findings", (found, report.anchor)
     elif report.details:
         yield "text", "None: no effect of the catalogue, and no function of what was recorded, is significant."
-
-
-def _actions(report: Report) -> Iterator[Block]:
-    several = len(report.document["findings"]) > 1
-    if actions := ranking.actions(report.document):
-        yield "bullets", [f"{listed(ranks)}. {said}" if several else said for ranks, said in actions]
-
-
-def _commands(report: Report) -> Iterator[Block]:
-    steps = [] if report.files is None else ranking.steps(report.document, report.files)
-    yield from (("command", (capital(step.purpose), step.command)) for step in steps)
-
-
-def _pictures(report: Report, *names: str) -> Iterator[Block]:
-    pictures = report.pictures or {}
-    yield from (("picture", pictures[name]) for name in names if name in pictures)
 
 
 def _next_recording(document: Document) -> Iterator[Block]:
@@ -244,25 +213,11 @@ def _bars(shown: Any) -> Iterator[RenderableType]:
         yield Text(f"and {len(bars) - _MOST} more, which move less")
 
 
-def _numbered(shown: Any) -> Iterator[RenderableType]:
-    found, _ = shown
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for finding in found:
-        table.add_row(Text(f"{finding['rank']}."), Text("\n".join(finding["lines"])))
+def _grid(rows: Iterable[Iterable[str]], apart: int) -> Iterator[RenderableType]:
+    table = Table.grid(padding=(0, apart, 0, 0))
+    for row in rows:
+        table.add_row(*map(Text, row))
     yield table
-
-
-def _command(shown: Any) -> Iterator[RenderableType]:
-    purpose, line = shown
-    yield indented(f"{purpose}:")
-    yield Text(f"    {line}", no_wrap=True, overflow="ignore")
-
-
-def _pairs(shown: Sequence[tuple[str, str]]) -> RenderableType:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    for name, value in shown:
-        table.add_row(Text(name), Text(value))
-    return table
 
 
 _LOOKS: Mapping[str, Callable[[Any], Iterator[RenderableType]]] = {
@@ -272,10 +227,10 @@ _LOOKS: Mapping[str, Callable[[Any], Iterator[RenderableType]]] = {
     "bullets": lambda lines: map(indented, lines),
     "faults": lambda found: (indented(said + (f" Rows {rows}." if rows else "")) for _, said, rows in found),
     "table": lambda shown: iter([listing(*shown[0], rows=shown[1], wrapped=[0])]),
-    "pairs": lambda pairs: iter([_pairs(pairs)]),
+    "pairs": lambda pairs: _grid(pairs, 2),
     "bars": _bars,
-    "findings": _numbered,
-    "command": _command,
+    "findings": lambda shown: _grid(((f"{each['rank']}.", "\n".join(each["lines"])) for each in shown[0]), 1),
+    "command": lambda step: iter([indented(f"{step[0]}:"), Text(f"    {step[1]}", no_wrap=True, overflow="ignore")]),
     "picture": lambda _: iter(()),
 }
 """By the kind of a block, how a terminal shows it."""
@@ -294,13 +249,9 @@ def show_sections(sections: Sequence[Section]) -> Iterator[RenderableType]:
 def diagnosis_report(
     document: Document, source: str, files: Files | None = None, details: bool = False
 ) -> Iterator[RenderableType]:
-    """What a terminal shows of a diagnosis; of both domains the poses, the torques, and what both depend on.
+    """What a terminal shows of a document with statements; of both domains poses, torques, and what both depend on.
 
-    Args:
-        document: as in the JSON file, with statements.
-        source: the recording.
-        files: for commands to copy; without them there are none.
-        details: whether to list also the rejected alternatives, what was ruled out and what was not tested.
+    Without files there are no commands to copy. Details: rejected alternatives, what was ruled out and not tested.
     """
     parts = [("Poses", Report(document, files, details))]
     parts += [("Torques", Report(document["torques"], None, details))] if "torques" in document else []

@@ -13,28 +13,31 @@ import numpy as np
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.report import faults, ranking
-from lite6jax.report.ranking import of_torques, units
-from lite6jax.report.remedies import (
+from lite6jax.report.ranking import (
     component,
     detail,
     distinct_rivals,
     drivers_of,
     effect_name,
     effect_title,
+    of_torques,
     shape,
+    units,
     with_articles,
 )
-from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     OF_TORQUES,
     SCREEN,
     Quantity,
     capital,
     each_with_unit,
+    fill,
     fixed,
     multiple,
+    number,
     plus_minus,
     quantity,
+    read_texts,
     rounded,
     significant,
 )
@@ -47,7 +50,7 @@ NOT_CHECKED: str = _TEXTS["not_checked"]
 COMPUTED: str = _TEXTS["computed"]
 SHARED = "What poses and torques both depend on"
 """The heading of the sentences of `shared_statements`."""
-STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
+_STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
@@ -155,52 +158,34 @@ def cautions(document: Document) -> list[str]:
 
 
 def quality_statement(quality: Entry) -> str | None:
-    """Why a model does not describe the poses it was fitted to, and what to check; None where it does.
-
-    Args:
-        quality: as in JSON documents.
-    """
+    """Why a model does not describe the poses it was fitted to, and what to check; None where it does."""
     return fill(_TEXTS["quality"], quality) if quality["verdict"] == "bad" else None
 
 
 # ------------------------------------------------------------------ errors and noise
 
 
-class Error(NamedTuple):
-    """A held-out error before and after, in the unit shown: of what, and which statistic, as keys of `STATISTICS`."""
-
-    name: str
-    unit: str
-    statistic: str
-    before: float
-    after: float
-
-
-def errors(document: Document, statistics: Iterable[str] = STATISTICS) -> Iterator[Error]:
-    """The held-out errors that a document has: of positions and orientations, or of all joints and then of each.
-
-    Args:
-        document: of poses or of torques.
-        statistics: keys of `STATISTICS`.
-    """
-    before, after, rows = document["before"], document["after"], []
-    if of_torques(document):
+def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
+    """The table of held-out errors: headers, and a row for each with its unit and statistic."""
+    before, after, rows, torques = document["before"], document["after"], [], of_torques(document)
+    kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
+    if torques:
         both = dict.fromkeys(units(document))
-        kinds = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
-        rows = [(f"{kinds[unit]} joints", "torque", unit, (1.0, unit)) for unit in both]
-    else:
-        rows = [
-            ("position error", "position", "m", SCREEN["m"]),
-            ("orientation error", "orientation", "rad", SCREEN["rad"]),
-        ]
-    for name, what, unit, (scale, shown) in rows:
-        for key in statistics:
+        own = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
+        kinds = [(f"{own[unit]} joints", "torque", unit) for unit in both]
+    for name, what, unit in kinds:
+        scale, shown = SCREEN.get(unit, (1.0, unit))
+        for key, statistic in _STATISTICS.items():
             if (at := f"heldout_{what}_{key}_{unit}") in before and at in after:
-                yield Error(name, shown, key, scale * before[at], scale * after[at])
-    if of_torques(document):
+                rows.append((f"{name} ({shown}), {statistic}", scale * before[at], scale * after[at]))
+    if torques:
         by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
-        for joint, (unit, own, left) in enumerate(zip(units(document), *by_joint, strict=True), 1):
-            yield Error(f"joint {joint}", unit, "rms", own, left)
+        each = enumerate(zip(units(document), *by_joint, strict=True), 1)
+        rows += [(f"joint {joint} ({unit}), RMS", *sizes) for joint, (unit, *sizes) in each]
+    found, size = bool(document["findings"]), significant if torques else number
+    headers = ["held-out error", "before", "after", *(["after / before"] if found else [])]
+    ratio = lambda own, left: [f"{100 * left / own:.0f} %" if own else "–"] if found else []  # noqa: E731
+    return headers, [[name, size(own), size(left), *ratio(own, left)] for name, own, left in rows]
 
 
 def held_out_statement(document: Document) -> str:
@@ -250,13 +235,7 @@ def _detailed(document: Document) -> list[dict[str, Any]]:
 
 
 def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[Entry] = ()) -> str:
-    """A finding in one sentence, with its numbers and its contribution; and what it is together with another one.
-
-    Args:
-        finding: with the fields of its effect as `where`.
-        torques: whether it acts on torques.
-        beside: all findings.
-    """
+    """A finding, with the fields of its effect as `where`, in a sentence, and what it is with those `beside`."""
     where, unnamed = finding["where"], finding["effect"] == "unnamed"
     named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
     if torques:
@@ -334,13 +313,7 @@ def rivals(finding: Entry, torques: bool = False, rejected: bool = False) -> lis
 
 
 class Untested(NamedTuple):
-    """Effects that a recording cannot show for one and the same reason.
-
-    Attributes:
-        reason: a sentence.
-        remedy: what to give or to record; empty where `what_to_record` states it.
-        entries: of the document, one for each effect.
-    """
+    """Effects that a recording cannot show for one reason; no remedy where `what_to_record` states it."""
 
     reason: str
     remedy: str
@@ -431,22 +404,15 @@ def with_comparison(comparison: Document) -> dict[str, Any]:
 
 
 def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -> str:
-    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference.
-
-    Args:
-        comparison: as in the JSON file.
-        joint_units: of each joint, where it is of torques.
-    """
+    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference."""
     in_units = partial(each_with_unit, units=tuple(joint_units))
     return fill(_TEXTS["against"]["headline"], comparison, in_units=in_units)
 
 
 def model_statement(file: str, of: str | bool) -> str:
-    """What a model that was estimated relative to a reference contains.
+    """What a model that was estimated relative to a reference file contains.
 
-    Args:
-        file: the reference.
-        of: of poses whether it is rigid; of torques what was compared, `effects` or `rows`.
+    `of` is, of poses, whether it is rigid; of torques what was compared, `effects` or `rows`.
     """
     kind = of if isinstance(of, str) else "rigid" if of else "flexible"
     return fill(_TEXTS["against"][kind], {"file": file})

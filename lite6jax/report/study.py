@@ -9,12 +9,11 @@ from rich.text import Text
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.design.candidates import Candidates
 from lite6jax.design.determination import Dependency, Determination
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensitivity import Sensitivity
-from lite6jax.design.sensor import AnySensor, PlacedReading, Sensor
+from lite6jax.design.sensor import AnySensor, PlacedReading
 from lite6jax.design.torques import (
     JOINT,
     JOINT_UNITS,
@@ -59,32 +58,14 @@ def _beginning(source: str, what: str, disabled: Sequence[tuple[str, str]] = ())
 # ------------------------------------------------------------------ what poses determine
 
 
-_READS = {
-    "position": "positions",
-    "pose": "positions and orientations",
-    "axis": "positions along one axis",
-    "distance": "distances to a point",
-}
-
-
 def described(sensor: AnySensor) -> str:
-    """A sensor in a phrase."""
+    """A sensor in a phrase, with the noise of the joints' read-outs."""
     joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
-    if not isinstance(sensor, Sensor):
-        return sensor.phrase + joints
-    turns = sensor.orientation_noise
-    noise = f"{1e3 * sensor.position_noise:.3g} mm" + (f" and {np.rad2deg(turns):.2g} deg" if turns else "")
-    return f"{_READS[sensor.quantity]} to ±{noise}{' per axis' if sensor.rows > 1 else ''}{joints}"
+    return sensor.phrase + joints
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
-    """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy.
-
-    Args:
-        found: the study.
-        source: the arm or the file.
-        drawn: whether the poses were drawn inside the limits.
-    """
+    """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy."""
     experiment, d = found.experiment, found.determination
     poses = f"{counted(d.samples, 'pose')}{' drawn inside the limits' if drawn else ''}"
     yield from _beginning(source, f"{experiment.arm.name}, {poses}; a sensor of {described(experiment.sensor)}.")
@@ -231,14 +212,9 @@ def design_report(
     source: str,
     accuracy: float | None = None,
 ) -> Iterator[RenderableType]:
-    """Which poses were chosen, from how many, and what they are worth.
+    """Which poses were chosen among candidates, and what they are worth.
 
-    Args:
-        found: the design.
-        drawn: the candidates.
-        disabled: pairs of links that are not checked against each other.
-        source: the arm.
-        accuracy: m, the target of which `found.needed` says how many poses reach it.
+    Pairs of links that are `disabled` are not checked against each other. `accuracy` is a target in m.
     """
     refused = ", ".join(f"{name} refused {count}" for name, count in drawn.refused.items() if count)
     why = f" ({refused})" if refused else ""
@@ -355,13 +331,7 @@ def combination(terms: Sequence[tuple[str, float]]) -> str:
 
 
 def torque_identification_report(found: TorqueIdentification, source: str, motion: str) -> Iterator[RenderableType]:
-    """What a motion determines: the rank, the base parameters in words, friction, what is not determined and why.
-
-    Args:
-        found: the study.
-        source: the arm or the file.
-        motion: which motion, in a phrase.
-    """
+    """What a motion determines: the rank, base parameters in words, friction, what is not determined and why."""
     model, deviations = found.model, found.deviations
     yield from _beginning(source, f"{model.arm.name}, {motion}; {_torque_noise(model)}.")
     yield Text(_rank(found))
@@ -438,13 +408,7 @@ def _undetermined(found: TorqueIdentification) -> Iterator[str]:
 
 
 def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
-    """What a designed motion determines, beside random ones of the same limits.
-
-    Args:
-        found: the design.
-        disabled: pairs of links that are not checked against each other.
-        source: the arm.
-    """
+    """What a designed motion determines, beside random ones of the same limits."""
     designed, random, room = found.identification, found.random, found.room
     scales, units = joint_units(room.arm.sliding, room.arm.dof)
     limits = []

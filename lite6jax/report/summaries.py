@@ -13,12 +13,11 @@ from rich.text import Text
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
-from lite6jax.design.identify import Identification
+from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.sensitivity import Sensitivity
-from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
@@ -110,21 +109,17 @@ def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Des
     return Description(title, (*before, *(line for line in said if not line.startswith("Note: "))), tuple(notes))
 
 
-@describe.register
-def _comparison(found: Comparison) -> Description:
-    return _as_shown(
+describe.register(
+    Comparison,
+    lambda found: _as_shown(
         f"Comparison of {len(found.names)} arms, {found.arm.name}", fits.comparison_report(found, width=80)
-    )
-
-
-@describe.register
-def _sensitivity(found: Sensitivity) -> Description:
-    return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, ""))
-
-
-@describe.register
-def _registration(found: Registration) -> Description:
-    return _as_shown("Registration of sensor and tool", registration_report(found))
+    ),
+)
+describe.register(
+    Sensitivity,
+    lambda found: _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, "")),
+)
+describe.register(Registration, lambda found: _as_shown("Registration of sensor and tool", registration_report(found)))
 
 
 @describe.register(Identification)

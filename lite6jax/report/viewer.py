@@ -22,15 +22,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
-from lite6jax.design.clearance import Capsule, chain_capsules, link_frames
+from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
 from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking, statements
-from lite6jax.report.canvas import AFTER, BEFORE
 from lite6jax.report.faults import fault_name
+from lite6jax.report.figures import AFTER, BEFORE
 from lite6jax.report.words import number
 
 if TYPE_CHECKING:
@@ -51,14 +51,9 @@ WITH, WITHOUT = "with the findings", "without the findings"
 
 
 class Place(NamedTuple):
-    """A finding and where it is.
+    """A finding and where it is: its rank from 1, what it moves with its unit, and parts of the arm as drawn.
 
-    Attributes:
-        number: its rank, from 1.
-        title: such as "Joint compliance at joint2".
-        statement: a sentence.
-        size: what it moves, with its unit.
-        parts: of the arm as drawn, `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
+    Parts are `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
     """
 
     number: int
@@ -106,12 +101,7 @@ class PoseErrors:
         return there[np.unique(np.linspace(0, len(there) - 1, min(MOST_ARROWS, len(there))).astype(int))]
 
     def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
-        """Ends `(arrow, 2, 3)` m, from where the point is predicted to where it is measured, enlarged by `scale`.
-
-        Args:
-            scale: of the errors.
-            samples: those that have an arrow; `shown` where not given.
-        """
+        """Ends `(arrow, 2, 3)` m, from predicted to measured, of some samples or of `shown`."""
         rows = self.shown if samples is None else samples
         start = self.predicted[rows, :3, 3]
         return np.stack([start, start + scale * self.error[rows]], 1)
@@ -200,12 +190,7 @@ def shades(share: Array) -> NDArray[np.uint8]:
 
 
 def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) -> Scene:
-    """A diagnosis of poses beside a recording.
-
-    Args:
-        document: as in its file.
-        model: in it.
-        recording: the diagnosed one or another of the same set-up; without poses there are no errors.
+    """A diagnosis of poses beside its recording or another of the same set-up; without poses there are no errors.
 
     Raises:
         InputError: as `predict`.
@@ -231,12 +216,7 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
 
 
 def torque_scene(document: Document, model: DiagnosedMotors, recording: Recording) -> Scene:
-    """A diagnosis of torques beside a recording of torques.
-
-    Args:
-        document: that of the torques alone.
-        model: in it.
-        recording: the diagnosed one or another of the same arm.
+    """A diagnosis of torques, its own document, beside its recording or another of the same arm.
 
     Raises:
         InputError: as `predict_torques`, or it has no torques.
@@ -315,12 +295,7 @@ _Colour = tuple[int, int, int]
 
 @contextmanager
 def served(scene: Scene, host: str, port: int | None) -> "Iterator[Shown]":
-    """The scene in a web server of this machine, within the `with` statement.
-
-    Args:
-        scene: what is shown.
-        host: the address on which to listen.
-        port: 0 for any; `PORT` or the next one that is free where None.
+    """The scene in a web server of this machine, within the `with` statement; of no port, `PORT` or the next free one.
 
     Raises:
         InputError: viser is not installed; nothing can listen there.

@@ -1,10 +1,14 @@
 """How numbers, units and lists are written: on screens, on pages and in sentences alike."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import jinja2
 import numpy as np
+import yaml
 from rich import box
 from rich.table import Table
 from rich.text import Text
@@ -108,14 +112,7 @@ def listing(
     left: Sequence[int] = (),
     wrapped: Sequence[int] = (),
 ) -> Table:
-    """A table of numbers whose first column names the row.
-
-    Args:
-        headers: of the columns.
-        rows: cells.
-        left: further columns that are aligned to the left.
-        wrapped: columns whose cells take several lines where they are long.
-    """
+    """A table of numbers whose first column names the row; further columns may be aligned to the left, or wrapped."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, header_style="")
     for i, header in enumerate(headers):
         justify = "left" if i == 0 or i in left else "right"
@@ -224,14 +221,9 @@ _DAY = 86400.0  # s
 
 
 class Quantity(NamedTuple):
-    """A parameter as it is read.
+    """A parameter as it is read: its value rounded to its standard deviation, and that to two digits.
 
-    Attributes:
-        name: without its unit.
-        value: rounded to its standard deviation.
-        std: two digits; empty where the number was chosen and not estimated.
-        unit: of both; empty for plain numbers.
-        also: the same in another unit, with its name or unit; empty where there is none.
+    One that was chosen has no `std`, a plain number no unit. `also` is the same in another unit.
     """
 
     name: str
@@ -247,13 +239,7 @@ class Quantity(NamedTuple):
 
 
 def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = _NAMED) -> Quantity:
-    """A parameter by the name and the estimate, `value` and `std`, that the JSON file has.
-
-    Args:
-        name: as in the file.
-        estimate: `value` and `std`.
-        named: factors and units of parameters whose names do not say how they are read.
-    """
+    """A parameter by its name in the JSON file and its estimate, `value` and `std`; some names have special units."""
     fitting = (known for known in _UNITS if name.endswith(known[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
     if name in named:
@@ -294,3 +280,61 @@ def what_is_measured(recording: Recording) -> str:
     if recording.readings is not None:
         return "images of a board, as positions and orientations"
     return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
+
+
+# ------------------------------------------------------------------ sentences filled with numbers
+
+
+@cache
+def read_texts(name: str) -> dict[str, Any]:
+    """The texts of a file in `templates`."""
+    text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:
+    """A text with its numbers, and one blank between words.
+
+    Raises:
+        KeyError: a number is missing.
+    """
+    try:
+        return " ".join(_template(text).render(numbers, **more).split())
+    except jinja2.UndefinedError as error:
+        raise KeyError(str(error)) from error
+
+
+def _count_of(function: Callable[..., str]) -> Callable[..., str]:
+    """A function of a number, which takes rows or joints in its place."""
+    return lambda of, *more: function(len(of) if isinstance(of, Sized) else of, *more)
+
+
+def _vector(numbers: Sequence[float], digits: int = 3) -> str:
+    return f"({', '.join(milli(value, digits) for value in numbers)})"
+
+
+@cache
+def _template(text: str) -> jinja2.Template:
+    return _environment().from_string(text)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False)
+    environment.filters |= {
+        "g": lambda value, digits=3: f"{value:.{digits}g}",
+        "mm": milli,
+        "mm_vector": _vector,
+        "listed": ", ".join,
+        "joined": lambda parts, last="and": joined(map(str, parts), last),
+        "count_of": _count_of(counted),
+        **{of.__name__: of for of in (capital, joints_named, number, multiple, rows_named)},
+        "plus_minus": plus_minus,
+    }
+    environment.globals |= {
+        "be": _count_of(be),
+        "deg": lambda angle: float(np.rad2deg(angle)),
+        "chance": chance,
+        "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
+    }
+    return environment

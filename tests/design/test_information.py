@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.description import load_bundled
-from lite6jax.design.information import experiment, plan_experiment, recording_experiment
+from lite6jax.design.identify import sensitivity
+from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recording_experiment
 from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
@@ -157,15 +158,11 @@ def test_a_recording_is_the_experiment_its_sidecar_says():
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Sensor("position", 0.0), "position noise 0.0: give one standard deviation in m, above 0"),
-        (lambda: Sensor("position", float("nan")), "position noise nan: give one standard deviation in m, above 0"),
         (lambda: Sensor("pose", 1e-5), "orientation noise None: a sensor of poses needs one standard deviation in rad"),
         (lambda: Sensor("axis", 1e-5, 1e-4), "a sensor of axis measures no orientation; leave it out"),
-        (lambda: Sensor("axis", 1e-5, direction=(0.0, 0.0, 0.0)), "give three numbers that are not all zero"),
         (lambda: Sensor("position", 1e-5, joint_noise=-1.0), "joint noise -1.0: give one standard deviation in rad"),
         (lambda: sensor_named("theodolite"), f"sensor 'theodolite': is none of {', '.join(SENSORS)}"),
         (lambda: plan_experiment("lite6").rows(np.zeros((3, 7))), "joint_position of shape (3, 7): lite6 takes"),
-        (lambda: plan_experiment("lite6").root(np.zeros((0, 6))), "joint_position of shape (0, 6): lite6 takes"),
         (lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]), "joint_position: row 2 is not finite; leave"),
     ],
 )
@@ -173,3 +170,29 @@ def test_what_is_refused(make, says):
     with pytest.raises(InputError) as error:
         make()
     assert says in str(error.value)
+
+
+# ------------------------------------------------------------------ sensitivity
+
+
+def test_sensitivities_are_finite_differences_of_the_plain_chain():
+    found = sensitivity("lite6", Q)
+    rows = LITE6.kinematics.ravel()
+    h = 1e-6
+    for i, unit in enumerate(found.units):
+        step = h * np.eye(36)[i]
+        ahead, behind = (six_parameter_poses((rows + s * step).reshape(6, 6), Q)[:, :3, 3] for s in (1, -1))
+        want = np.linalg.norm(ahead - behind, axis=1) / (2 * h) * TOLERANCE[unit]
+        np.testing.assert_allclose(found.position[:, i], want, rtol=0, atol=1e-12 + 1e-8 * want.max())
+    np.testing.assert_allclose(found.flange_position, six_parameter_poses(LITE6.kinematics, Q)[:, :3, 3], atol=1e-15)
+
+
+def test_the_expected_error_is_what_drawn_arms_show():
+    found = sensitivity("lite6", Q)
+    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
+    rng = np.random.default_rng(1)
+    size = np.array([TOLERANCE[unit] for unit in setup.units])
+    arms = [LITE6.kinematics + (size * rng.standard_normal(36)).reshape(6, 6) for _ in range(2000)]
+    moved = np.stack([six_parameter_poses(k, Q[:3])[:, :3, 3] for k in arms]) - found.flange_position[:3]
+    shown = np.sqrt(np.mean(np.sum(moved**2, -1), 0))
+    np.testing.assert_allclose(found.expected_error[:3], shown, rtol=0.05)

@@ -9,11 +9,14 @@ from domains.torque import slid
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import load_bundled, write_arm
 from lite6jax.cli import main
-from lite6jax.design.motions import Motion
-from lite6jax.design.torques import identify_torques, torque_model
+from lite6jax.cli.study import TorqueSetup
+from lite6jax.design import candidates
+from lite6jax.design.motions import Motion, motion_room, random_motions
+from lite6jax.design.torques import identify_torques, plan_motion, record_motion, torque_model
 from lite6jax.errors import InputError
-from lite6jax.report.study import torque_identification_report
+from lite6jax.report.study import torque_identification_report, torque_plan_report
 from tests.oracles.arms import random_kinematics
+from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -113,10 +116,8 @@ def test_a_joint_that_does_not_move():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"motion": Motion(*np.zeros((3, 3, 4)))}, "motion: 4 samples of 3 torques for"),
         ({"motion": Motion(*np.zeros((3, 2, 90)))}, "motion: q has the shape (2, 90); an arm takes (3, sample)"),
         ({"motion": Motion(*np.full((3, 3, 90), np.nan))}, "motion: q has a number that is not finite"),
-        ({"noise": [0.1, 0.2]}, "torque noise 0.1 0.2 Nm: give one standard deviation above 0, or 3 of them"),
         ({"noise": 0.0}, "torque noise 0 Nm: give one standard deviation above 0"),
         ({"gravity": (0, 0)}, "gravity [0, 0]: give three finite numbers in m/s²"),
     ],
@@ -142,3 +143,122 @@ def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
     few = identify_torques(model, Motion(*(part.T * [[1], [1], [0.04]] for part in (q, dq, ddq))))
     assert few.narrow() == [(2, pytest.approx(0.04 * np.ptp(q[:, 2])))]
     assert "No joint" not in " ".join(str(part) for part in torque_identification_report(few, "a", "b"))
+
+
+# ------------------------------------------------------------------ designed motions
+
+
+ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 2.5], [-3.0, 3.0]]))
+MADE = {"velocity": [1.0, 2.0, 3.0], "acceleration": [4.0, 6.0, 20.0]}
+MADE |= {"duration": 6.0, "harmonics": 4, "rate": 50.0}
+ROOM = motion_room(ARM, **MADE)
+UNKNOWN = torque_model(ARM)
+FINE = np.linspace(0.0, 6.0, 20011)
+
+
+def draw(seed, size=1.0):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.standard_normal((3, 6)), 3 * rng.standard_normal(3), np.full(3, size)])
+
+
+def test_derivatives_are_those_of_the_positions():
+    free, t, h = draw(0), np.linspace(0.3, 4.0, 40), 1e-4
+    before, at, after = (ROOM.move(free, t + shift) for shift in (-h, 0.0, h))
+    np.testing.assert_allclose((after.q - before.q) / (2 * h), at.dq, atol=1e-6)
+    np.testing.assert_allclose((after.dq - before.dq) / (2 * h), at.ddq, atol=1e-5)
+    np.testing.assert_allclose(ROOM.move(free, t + 6.0).q, at.q, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_limits_hold_at_every_instant_and_are_used(seed):
+    free = draw(seed, size=20.0)  # the greatest amplitude
+    q, dq, ddq = (np.asarray(part) for part in ROOM.move(free, FINE))
+    lower, upper = ARM.joint_limits.T
+    assert ((q >= lower[:, None]) & (q <= upper[:, None])).all()
+    used = np.stack([
+        np.ptp(q, axis=1) / (upper - lower), abs(dq).max(1) / ROOM.velocity, abs(ddq).max(1) / ROOM.acceleration
+    ])  # fmt: skip
+    assert (used <= 1).all()
+    assert (used.max(0) > 0.98).all()
+    np.testing.assert_allclose(np.stack([dq, ddq])[..., [0, -1]], 0, atol=1e-12)
+    np.testing.assert_allclose(q[:, 0], q[:, -1], atol=1e-12)
+    time, motion = record_motion(ROOM, free)
+    np.testing.assert_allclose(time, np.arange(301) / 50)
+    np.testing.assert_allclose(motion.dq[:, [0, -1]], 0, atol=1e-12)
+
+
+def log_determinant(motion, model):
+    """From Pinocchio and friction written out; the sign of a velocity that is zero is 0."""
+    motion = Motion(*(np.where(abs(part) < 1e-9, 0, part) for part in motion))
+    W = with_friction(ARM.kinematics, motion)[:, model.possible.free] / model.noise[0] * model.base_scale
+    return np.linalg.slogdet(W.T @ W)[1]
+
+
+def test_a_designed_motion_determines_more_than_random_ones():
+    model, search = torque_model(ARM, 0.1), {"seed": 2, "draws": 20, "starts": 1, "steps": 60}
+    plan = plan_motion(model, ROOM, **search)
+    own = log_determinant(plan.motion, model)
+    motions = [record_motion(ROOM, free)[1] for free in random_motions(ROOM, 2, 20)]
+    random = [log_determinant(motion, model) for motion in motions]
+    # near a reversal the direction is a smooth step, here a sign
+    assert plan.identification.log_determinant == pytest.approx(own, abs=1.0)
+    np.testing.assert_allclose(plan.random_log_determinant, random, atol=1.0)
+    assert own > max(random) + 2
+    assert plan.gain(float(np.median(random))) > 1.2
+    np.testing.assert_array_equal(plan_motion(model, ROOM, **search).motion.q, plan.motion.q)
+
+
+def test_obstacles_are_kept_clear_of():
+    low, high = (0.0, -0.6, 0.0), (1.2, 0.9, 1.35)
+    filters = [candidates.above_floor(ARM, 0.4), candidates.inside_box(ARM, low, high)]
+    filters.append(candidates.Filter("mine", lambda q: q[:, 2] < 1.5))
+    room = motion_room(ARM, **MADE | {"filters": filters, "harmonics": 3})
+    plan = plan_motion(UNKNOWN, room, draws=10, starts=1, steps=20)
+    q = np.asarray(room.move(plan.free, FINE).q).T
+    p = six_parameter_poses(ARM.kinematics, q)[:, :3, 3]
+    assert (p[:, 2] > 0.4 - 1e-4).all()
+    assert ((p >= np.array(low) - 1e-4) & (p <= np.array(high) + 1e-4)).all()
+    assert (q[:, 2] < 1.5 + 1e-3).all()
+    assert plan.identification.log_determinant >= plan.random_log_determinant.max()
+    # without them the same seed leads elsewhere
+    unhindered = plan_motion(UNKNOWN, ROOM, draws=10, starts=1, steps=0).motion.q.T
+    assert not candidates.all_pass(filters, unhindered).all()
+
+
+def limited(*accepted):
+    return motion_room(ARM, filters=[candidates.Filter("mine", accept) for accept in accepted], **MADE)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: motion_room(ARM, duration=-1.0), "duration -1: give a number of s, above 0"),
+        (lambda: motion_room(ARM, rate=np.inf), "rate inf: give a number of samples a second, above 0"),
+        (lambda: motion_room(ARM, harmonics=1), "harmonics 1: a motion from rest to rest takes 2"),
+        (lambda: motion_room(ARM, 1.0, [1.0, 2.0]), "acceleration limit"),
+        (lambda: random_motions(limited(lambda q: abs(q[:, 0]) < 0.004)), "mine at any amplitude; widen them"),
+        (lambda: random_motions(limited(lambda q: q[:, 0] > 9)), "mine refused 100 % of them; widen it"),
+    ],
+)
+def test_what_a_motion_is_refused_for(call, says):
+    with pytest.raises(InputError, match=says):
+        call()
+
+
+# ------------------------------------------------------------------ prismatic joints: N, m and kg
+
+
+def test_limits_of_a_designed_motion_are_those_of_each_joint():
+    limits = motion_room(slid.arm(), np.pi, [2.0, 3.0, 0.5], margin=0.05)
+    np.testing.assert_allclose(limits.velocity, [np.pi, np.pi, 0.1 * np.pi])
+    np.testing.assert_allclose(limits.acceleration, [2.0, 3.0, 0.5])
+    np.testing.assert_allclose(limits.position[2], [0.005, 0.395])
+    setup = TorqueSetup(torque=True, velocity=(90.0, 90.0, 250.0), acceleration=(600.0,), duration=4.0)
+    room = setup.room(slid.arm())
+    np.testing.assert_allclose(room.velocity, [np.pi / 2, np.pi / 2, 0.25])
+    np.testing.assert_allclose(room.acceleration[2], np.deg2rad(600) * 0.1)
+    model = torque_model(slid.arm(), inertial=False)
+    plan = plan_motion(model, room, draws=3, starts=1, steps=2)
+    assert (np.abs(plan.motion.dq).max(1) <= room.velocity * (1 + 1e-9)).all()
+    text = " ".join(str(part) for part in torque_plan_report(plan, (), "telescope"))
+    assert "up to 90 deg/s and 250 mm/s and 600 deg/s² and 1047 mm/s²" in " ".join(text.split())

@@ -14,7 +14,7 @@ from typed import flat, run
 
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
-from lite6jax.diagnosis.combined import CombinedDiagnosis, compare_domains, diagnose_combined
+from lite6jax.diagnosis.diagnose import CombinedDiagnosis, compare_domains, diagnose_combined
 from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, ViscousFriction
 from lite6jax.effects.kinematic import GravityDirection, JointCompliance, PayloadError
@@ -110,7 +110,7 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
-    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_combined", lambda *_, **__: found)
     named = ["error_by_joint", "where", "orders"]
     named += [f"torque_{name}" for name in ("error_by_joint", "over_time", "friction")]
     blank = {name: Figure((1, 1)) for name in named}
@@ -153,7 +153,7 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
 
 def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_path, capsys, monkeypatch):
     run_file, out = write_recording(recording, tmp_path / "run.csv"), tmp_path / "d.json"
-    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_combined", lambda *_, **__: found)
     _, printed, _ = run(capsys, "diagnose", run_file, "--out", out)
     code, said, err = run(capsys, "report", out)
     assert (code, err) == (0, "")
@@ -173,7 +173,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
 
 
 def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
-    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", lambda *_, **__: found.poses)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: found.poses)
     alone = diagnose_combined(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
     assert alone.torques is None
     assert "has no masses" in alone.refused

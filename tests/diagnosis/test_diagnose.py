@@ -22,11 +22,8 @@ from lite6jax.diagnosis.diagnose import diagnose as diagnose_with
 from lite6jax.diagnosis.explanation import Case
 from lite6jax.diagnosis.explanation import explain as explain_with
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.errors import InputError
 from lite6jax.progress import Stage
-from lite6jax.recordings import Recording
 
 SAMPLES = 200
 TWO_FOLDS = Options(folds=2)
@@ -196,17 +193,6 @@ def test_noise_that_is_not_as_declared(arm, still):
     assert diagnosis.estimated_noise == pytest.approx(6e-5, rel=0.1)
 
 
-def test_a_recording_without_poses_is_refused(arm, still):
-    recording = Recording.from_arrays(still["joint_position"], source="motion.csv")
-    with pytest.raises(InputError, match=r"motion.csv: has no measured positions; a fit needs the columns x_m y_m z_m"):
-        diagnose(recording)
-
-
-def test_a_sequence_whose_arm_is_not_known(arm, still):
-    with pytest.raises(InputError, match=r"needs a factory_calibration in the sidecar; use --geometry free"):
-        pose_problem(Made(arm.folder, seed=1, geometry="free").recording(still), geometry="exact")
-
-
 @pytest.mark.long
 def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tmp_path):
     """Fifteen micrometres in each number, declared as exact: said with its size, and no physics is made of it."""
@@ -272,9 +258,3 @@ class TestPublishedTables:
         (fault,) = screen(captured("lite6_ros", "lite6", setup="free")).found
         assert fault.code == "nominal_table"
         assert screen(captured("lite6", "lite6", setup="free")).found == ()
-
-
-def test_a_result_gives_its_document_and_its_model(soft, still):
-    poses = np.asarray(soft.model.pose(still["joint_position"], payload=still["payload"]))
-    errors = np.linalg.norm(poses[:, :3, 3] - soft.problem.measured.position.T, axis=1)
-    assert rms(errors[~soft.outliers]) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)

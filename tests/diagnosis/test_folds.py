@@ -17,7 +17,7 @@ from lite6jax.diagnosis.heldout import fold_count, spread_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
 from lite6jax.estimation.noise import UNCORRELATED, Autocorrelation, NoiseModel
-from lite6jax.progress import entered, followed
+from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import write_recording
 from tests.batch_work import folded
 
@@ -38,6 +38,18 @@ def test_results_are_in_the_order_of_the_folds_and_stages_count_those_completed(
     assert parts[0] == 1
     assert max(parts) <= 5
     assert {stage.parts for stage in stages} == {6}
+
+
+def test_a_follower_hears_of_each_stage_and_its_part():
+    heard = []
+    entered("screening")  # nobody listens
+    with followed(heard.append):
+        entered("screening")
+        with part(2, 6), followed(None):  # who follows goes on
+            entered("naming")
+        entered("estimating")
+    entered("planning")
+    assert heard == [Stage("screening"), Stage("naming", 2, 6), Stage("estimating")]
 
 
 @pytest.mark.parametrize(

@@ -50,31 +50,32 @@ def recording_maker(folder):
     return make
 
 
+def found_without_search(problem, effects, alternatives, confounded=()):
+    """The selection and the findings of a search that adds just these effects, each with `alternatives(effect)`."""
+    engine = Options().engine
+    baseline = fit(problem, Terms(), engine)
+    fitted = fit(problem, Terms(effects), engine) if effects else baseline
+    scores = score_test(problem, baseline, engine).score(effects) if effects else []
+    tested, findings = [], []
+    for effect, score, at in zip(effects, scores, fitted.terms.slices, strict=True):
+        others = alternatives(effect)
+        tested.append(SelectedTerm(effect, score.gain, p_value=1e-9, alternatives=others))
+        findings.append(Finding(effect, fitted.values[at], fitted.covariance[at, at], 1e-9, score.gain, others))
+    return Selection(problem, problem, State(baseline, fitted, tuple(tested)), confounded), tuple(findings)
+
+
 def diagnosed(recording, effects, outliers=()):
     """The result of a search that adds just these effects: no search is run."""
     options = Options()
     problem = pose_problem(recording, LITE6, "exact")
-    baseline = fit(problem, Terms(), options.engine)
-    fitted = fit(problem, Terms(effects), options.engine)
-    scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
-    pairs = list(zip(effects, scores, strict=True))
-    tested = (
-        SelectedTerm(e, score.gain, p_value=1e-9, alternatives=tuple(Alternative(e, gap) for gap in GAPS))
-        for e, score in pairs
-    )
-    state = State(baseline, fitted, tuple(tested))
-    findings = tuple(
-        Finding(
-            e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Alternative(e, gap) for gap in GAPS)
-        )
-        for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)
-    )
+    rivals = lambda effect: tuple(Alternative(effect, gap) for gap in GAPS)  # noqa: E731
+    selection, findings = found_without_search(problem, effects, rivals, catalogue(6)[:2])
     wild = np.zeros(problem.samples, bool)
     wild[list(outliers)] = True
     before, after = (
-        np.linalg.norm(problem.position_errors(f.nuisance, f.terms, f.values), axis=0) for f in (baseline, fitted)
+        np.linalg.norm(problem.position_errors(f.nuisance, f.terms, f.values), axis=0)
+        for f in (selection.state.baseline, selection.state.fit)
     )
-    selection = Selection(problem, problem, state, catalogue(6)[:2])
     folds = tuple(held_out_folds(problem, options))
     return Diagnosis(problem, selection, findings, before, after, (), (), options, folds, outliers=wild)
 

@@ -3,11 +3,7 @@
 import pytest
 
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report.faults import (
-    fault_name,
-    fault_statement,
-    ruled_out_statement,
-)
+from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 
 COLUMNS = {"median_error_m": 0.2, "corrected_error_m": 1e-4, "alternatives": []}
 COLUMN_ERRORS = {"median_error_m": 3e-4, "suspected_above_m": 7.48e-3}
@@ -38,7 +34,6 @@ FOUND = [
     (fault("swapped_joints", joints=[2, 3], **COLUMNS), "Joints 2 and 3 are swapped."),
     (fault("mirrored_joint", joint=4, **COLUMNS), "Joint 4 has its sign reversed."),
     (fault("joint_unit", joint=3, unit="deg", **COLUMNS), "Joint 3 is in degrees."),
-
     (
         fault("joint_turns", joint=2, added_rad=-1.5707963, **COLUMNS),
         "The column of joint 2 has its zero off by +90 deg.",
@@ -52,7 +47,6 @@ FOUND = [
         "These corrections fit about as well: the column of joint 2 has its zero off by half a turn.",
     ),
     (fault("frame_jump", 62, 63, **JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
-
     (
         fault("unsettled_readouts", shape="move", joints=[3], all_joints=False, **REST),
         "a share of each move remained (joint 3; 0.0001 ± 2e-06 of the move",
@@ -62,7 +56,6 @@ FOUND = [
               rival_terms=["unnamed:joint2"], **REST),
         "Without a correction, the best explanation (unnamed:joint2) is less likely by 55 of log-likelihood.",
     ),
-
     (
         fault("nominal_table", declared="lite6", table="lite6_ros", decided=False, share=0.9, share_std=0.3,
               used="instead_of_file", log_likelihood_gap=40.0, rival_terms=["joint_offset:joint3"],
@@ -109,18 +102,18 @@ RULED_OUT = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("fault", "words"), FOUND, ids=lambda value: getattr(value, "code", ""))
-def test_a_fault_is_stated_with_its_numbers(fault, words):
-    said = fault_statement(fault)
+def ruled_out_statement(fault):
+    return ruled_out_statements([fault])[0]
+
+
+SAID = [*((fault_statement, *one) for one in FOUND), *((ruled_out_statement, *one) for one in RULED_OUT)]
+
+
+@pytest.mark.parametrize(("stated", "fault", "words"), SAID, ids=lambda value: getattr(value, "code", ""))
+def test_a_fault_found_or_ruled_out_is_stated_with_its_numbers(stated, fault, words):
+    said = stated(fault)
     assert words in said
     assert said[0].isupper() or said[0].isdigit()
-    assert said.endswith(".")
-
-
-@pytest.mark.parametrize(("fault", "words"), RULED_OUT, ids=lambda value: getattr(value, "code", ""))
-def test_what_rules_a_fault_out_is_stated(fault, words):
-    said = ruled_out_statement(fault)
-    assert words in said
     assert said.endswith(".")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -17,9 +18,11 @@ from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
+from lite6jax.progress import Stage
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, ranking, remedies, statements, words
+from lite6jax.report import diagnosis_figures, ranking, statements, words
+from lite6jax.report import screen as terminal
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
@@ -167,8 +170,8 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, title, shape):
     where = effect_as_dict(effect, np.zeros(effect.size))["where"]
     entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
-    assert remedies.effect_title(entry) == f"unnamed effect at {title}"
-    assert remedies.shape(where) == shape
+    assert ranking.effect_title(entry) == f"unnamed effect at {title}"
+    assert ranking.shape(where) == shape
 
 
 # ------------------------------------------------------------------ the reference
@@ -338,3 +341,15 @@ def test_a_number_that_is_not_finite_is_unknown():
     for shown in (words.number, words.significant, words.multiple, words.fixed, words.plus_minus):
         assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
     assert words.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
+
+
+def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "EVERY", 0.01)
+    with terminal.stages() as follow:
+        follow(Stage("naming", 1, 5))
+        until = time.monotonic() + 10.0
+        heard = ""
+        while "testing names" not in heard and time.monotonic() < until:
+            time.sleep(0.01)
+            heard += capsys.readouterr().err
+    assert "testing names, without block 1 of 4: 0:00 so far" in heard

@@ -3,12 +3,12 @@
 from unittest.mock import patch
 
 import numpy as np
+from report.diagnosed import found_without_search
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding
-from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import screening
 from lite6jax.domains.torque.hypotheses import ScreenedTorques
 from lite6jax.domains.torque.problem import torque_problem
@@ -22,12 +22,8 @@ from lite6jax.effects.dynamic import (
     TorqueTimeOffset,
     ViscousFriction,
 )
-from lite6jax.estimation.least_squares import fit
-from lite6jax.estimation.score_test import score_test
-from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
-from lite6jax.search.search import Selection
-from lite6jax.search.state import Alternative, SelectedTerm, State
+from lite6jax.search.state import Alternative
 
 LITE6 = load_bundled("lite6")
 NOISE = (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
@@ -67,19 +63,11 @@ def recorded(declared=True, friction=True, extra=None):
 
 def diagnosed(recording, effects=(), faults=(), arm=LITE6):
     """The result of a search that adds just these effects: nothing is searched for, nor held out."""
-    options = Options()
     with patch.object(screening, "correct_faults", lambda data: ScreenedTorques(data, (), ())):
         problem = torque_problem(screening.screen_torques(recording, arm).data)
-    baseline = fit(problem, Terms(), options.engine)
-    fitted = fit(problem, Terms(effects), options.engine) if effects else baseline
-    scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
-    pairs = list(zip(effects, scores, strict=True))
     rivals = (Alternative(TorqueOffset(1), 1.5), Alternative(TorqueOffset(6), 44.0))
-    findings = tuple(
-        Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, rivals)
-        for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)
-    )
-    state = State(baseline, fitted, tuple(SelectedTerm(e, score.gain, p_value=1e-9) for e, score in pairs))
+    selection, findings = found_without_search(problem, effects, lambda _: rivals)
     folds = tuple(np.arange(problem.samples) * 5 // problem.samples == np.arange(5)[:, None])
-    errors = [f.residuals.rows * problem.noise[:, None] for f in (baseline, fitted)]
-    return TorqueDiagnosis(problem, Selection(problem, problem, state), findings, *errors, faults, (), options, folds)
+    fits = selection.state.baseline, selection.state.fit
+    errors = [each.residuals.rows * problem.noise[:, None] for each in fits]
+    return TorqueDiagnosis(problem, selection, findings, *errors, faults, (), Options(), folds)
