@@ -223,7 +223,8 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     columns = np.stack([speed, np.sign(speed)], 1)
     numbers, _ = nnls(columns, torque - torque.mean())
     left = float(np.std(torque - columns @ numbers))
-    what = f"{effect.name.replace('_', ' ')} at {effect.site}"
+    curve = f" with the exponent {effect.exponent:.2g}" if isinstance(effect, ViscousFriction) else ""
+    what = f"{effect.name.replace('_', ' ')} at {effect.site}{curve}"
     unit = "N" if effect.of_slide else "Nm"
     return (
         {ViscousFriction: float(numbers[0]), CoulombFriction: float(numbers[1])},

@@ -240,8 +240,10 @@ def _diagnose_alone(
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
         # postures are few and independent: a model of half of them says little of the rest
         few = recording.motion == "static"
-        count = fold_count(problem.samples, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
-        folds = contiguous_blocks(problem.samples, count)
+        used = int(problem.valid.sum())
+        count = fold_count(used, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
+        blocks = contiguous_blocks(used, count)
+        folds = [block[np.maximum(np.cumsum(problem.valid) - 1, 0)] for block in blocks]
         whole = replace(whole, valid=problem.valid)
         errors = errors_of_folds(errors_of_search, (whole, options, selection.considered), folds)
         state = selection.state
@@ -362,7 +364,7 @@ def side_entry(known: Known | None) -> dict[str, Any] | None:
 def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
     """What a result says of an effect: as it was found, or fitted beside all that was; None where it is not shown.
 
-    Of an effect with an order or a speed that a search chose, its size is what is compared.
+    Of an effect with an order, a speed or an exponent that a search chose, its size is what is compared.
     """
     for finding in result.findings:
         if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):

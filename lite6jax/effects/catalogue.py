@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from lite6jax.arms.arm import joint_size
+from lite6jax.arms.arm import as_revolute, joint_size
 from lite6jax.effects import dynamic, kinematic
 from lite6jax.effects.composition import missing
 from lite6jax.effects.drivers import Driver
@@ -182,10 +182,11 @@ def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
         low, high = (joint_size(bound, "rad/s", slides) for bound in bounds)
         if max(low, passed[joint - 1]) <= speed <= high:
             found.append(kind(joint, speed, of_slide=slides))
-    moving = [joint for joint, v in enumerate(fastest, 1) if v > 0]
+    slides = np.isin(np.arange(len(fastest)), motion.sliding.joints)
+    moving = np.flatnonzero(as_revolute(fastest, "rad/s", slides) > dynamic.DIRECTION_SPEED) + 1
     bent = [
         dynamic.ViscousFriction(joint, exponent, of_slide=joint - 1 in motion.sliding.joints)
-        for joint in moving
+        for joint in moving.tolist()
         for exponent in _EXPONENTS
     ]
     return (*found, *bent)

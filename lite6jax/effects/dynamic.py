@@ -185,7 +185,7 @@ class ViscousFriction(JointTorque):
 
     name: ClassVar[str] = "viscous_friction"
     specificity: ClassVar[int] = 1
-    usual: ClassVar[bool] = True
+    common: ClassVar[bool] = True
     fixed: ClassVar[str | None] = "exponent"
     searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
@@ -208,7 +208,7 @@ class ViscousFriction(JointTorque):
         return () if self.exponent == LINEAR else (ViscousFriction(self.joint, of_slide=self.of_slide),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
-        n = values[1] if self.exponent is None else self.exponent
+        n = max(values[1], 1e-9) if self.exponent is None else self.exponent
         speed = dynamics.velocity(self.joint)
         return values[0] * np.sign(speed) * np.abs(speed) ** n
 
@@ -229,7 +229,7 @@ class CoulombFriction(JointTorque):
 
     name: ClassVar[str] = "coulomb_friction"
     specificity: ClassVar[int] = 1
-    usual: ClassVar[bool] = True
+    common: ClassVar[bool] = True
     fixed: ClassVar[str | None] = "transition_rad_per_s"
     searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("direction of motion",)

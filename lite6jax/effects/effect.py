@@ -86,8 +86,8 @@ class Effect(ABC):
     """What it acts on: `kinematic` effects move the tool, `dynamic` ones add to the motors' torques."""
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
-    usual: ClassVar[bool] = False
-    """Whether nearly every arm has it: its choice costs ln 2."""
+    common: ClassVar[bool] = False
+    """Whether nearly every arm has it, if none of its numbers is chosen."""
     nonparametric: ClassVar[bool] = False
     """Whether it is a Gaussian process rather than a named effect."""
     at: ClassVar[str] = ""
@@ -145,6 +145,11 @@ class Effect(ABC):
         return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
 
     @property
+    def usual(self) -> bool:
+        """Whether nearly every arm has it as it is: its choice costs ln 2."""
+        return self.common and self.chosen is None
+
+    @property
     def chosen(self) -> float | None:
         """The number that a search chose from many instead of fitting it, or None."""
         return self.fixed_number if self.searched else None
@@ -167,9 +172,10 @@ class Effect(ABC):
 
     @final
     def held(self, number: float) -> Self:
-        """The same effect with its chosen number fixed, at the least that it can be where it is less."""
+        """The same effect with its chosen number fixed, within what it can be."""
         assert self.fixed is not None
-        return replace(self, **{self.fixed: max(number, self.released().coordinates[-1].lower)})
+        last = self.released().coordinates[-1]
+        return replace(self, **{self.fixed: min(max(number, last.lower), last.upper)})
 
     @final
     def require_fixed(self, zero: bool = False) -> None:

@@ -51,8 +51,10 @@ class Term(Protocol):
     """
 
     specificity: ClassVar[int]
-    usual: ClassVar[bool]
     nonparametric: ClassVar[bool]
+
+    @property
+    def usual(self) -> bool: ...
 
     @property
     def label(self) -> str: ...

@@ -263,19 +263,21 @@ def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[En
 
 
 def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
-    """Load friction beside a torque scale, as efficiencies: 1/η = (1 + s)(1 + μ), and (1 + s)(1 − μ) backwards."""
+    """Load friction μ beside a torque scale s, as efficiencies of a gear: 1/((1 + s)(1 + μ)), and (1 + s)(1 − μ).
+
+    Where either is none, as of a scale that no loss explains, nothing is said.
+    """
     if finding["effect"] != "load_friction":
         return
     for other in findings:
         if (other["effect"], other["site"]) == ("torque_scale", finding["site"]):
             friction, scale = finding["parameters"]["coefficient"], other["parameters"]["scale"]
-            shares = []
-            for sign in (1, -1):
-                ratio, relative = 1 + sign * friction["value"], scale["std"] / (1 + scale["value"])
-                percent = 100 * ((1 + scale["value"]) * ratio) ** -sign
-                std = abs(percent) * np.hypot(relative, friction["std"] / ratio)
-                shares.append(" ± ".join(rounded(percent, std)))
-            yield fill(_TEXTS["gear"], {"driving": shares[0], "driven": shares[1]}, site=finding["site"])
+            (mu, s), deviations = (friction["value"], scale["value"]), np.array([friction["std"], scale["std"]])
+            shares = np.array([1 / ((1 + s) * (1 + mu)), (1 + s) * (1 - mu)])
+            stds = np.linalg.norm(deviations * [[shares[0] / (1 + mu), shares[0] / (1 + s)], [1 + s, 1 - mu]], axis=1)
+            if 0 < shares[1] <= 1 and shares[0] <= 1:
+                driving, driven = (" ± ".join(rounded(*each)) for each in 100 * np.stack([shares, stds], 1))
+                yield fill(_TEXTS["gear"], {"driving": driving, "driven": driven}, site=finding["site"])
 
 
 def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:

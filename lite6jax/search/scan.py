@@ -6,7 +6,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | | cost |
 |---|---|
 | a kind: name, wave, process of one quantity, process of two | ln 4 |
-| a name | ln of their number |
+| a name | ln of their number, and ln 17 where a number of it is tried; ln 2 in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
@@ -136,7 +136,7 @@ class Scan:
 
     def cost_of_name(self, term: Term) -> float:
         """Of a name at one site, and of a number that is chosen for it; even odds of what nearly every problem has."""
-        if term.usual and term.chosen is None:
+        if term.usual:
             return float(np.log(2.0))
         number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
         return float(KINDS + np.log(max(len(self.names), 1)) + number)
@@ -287,6 +287,10 @@ class Scan:
         """
         return _Weighed(self, test).together(term)
 
+    def as_is(self, test: ScoreTest, name: Term) -> Ranked | None:
+        """A name with the number that it has; None where it says nothing."""
+        return next(iter(_Weighed(self, test).of_terms([name])), None)
+
     def usual(self, test: ScoreTest) -> list[Ranked]:
         """The names that nearly every problem has, the likeliest first."""
         return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
@@ -327,15 +331,12 @@ class _Weighed:
         self._known: dict[int, Sums] = {}
 
     def named(self, usual: bool = False) -> list[Ranked]:
-        """Names that are not there yet; of those with a number that is tried the likeliest.
-
-        The usual ones alone are taken without such a number: as nearly every problem has them.
-        """
+        """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
         test = self._test
         there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
         terms = [term for term in self._scan.names if term not in there and not term.periodic]
-        terms = [term for term in terms if term.usual and term.chosen is None] if usual else terms
-        found = self._of_terms(terms)
+        terms = [term for term in terms if term.usual] if usual else terms
+        found = self.of_terms(terms)
         likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[
             :_REFINED_NUMBERS
         ]
@@ -346,7 +347,7 @@ class _Weighed:
     def like(self, term: Term) -> Ranked | None:
         """A name with the likeliest of the numbers that are tried for it; None where it says nothing."""
         same = [one for one in self._scan.names if one.label == term.label and not term.periodic]
-        found = self._of_terms([term, *same])
+        found = self.of_terms([term, *same])
         if found and found[0].make().chosen and same:
             found = self._refined(found[0])
         return found[0] if found else None
@@ -379,7 +380,7 @@ class _Weighed:
         found, steps = [one], _RATIOS
         for rounds in range(_FINEST):
             before, term = found[0].net, found[0].make()
-            found = self._of_terms([term, *self._near(term, steps)]) or found
+            found = self.of_terms([term, *self._near(term, steps)]) or found
             if rounds and found[0].net < before + _GAINED:
                 break
             steps = steps ** (2 / (len(steps) - 1))
@@ -393,7 +394,7 @@ class _Weighed:
         near = np.clip(term.chosen * ratios, min(listed), max(listed))
         return [term.held(float(number)) for number in np.unique(near)]
 
-    def _of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
+    def of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
         best: dict[str, Ranked] = {}
         for some in _of_bounded_size(terms, self._problem.rows * self._problem.samples):

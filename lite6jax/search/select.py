@@ -208,10 +208,15 @@ class Selector:
         return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
 
     def _with(self, state: State, *ranked: Ranked) -> State:
-        new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
+        new = [self._as_selected(one) for one in ranked]
         included = {term for one in new for term in one.term.includes}
         kept = [one for one in state.tested if one.term not in included]
         return refitted(self.problem, state, [*kept, *new], self.options)
+
+    def _as_selected(self, one: Ranked) -> SelectedTerm:
+        term = one.make()
+        single = not one.process and not term.periodic  # of a pair of names, each has its own cost
+        return SelectedTerm(term, one.gain, self.scan.cost_of_name(term) if single else one.cost, one.volume)
 
     def _left_out(self, state: State, k: int) -> State:
         """Without the k-th term, refitted."""
@@ -332,8 +337,8 @@ class Selector:
             kernel, rolloff = getattr(term, "kernel", ""), getattr(term, "rolloff", ())
             found = self.scan.same(test, *self._process_of(term), kernel, rolloff)
         else:
-            found = self._weighed(test, one)
-        return replace(one, gain=found.gain, volume=found.volume)
+            found = self.scan.as_is(test, term)
+        return replace(one, gain=0.0) if found is None else replace(one, gain=found.gain, volume=found.volume)
 
     def _within_bounds(self, state: State) -> State:
         """Without names that are not possible."""

@@ -254,7 +254,7 @@ class TorqueProblem:
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
-        """Stribeck friction, and Coulomb friction with a transition, at a few of their speeds."""
+        """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous by exponents."""
         return torque_shaped(self.data.motion)
 
     @property
@@ -418,7 +418,8 @@ class TorqueProblem:
         if isinstance(term, LinkCom):
             return [(float(low), float(high)) for low, high in displacement(arm, term.link)]
         less, *others = [(number.lower, number.upper) for number in term.coordinates]
-        return [(less[0] - declared(self.data.arm, term), less[1]), *others]
+        of_arm = declared(self.data.arm, term) if term.chosen is None else 0.0  # another curve than the declared one
+        return [(less[0] - of_arm, less[1]), *others]
 
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
@@ -61,8 +61,6 @@ _FEWEST = 10
 """Filtered samples at rest that it takes to say anything."""
 _ROWS_PER_NUMBER = 3
 """Filtered samples in motion for each number of the model with which those at rest are compared."""
-_BESIDE = 1.5
-"""Periods of a low pass after which less than a hundredth of a step is left."""
 _AWAY = 3.0
 """Times what is left in motion, from which what is left at rest is no noise."""
 _BAND = 2.0
@@ -361,7 +359,7 @@ class Held(NamedTuple):
     Attributes:
         slack: `(joint, sample)` Nm of every sample, one sigma of the torque that is indeterminate, times the square
             root of the samples of a rest, which are not independent; zero in motion, but beside a rest.
-        repeated: `(sample,)`, those that say again what another sample of the rest of all joints says.
+        repeated: `(sample,)`, those in which all joints rest, but for one of each rest.
         found: the data fault, if a joint is held.
     """
 
@@ -403,13 +401,15 @@ def held_by_friction(data: TorqueRows) -> Held:
     if not joints:
         return Held(slack, repeated, ())
     # one rest is one torque, however many samples show it
-    for span in stretches(near.all(0), data.filter.runs):
+    for span in stretches(still.all(0), data.filter.runs):
         own = kept[(kept >= span.start) & (kept < span.stop)]
         repeated[own[np.arange(len(own)) != len(own) // 2]] = True
     for j, band in zip(joints, bands, strict=True):
         for span in stretches(near[j - 1], data.filter.runs):
             own = kept[(kept >= span.start) & (kept < span.stop)]
-            slack[j - 1, span] = band * np.sqrt(max(np.count_nonzero(~repeated[own]), 1))
+            single = own[~repeated[own]]
+            slack[j - 1, span] = band * np.sqrt(max(len(own), 1))
+            slack[j - 1, single] = band * np.sqrt(max(len(single), 1))
     recording = data.recording
     rows = row_numbers(recording.row[still[np.array(joints) - 1].any(0)])
     numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
@@ -421,8 +421,12 @@ def held_by_friction(data: TorqueRows) -> Held:
 def _around(still: Flags, data: TorqueRows) -> Flags:
     """`(joint, sample)`, rest and the samples beside it, in which the low passes show what was at rest."""
     cutoff = min(data.motion_cutoff, data.filter.cutoff)
-    reach = 2 * int(np.ceil(_BESIDE * data.filter.rate / cutoff)) + 1
-    return maximum_filter1d(still.astype(np.uint8), reach, axis=1).astype(bool)
+    reach, near = int(np.ceil(data.filter.rate / cutoff)), still.copy()
+    for row, out in zip(still, near, strict=True):
+        for rest in stretches(row, data.filter.runs):
+            beside = slice(max(rest.start - reach, 0), rest.stop + reach)
+            out[beside] |= data.filter.runs[beside] == data.filter.runs[rest.start]
+    return near
 
 
 def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float:
