@@ -1,4 +1,4 @@
-"""A fault of the data as a code, rows and numbers; every sentence about one is made in `report.data_faults`."""
+"""A fault of the data as a code, rows and numbers; every sentence about one is made in `report.faults`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
