@@ -181,7 +181,7 @@ class Core:
         tool, payload: `(6,)` mm and rad, and `(4,)` kg and centre of mass in mm.
         time: s since the start.
         requests: the number of requests of each register.
-        stopped: s, when an error stopped the arm; infinite without one.
+        stopped: s, when an error began to stop the arm; infinite without one.
     """
 
     body: Body
@@ -246,10 +246,18 @@ class Core:
         )
 
     def read_commands(self, time: Array) -> tuple[Array, Array]:
-        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion."""
-        last = min(self.stopped, self._motion.duration)
-        position, velocity = self._motion.at(np.clip(time, 0.0, last))
-        return position, np.where(((time > 0) & (time < last))[:, None], velocity, 0.0)
+        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion.
+
+        An error brakes all joints together, the fastest at the limit of its acceleration.
+        """
+        duration = self._motion.duration
+        position, velocity = self._motion.at(np.clip(time, 0.0, min(self.stopped, duration)))
+        moving = (time > 0) & (np.minimum(time, self.stopped) < duration) & (self.stopped > 0)
+        velocity = np.where(moving[:, None], velocity, 0.0)
+        since = np.maximum(time - self.stopped, 0.0)[:, None]
+        braking = np.maximum(np.abs(velocity).max(1, keepdims=True) / MAX_ACCELERATION, DIFFERENCE_S)
+        left = 1 - np.minimum(since / braking, 1.0)
+        return position + velocity * braking * (1 - left**2) / 2, velocity * left
 
     def read_encoders(self, time: Array) -> tuple[Array, Array]:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
@@ -289,7 +297,7 @@ def _directions(velocity: Array, last: Array) -> Array:
 # ------------------------------------------------------------------ replies
 
 
-UNPACKED: Final = 64
+UNPACKED: Final = 4 * 28
 """Zeros in an invalid reply: the SDK unpacks the payload before the status and fails on a shorter one."""
 SENSITIVITY: Final = 3
 """Of collisions and of teaching, which is not emulated."""
