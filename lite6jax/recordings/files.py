@@ -80,8 +80,10 @@ def stranger(path: str | Path) -> str:
     )
 
 
-def require_table(path: str | Path) -> Path:
-    """The path of targets, of which a log would say too little: it may hold several poses, and often no joints.
+def require_table(path: str | Path, what: str = "targets") -> Path:
+    """The path of a table, where a log would say too little: it may hold several poses, and often no joints.
+
+    `what` are its rows, for the message.
 
     Raises:
         InputError: a log, a folder or another file that is no table, with what helps.
@@ -89,7 +91,7 @@ def require_table(path: str | Path) -> Path:
     path = Path(path)
     if exists(path) and path.suffix.lower() not in TABLES:
         raise InputError(
-            f"{path}: {stranger(path) or 'targets end in .csv or .parquet; convert it or correct the name'}"
+            f"{path}: {stranger(path) or f'{what} end in .csv or .parquet; convert it or correct the name'}"
         )
     return path
 
