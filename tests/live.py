@@ -5,15 +5,19 @@ import os
 import socket
 import threading
 import time
+from collections import Counter
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from types import SimpleNamespace
+from unittest import mock
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address
-from lite6jax.emulator import Body, Controller
+from lite6jax.emulator import Body, Controller, server
 from tests.oracles.arms import perturbed
 
 ARM = load_bundled("lite6")
@@ -21,6 +25,8 @@ KINEMATICS = perturbed(np.random.default_rng(3), ARM.kinematics).astype(np.float
 """What an arm's own calibration can hold: 32-bit numbers."""
 CONTROL_PORT = 15021
 _HOSTS = itertools.count(1)
+_REQUESTS = WeakKeyDictionary()
+"""Of each emulated controller, how often each register was asked for."""
 
 
 def new_host():
@@ -29,11 +35,18 @@ def new_host():
     return f"127.{64 + worker}.{os.getpid() % 254 + 1}.{next(_HOSTS)}"
 
 
+def _count(answer, core, request):
+    """The emulator's reply; the request is counted."""
+    _REQUESTS.setdefault(core, Counter())[request.register] += 1
+    return answer(core, request)
+
+
 @contextmanager
 def emulated(body=None, **options):
     """A controller, of the calibrated arm where no body is given, and its address."""
     options = {"address": new_host(), "control_port": CONTROL_PORT} | options
-    with Controller(body or Body(ARM, KINEMATICS), **options) as controller:
+    counting = mock.patch.object(server, "answer", partial(_count, server.answer))
+    with counting, Controller(body or Body(ARM, KINEMATICS), **options) as controller:
         yield controller, Address(controller.address, controller.control_port)
 
 
@@ -42,7 +55,7 @@ def snapshot(controller):
 
     def look(core):
         joints = core.read_encoders(np.array([core.time]))[0][0]
-        return SimpleNamespace(time=core.time, state=core.state, joints=joints, requests=dict(core.requests))
+        return SimpleNamespace(time=core.time, state=core.state, joints=joints, requests=dict(_REQUESTS.get(core, {})))
 
     return controller.call(look)
 

@@ -86,7 +86,7 @@ class Record:
     ip: Address
     out: Annotated[Path, arg(metavar="FILE")]
     """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. Its
-    rows can be read whatever ends the process: until a .parquet is complete they are in a .csv of its stem."""
+    rows can be read whatever ends the process: until run.parquet is complete they are in run.growing.csv."""
     seconds: Annotated[float | None, arg(metavar="S")] = None
     """The duration by the controller's clock; by default until Ctrl-C."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -97,9 +97,9 @@ class Record:
 
     def run(self) -> int:
         """Records and prints the result."""
-        recorder.check_targets(self.out, self.force)
-        outputs = [self.out, self.out.with_suffix(".yaml"), station.factory_path(self.out)]
-        command.check_outputs(outputs, [self.poses, self.arm], self.force)
+        live = self.poses is None
+        recorder.check_targets(self.out, self.force, live=live)
+        command.check_outputs(recorder.list_targets(self.out, live=live), [self.poses, self.arm], self.force)
         if self.poses is not None and self.seconds is not None:
             raise InputError("--seconds and --poses: a list of joints has its own end; leave one out")
         if self.seconds is not None and not 0 < self.seconds < float("inf"):

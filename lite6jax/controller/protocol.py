@@ -34,7 +34,7 @@ class MalformedError(ValueError):
 
 
 class Register(IntEnum):
-    """The quantity to which a request refers: of the vendor's registers those that are read here."""
+    """The quantity that a request reads: of the vendor's registers those that are read or emulated here."""
 
     VERSION = 1
     SERIAL_NUMBER = 2

@@ -26,6 +26,7 @@ from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings
+from lite6jax.recordings.settings import growing_path
 from lite6jax.storage import check_writable, write_atomically
 
 Columns = Mapping[str, NDArray]
@@ -40,8 +41,9 @@ class TableWriter:
     """A CSV or Parquet table, by the suffix of its path, to which rows are appended.
 
     What is on the disk is complete, even if the process is killed. Once a disk refuses rows, no more are written. A
-    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in a CSV
-    of its stem. That is the recording where the process is killed, or where the disk has no room for the Parquet file.
+    Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in a CSV,
+    `run.growing.csv` of `run.parquet`. That is the recording where the process is killed, or the disk has no room for
+    the Parquet file.
 
     Attributes:
         file: where the rows are.
@@ -56,7 +58,7 @@ class TableWriter:
         """
         self._path, self._overwrite, self._sources = path, overwrite, sources
         self._parquet = path.suffix.lower() == ".parquet"
-        self.file = path.with_suffix(".csv") if self._parquet else path
+        self.file = growing_path(path) if self._parquet else path
         self.waiting, self.refusal = 0, ""
         self._parts: list[Columns] = []
         self._schema: pa.Schema | None = None
@@ -133,7 +135,7 @@ class TableWriter:
         elif self._parquet:
             try:
                 write_atomically(self._path, self._write_parquet, self._overwrite)
-            except InputError as error:
+            except (InputError, pa.ArrowException) as error:
                 raise OSError(f"{error}; the rows are in {self.file}, which is read like it") from error
             self.file.unlink()
             self.file = self._path
@@ -149,7 +151,7 @@ class TableWriter:
             for batch in rows:
                 writer.write_batch(batch)
             writer.close()
-        except OSError:
+        except (OSError, pa.ArrowException):
             writer.is_open = False  # or its destructor would write to the full disk again
             raise
 
@@ -236,15 +238,21 @@ class LiveRecording:
         }
 
 
-def check_targets(out: Path, overwrite: bool, factory: bool = True) -> None:
-    """Checks that the files of a recording can be written, before the connection to the arm.
+def list_targets(out: Path, factory: bool = True, live: bool = True) -> list[Path]:
+    """The files that a recording of this name writes: of an arm in motion if `live`, else of computed poses."""
+    growing = [growing_path(out)] if live and out.suffix.lower() == ".parquet" else []
+    return [out, *growing, sidecar_path(out), *([factory_path(out)] if factory else [])]
+
+
+def check_targets(out: Path, overwrite: bool, factory: bool = True, live: bool = True) -> None:
+    """Checks that the files of `list_targets` can be written, before the connection to the arm.
 
     Raises:
         InputError: a file exists and `overwrite` is false, another suffix, or no such folder.
     """
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")
-    for path in {out, out.with_suffix(".csv"), sidecar_path(out), *([factory_path(out)] if factory else [])}:
+    for path in list_targets(out, factory, live):
         check_writable(path, overwrite)
 
 
@@ -266,7 +274,7 @@ def record(
     Args:
         address: of the controller.
         out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
-            A `.parquet` file is a `.csv` file of the same stem until the recording has ended.
+            The rows of `run.parquet` are in `run.growing.csv` until the recording has ended.
         station: the arm and its settings, from `read_station`.
         seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.
@@ -297,8 +305,8 @@ def record(
     count, refusal = rows.count - table.waiting, table.refusal
     if table.waiting:
         refusal = (
-            f"{out}: the disk took {count} rows and not the last {table.waiting} ({refusal}); free space before the"
-            " next recording"
+            f"{table.file}: the disk took {count} rows and not the last {table.waiting} ({refusal}); free space before "
+            "the next recording"
         )
     notes = (*station.notes, *rows.notes())
     if seconds is not None and not rows.complete:
@@ -395,7 +403,7 @@ def record_poses(
     Raises:
         InputError: the files cannot be written, the number of joints differs, or no pose was received.
     """
-    check_targets(out, overwrite, station.calibration is not None)
+    check_targets(out, overwrite, station.calibration is not None, live=False)
     if poses.dof != station.arm.dof:
         raise InputError(f"{poses.source}: has {poses.dof} joints, the {station.arm.name} {station.arm.dof}")
     joints, started, stop = protocol.round_floats(poses.joint_position), time.monotonic(), stop or threading.Event()

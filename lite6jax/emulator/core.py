@@ -18,7 +18,6 @@ reports are such that an arm with hidden effects can be recorded and diagnosed:
 
 import math
 import struct
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
@@ -180,8 +179,7 @@ class Core:
         path: the motion from the start; None for rest at zero.
         tool, payload: `(6,)` mm and rad, and `(4,)` kg and centre of mass in mm.
         time: s since the start.
-        requests: the number of requests of each register.
-        stopped: s, when an error stopped the arm; infinite without one.
+        stopped: s, when an error began to stop the arm; infinite without one.
     """
 
     body: Body
@@ -190,7 +188,6 @@ class Core:
     tool: Array = field(default_factory=lambda: np.zeros(6))
     payload: Array = field(default_factory=lambda: np.zeros(4))
     time: float = 0.0
-    requests: Counter[int] = field(default_factory=Counter)
     stopped: float = np.inf
 
     def __post_init__(self) -> None:
@@ -246,10 +243,18 @@ class Core:
         )
 
     def read_commands(self, time: Array) -> tuple[Array, Array]:
-        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion."""
-        last = min(self.stopped, self._motion.duration)
-        position, velocity = self._motion.at(np.clip(time, 0.0, last))
-        return position, np.where(((time > 0) & (time < last))[:, None], velocity, 0.0)
+        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion.
+
+        An error brakes all joints together, the fastest at the limit of its acceleration.
+        """
+        duration = self._motion.duration
+        position, velocity = self._motion.at(np.clip(time, 0.0, min(self.stopped, duration)))
+        moving = (time > 0) & (np.minimum(time, self.stopped) < duration) & (self.stopped > 0)
+        velocity = np.where(moving[:, None], velocity, 0.0)
+        since = np.maximum(time - self.stopped, 0.0)[:, None]
+        braking = np.maximum(np.abs(velocity).max(1, keepdims=True) / MAX_ACCELERATION, DIFFERENCE_S)
+        left = 1 - np.minimum(since / braking, 1.0)
+        return position + velocity * braking * (1 - left**2) / 2, velocity * left
 
     def read_encoders(self, time: Array) -> tuple[Array, Array]:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
@@ -289,7 +294,7 @@ def _directions(velocity: Array, last: Array) -> Array:
 # ------------------------------------------------------------------ replies
 
 
-UNPACKED: Final = 64
+UNPACKED: Final = 4 * 28
 """Zeros in an invalid reply: the SDK unpacks the payload before the status and fails on a shorter one."""
 SENSITIVITY: Final = 3
 """Of collisions and of teaching, which is not emulated."""
@@ -307,7 +312,6 @@ def answer(core: Core, request: Frame) -> Frame | None:
 
     The reply to a request of a wrong size or of a register that is not emulated is invalid (an assumption).
     """
-    core.requests[request.register] += 1
     if not core.faults.answers(request.register):
         return None
     if request.protocol == protocol.STANDARD:  # standard Modbus: "illegal function"; the SDK would wait 3 h for a reply
@@ -416,7 +420,7 @@ def _fill_realtime(
 ) -> None:
     records["time_us"] = np.round(time * 1e6).astype(np.uint64) + core.clock_us(0.0)
     encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
-    # accelerations are one-sided, so that a later command does not change earlier reports
+    # accelerations are one-sided, so that a later error does not change earlier reports
     earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]
     T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
     if core.body.physics.effects or core.faults.nominal_kinematics:

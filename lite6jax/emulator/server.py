@@ -7,7 +7,6 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 
@@ -239,13 +238,23 @@ class Controller:
             writer.close()
 
     async def _run_clock(self) -> None:
-        """Until it is stopped, sends the due reports and advances the emulated time at every tick."""
+        """Until it is stopped, sends the due reports and advances the emulated time at every tick.
+
+        Closes connections for which too much waits. A fast clock gives their readers time first.
+        """
         loop, core = asyncio.get_running_loop(), self._core
-        tick = loop.time()
+        tick = all_read = loop.time()
         origin = tick - core.time / self.speed
         while not self._stop.is_set():
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
+            slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > MOST_UNSENT]
+            all_read = all_read if slow else loop.time()
+            if self.speed > 1 and loop.time() - all_read < GIVE_UP_S and slow:
+                continue  # a fast clock waits for them
+            for writer in slow:
+                self.slow_readers += not writer.transport.is_closing()
+                writer.transport.abort()
             due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
             # a longer delay slows the emulated clock, so that readers lose no reports
             origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
@@ -259,21 +268,6 @@ class Controller:
                     index = np.arange(first + 1, last + 1)
                     self._send(port, index, report(core, port, index / rate))
             core.advance(due)
-            await self._close_slow_readers()
-
-    async def _close_slow_readers(self) -> None:
-        """Closes connections for which too much waits; a fast clock gives their readers time."""
-
-        def slow() -> list[_Writer]:
-            return [writer for writer in self._readers if writer.transport.get_write_buffer_size() > MOST_UNSENT]
-
-        if self.speed > 1 and (waiting := slow()):
-            drained = asyncio.gather(*(writer.drain() for writer in waiting), return_exceptions=True)
-            with suppress(TimeoutError):
-                await asyncio.wait_for(drained, GIVE_UP_S)
-        for writer in slow():
-            self.slow_readers += not writer.transport.is_closing()
-            writer.transport.abort()
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""

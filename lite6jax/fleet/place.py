@@ -150,13 +150,14 @@ def list_fleet(place: Place, out: Path) -> list[str]:
     Raises:
         InputError: none is there, the table would replace one of them, or as `Place.names`.
     """
-    names = [name for name in place.names() if _suffix(name) in CALIBRATIONS + RECORDINGS and place.is_file(name)]
+    listed = _without_growing(place.names())
+    names = [name for name in listed if _suffix(name) in CALIBRATIONS + RECORDINGS and place.is_file(name)]
     if not place.remote and out.name in names and out.parent.resolve() == Path(place.root).resolve():
         if not _holds_rows(out):
             raise InputError(f"{out}: is one of the files to be fitted and would be replaced; choose another name")
         names.remove(out.name)
-    recordings = {os.path.splitext(name)[0] for name in names if guess_kind(name) == "recording"}
-    names = [name for name in names if _suffix(name) != ".yaml" or os.path.splitext(name)[0] not in recordings]
+    recordings = {_stem(name) for name in names if guess_kind(name) == "recording"}
+    names = [name for name in names if _suffix(name) != ".yaml" or _stem(name) not in recordings]
     if not names:
         accepted = ", ".join(CALIBRATIONS + RECORDINGS)
         raise InputError(f"{place.shown}: has no calibration or recording ({accepted}); name another folder")
@@ -176,7 +177,7 @@ def list_recordings(place: Place) -> list[str]:
             return _suffix(name) in kinds
         return recordings.recording_file(Path(place.root, name)) is not None
 
-    names = list(filter(is_recording, place.names()))
+    names = list(filter(is_recording, _without_growing(place.names())))
     if not names:
         raise InputError(f"{place.shown}: has no recording ({', '.join(kinds)}); name another folder")
     return names
@@ -196,8 +197,17 @@ def _suffix(name: str | Path) -> str:
     return os.path.splitext(name)[1].lower()
 
 
+def _stem(name: str) -> str:
+    return name.removesuffix(sidecar.GROWING) if name.endswith(sidecar.GROWING) else os.path.splitext(name)[0]
+
+
+def _without_growing(names: Sequence[str]) -> list[str]:
+    """Without the rows of a recording beside that recording: a process was ended between the two."""
+    return [name for name in names if not name.endswith(sidecar.GROWING) or f"{_stem(name)}.parquet" not in names]
+
+
 def _add_sidecar(name: str) -> list[str]:
-    return [name] if guess_kind(name) == "calibration" else [name, f"{Path(name).stem}.yaml"]
+    return [name] if guess_kind(name) == "calibration" else [name, f"{_stem(name)}.yaml"]
 
 
 def _sidecar_files(path: Path) -> list[Path]:

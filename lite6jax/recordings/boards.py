@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.files import open_table
+from lite6jax.recordings.files import open_table, require_table
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import BoardSettings, CameraSettings
 from lite6jax.sensors.camera import FEWEST_CORNERS
@@ -119,7 +119,7 @@ def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
     Raises:
         InputError: a row that is missing or is there twice, or another number of rows than images.
     """
-    _, content = open_table(table, (), ArmJoints(), [])
+    _, content = open_table(require_table(table, "joints of images"), (), ArmJoints(), [])
     names = list(content.names)
     at = names.index("image") if "image" in names else 0
     values = content.load({at: "image"})[at]

@@ -2,7 +2,8 @@
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from math import pi
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
 from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
-from lite6jax.recordings.settings import RecordingSettings, read_sidecar, sidecar_path, write_settings
+from lite6jax.recordings.settings import RecordingSettings, growing_path, read_sidecar, sidecar_path, write_settings
 from lite6jax.recordings.table import RawTable, make_arrays, tabulate
 from lite6jax.recordings.texts import open_text
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
@@ -29,11 +30,6 @@ LOGS = (".mcap", ".db3", ".bag")
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
 SUFFIXES = (*TABLES, *LOGS)
 """Of the files that are recordings."""
-_READERS: Mapping[str, Callable[[Path, list[str]], RawTable]] = {
-    **dict.fromkeys(TABLES[:-1], open_text),
-    ".parquet": lambda path, notes: open_parquet(path),
-}
-"""Of all but logs and folders."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
 _STRANGERS = {
     **dict.fromkeys(
@@ -84,8 +80,24 @@ def stranger(path: str | Path) -> str:
     )
 
 
+def require_table(path: str | Path, what: str = "targets") -> Path:
+    """The path of a table, where a log would say too little: it may hold several poses, and often no joints.
+
+    `what` are its rows, for the message.
+
+    Raises:
+        InputError: a log, a folder or another file that is no table, with what helps.
+    """
+    path = Path(path)
+    if exists(path) and path.suffix.lower() not in TABLES:
+        raise InputError(
+            f"{path}: {stranger(path) or f'{what} end in .csv or .parquet; convert it or correct the name'}"
+        )
+    return path
+
+
 def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> tuple[Path, RawTable]:
-    """The table of a recording and where it is: of a Parquet file that was not completed, the CSV of its stem.
+    """The table of a recording and where it is: of a Parquet file that was not completed, the CSV of its rows.
 
     Args:
         path: the file or folder.
@@ -97,7 +109,7 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
     suffix, log = path.suffix.lower(), path
-    if suffix == ".parquet" and not exists(path) and exists(growing := path.with_suffix(".csv")):
+    if suffix == ".parquet" and not exists(path) and exists(growing := growing_path(path)):
         notes.append(f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended")
         path, suffix = growing, ".csv"
     try:
@@ -121,15 +133,24 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
                 "set; convert it or correct the name"
             )
             raise InputError(f"{path}: {stranger(path) or other}")
-        elif suffix in _READERS:
-            return path, _READERS[suffix](check_readable(path), notes)
         else:
             check_readable(path)
+            if suffix == ".parquet":
+                return path, open_parquet(path)
+            if suffix in TABLES:
+                return path, open_text(path, notes, growing=_is_growing(path))
         columns = read_bag(log, topics, of_arm, notes)
         # nothing says the unit of efforts
         return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
+
+
+def _is_growing(path: Path) -> bool:
+    """Whether a table of text is of a recording that was not completed, by its sidecar."""
+    with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
+        return not read_sidecar(sidecar_path(path)).complete
+    return False
 
 
 def _is_bag(path: Path) -> bool:
@@ -203,9 +224,9 @@ def read_recording(
     recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
     recording = drop_missing(recording, table.spelling)
     if joint_limits is not None:
-        check_joint_scale(recording, joint_limits, table.spelling, assumed=assume_degrees)
+        check_joint_scale(recording, joint_limits, table.spelling, assume_degrees or table.converts("q1_rad"))
     if reach is not None:
-        check_position_scale(recording, reach, table.spelling, assumed=assume_millimetres)
+        check_position_scale(recording, reach, table.spelling, assume_millimetres or table.converts("x_m"))
     return recording
 
 
@@ -240,7 +261,7 @@ def read_targets(
     Raises:
         InputError: as `read_recording`; or there are no positions, or none in any row.
     """
-    path, notes = Path(path), []
+    path, notes = require_table(path), []
     sidecar = read_sidecar(sidecar_path(path))
     path, raw = open_table(path, (), ArmJoints(dof), notes)
     renamed = raw.renamed(str(path), columns or sidecar.columns)

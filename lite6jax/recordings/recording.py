@@ -18,7 +18,7 @@ from lite6jax.recordings.columns import MATRIX, OF_ARRAY, is_scalar, name_column
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
-from lite6jax.recordings.table import make_arrays, read_frame
+from lite6jax.recordings.table import Table, make_arrays, read_frame
 from lite6jax.recordings.units import (
     FAR_REACHES,
     LARGEST_MISSING_SHARE,
@@ -195,7 +195,7 @@ class Recording(PublicResult):
         table = read_frame(frame, source, notes, columns)
         arrays = make_arrays(table, source, notes)
         recording = cls.assemble_plausible(arrays, settings, source, table.spelling, notes)
-        return drop_missing(_of_arm(recording, arm, recording.sliding, table.spelling), table.spelling)
+        return drop_missing(_of_arm(recording, arm, recording.sliding, table), table.spelling)
 
     @classmethod
     def assemble_plausible(
@@ -449,9 +449,9 @@ def _of_arm(
     recording: Recording,
     arm: Arm | str | None,
     sliding: tuple[int, ...] | None,
-    spelling: Mapping[str, str] | None = None,
+    table: Table | None = None,
 ) -> Recording:
-    """A recording of a table or, without `spelling`, of arrays, whose arm shows that a unit is wrong.
+    """A recording of a table or, without `table`, of arrays, whose arm shows that a unit is wrong.
 
     Args:
         arm: the arm; that of the settings, or of the bundled ones the one with the longest reach, where none is given.
@@ -476,9 +476,13 @@ def _of_arm(
     if sliding is not None and sliding != known.sliding:
         raise InputError(f"{recording.source}: {other_joints(sliding, known.sliding, known.name)}")
     recording = replace(recording, sliding=known.sliding)
-    given: Given = "arrays" if spelling is None else "table"
-    check_joint_scale(recording, known.possible_positions, spelling, given=given)
-    check_position_scale(recording, known.reach, spelling, given=given)
+    if table is None:
+        check_joint_scale(recording, known.possible_positions, given="arrays")
+        check_position_scale(recording, known.reach, given="arrays")
+        return recording
+    limits, spelling = known.possible_positions, table.spelling
+    check_joint_scale(recording, limits, spelling, table.converts("q1_rad"), "table")
+    check_position_scale(recording, known.reach, spelling, table.converts("x_m"), "table")
     return recording
 
 
@@ -513,7 +517,7 @@ def check_joint_scale(
         if joint in recording.sliding:
             metres = f"metres: joint_position[:, {joint}] / 1000"
             remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
-        elif assumed or not name.endswith("_rad"):
+        elif assumed or name.endswith("_deg"):
             remedy = "check the unit"
         return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
 
@@ -552,7 +556,7 @@ def check_position_scale(
         names = [(spelling or {}).get(name, name) for name in name_columns("position")]
         place = "position" if given == "arrays" else f"columns {' '.join(names)}"
         remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
-        remedy = "check the unit" if assumed or not names[0].endswith("_m") else remedy
+        remedy = "check the unit" if assumed or names[0].endswith("_mm") else remedy
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
             f"{reach:.3g} m; {remedy}"

@@ -388,16 +388,28 @@ class Sidecar(NamedTuple):
     Attributes:
         settings: of the arm, the sensor and the motion.
         columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
+        complete: whether the recording of an arm was completed; True where that is not said.
     """
 
     settings: RecordingSettings
     columns: Mapping[str, str]
+    complete: bool = True
+
+
+GROWING = ".growing.csv"
+"""The suffix of the rows of a `.parquet` recording that is not complete yet."""
+
+
+def growing_path(recording: str | Path) -> Path:
+    """Where the rows of a `.parquet` recording stand until it is complete."""
+    return Path(recording).with_suffix(GROWING)
 
 
 def sidecar_path(recording: str | Path) -> Path:
     """Where the sidecar of a recording stands: the same stem, `.yaml`; of a folder, beside it."""
     path = Path(recording)
     if not os.path.isdir(path):
+        path = path.with_suffix("") if path.name.endswith(GROWING) else path
         return path.with_suffix(".yaml")
     named = path if path.name not in ("", "..") else Path(os.path.abspath(path))  # such as the folder one is in
     return named.parent / f"{named.name}.yaml"
@@ -465,7 +477,9 @@ def read_sidecar(path: str | Path) -> Sidecar:
         declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
-    return Sidecar(declared, {str(name): meaning.strip() for name, meaning in columns.items()})
+    account = content.get("account")
+    complete = not isinstance(account, dict) or account.get("complete") is not False
+    return Sidecar(declared, {str(name): meaning.strip() for name, meaning in columns.items()}, complete)
 
 
 def write_settings(
@@ -481,7 +495,8 @@ def write_settings(
         settings: what it declares.
         path: the file.
         overwrite: whether it may be replaced.
-        account: what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
+        account: what the recording of an arm says about itself: plain numbers and phrases, of which only `complete` is
+            read back.
 
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.

@@ -213,6 +213,10 @@ class Table(NamedTuple):
         """The name in SI units to the column's own, for messages."""
         return {name: column.name for name, column in self.columns.items()}
 
+    def converts(self, name: str) -> bool:
+        """Whether the column of this name in SI units is in another unit, and says so."""
+        return name in self.columns and self.columns[name].divisor != 1
+
 
 def tabulate(
     raw: RawTable,

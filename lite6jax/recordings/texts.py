@@ -6,6 +6,7 @@ a row of units is added to them. Whatever stands higher is not read. Only the fi
 
 import codecs
 import csv
+import io
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
@@ -392,27 +393,30 @@ class _NoNumberError(InputError):
         self.index, self.text = index, text
 
 
-def open_text(path: Path, notes: list[str]) -> RawTable:
+def open_text(path: Path, notes: list[str], growing: bool = False) -> RawTable:
     """The table in a file of text.
 
     Args:
         path: the file; UTF-8, UTF-16 with its mark, or Latin-1 where it can be nothing else.
         notes: gets a sentence on what stands above the table, on what was done to its names, and one where the last
             line has no end.
+        growing: whether it is of a recording that was not completed. A kill may leave a part of a row at its end, and
+            a power cut zeros. They are left out, and a note says so.
 
     Raises:
         InputError: no text; from `load`, rows of another length than the names.
     """
-    start, encoding = _start(path, notes)
-    layout = find_table(start, str(path), notes)
-    with open(path, "rb") as file:
+    whole = _whole_lines(path, notes) if growing else None
+    with open(path, "rb") if whole is None else io.BytesIO(whole) as file:
+        start, encoding = _start(path, file.read(HEADER_LIMIT), notes)
         file.seek(0, 2)
         file.seek(max(0, file.tell() - HEADER_LIMIT))
         tail = file.read()
+    layout = find_table(start, str(path), notes)
     if not tail.rstrip(b"\0").endswith((b"\n", b"\r")):
         notes.append("the file does not end with a line break: its last number may have been cut short")
-    plain = encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
-    rewritten = cache(lambda: _rewritten(path, layout, encoding))
+    plain = whole is None and encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
+    rewritten = cache(lambda: _rewritten(path.read_bytes() if whole is None else whole, layout, encoding))
 
     def load(columns: Mapping[int, str]) -> dict[int, Values]:
         wanted, wrong = [*columns], {}
@@ -432,10 +436,20 @@ def open_text(path: Path, notes: list[str]) -> RawTable:
     return RawTable(layout.names, load, layout.nameless)
 
 
-def _rewritten(path: Path, layout: Layout, encoding: str) -> bytes:
+def _whole_lines(path: Path, notes: list[str]) -> bytes | None:
+    """What is in a file without what stands behind its last line break; None where nothing does."""
+    content = path.read_bytes()
+    end = content.rfind(b"\n") + 1
+    if end == len(content):
+        return None
+    what = "a row that was cut" if content[end:].strip(b"\0") else "zeros"
+    notes.append(f"the recording was ended while it was written: {what} at the end of {path.name} is left out")
+    return content[:end]
+
+
+def _rewritten(content: bytes, layout: Layout, encoding: str) -> bytes:
     """The rows of numbers as Arrow can read them: UTF-8, one delimiter between numbers, none of them in lists."""
-    with open(path, "rb") as file:
-        text = file.read().decode(encoding, "replace")
+    text = content.decode(encoding, "replace")
     text = "\n".join(LINE_BREAK.split(text, maxsplit=layout.skip)[layout.skip :])
     if layout.lists:
         text = mark_lists(text, layout.delimiter)
@@ -509,10 +523,8 @@ def _ragged(path: Path, row: int, fields: int, layout: Layout, content: bytes) -
     return f"{place}; remove the surplus fields, and write decimals with a point"
 
 
-def _start(path: Path, notes: list[str]) -> tuple[str, str]:
-    """The first whole lines of a text, and its encoding."""
-    with open(path, "rb") as file:
-        start = file.read(HEADER_LIMIT)
+def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:
+    """The first whole lines of a text by its first bytes, and its encoding."""
     if start.startswith(b"PAR1"):
         raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
     text, encoding = _decode(start)

@@ -180,7 +180,7 @@ def test_an_interrupt_keeps_every_row(tmp_path, name, number):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_kill_costs_a_second_at_most(tmp_path, capsys):
-    out, rows = tmp_path / "run.parquet", tmp_path / "run.csv"
+    out, rows = tmp_path / "run.parquet", tmp_path / "run.growing.csv"
     with emulated(path=draw_sines(ARM)) as (_, address):
         with recording(address, out) as process:
             deadline = time.monotonic() + 60
@@ -193,7 +193,7 @@ def test_a_kill_costs_a_second_at_most(tmp_path, capsys):
         assert pyarrow.csv.read_csv(rows).num_rows == read.samples
         assert (np.rint(1e6 * np.diff(read.time)) == 4000).all()
         assert read.samples >= 250
-        assert any("there is no run.parquet: the rows are those of run.csv" in note for note in read.notes)
+        assert any("there is no run.parquet: the rows are those of run.growing.csv" in note for note in read.notes)
         assert yaml.safe_load((tmp_path / "run.yaml").read_text())["account"] == {"complete": False}
         assert "exists already" in refused(capsys, "record", "--ip", address, "--out", out, "--seconds", 1)
         code, _, _ = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 1, "--force")

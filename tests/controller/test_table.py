@@ -3,13 +3,17 @@
 import resource
 import signal
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
+from typed import refusal
 
-from lite6jax.controller.recorder import TableWriter
+from benchmarks import soak
+from lite6jax.controller.recorder import TableWriter, check_targets
+from lite6jax.recordings import Recording, write_recording
 
 
 def rows(count, seed=0, columns=20):
@@ -52,8 +56,9 @@ def test_what_was_added_is_read_back_bit_for_bit(tmp_path, suffix):
 
 
 def test_a_parquet_recording_is_whole_after_every_piece_in_the_csv_beside_it(tmp_path):
-    path, growing = tmp_path / "run.parquet", tmp_path / "run.csv"
-    table = TableWriter(path, False, {})
+    path, growing, unrelated = (tmp_path / f"run.{suffix}" for suffix in ("parquet", "growing.csv", "csv"))
+    unrelated.write_text("mine")
+    table = TableWriter(path, True, {})
     parts = [rows(10, seed) | {"gap": np.array([None, "lost; 2", *[None] * 8], object)} for seed in range(4)]
     parts[0]["c3"][:2] = np.nan, np.inf
     for count, part in enumerate(parts, 1):
@@ -61,11 +66,21 @@ def test_a_parquet_recording_is_whole_after_every_piece_in_the_csv_beside_it(tmp
         table.flush()
         assert (table.waiting, table.file, len(read(growing)["run"])) == (0, growing, 10 * count)
     table.close()
-    assert [table.file, *tmp_path.iterdir()] == [path, path]
+    assert (table.file, {*tmp_path.iterdir()}, unrelated.read_text()) == (path, {path, unrelated}, "mine")
     found = read(path)
     assert found["run"].dtype == int
     for name in ("c3", "gap"):
         np.testing.assert_array_equal(found[name], np.concatenate([part[name] for part in parts]))
+
+
+def test_rows_that_are_damaged_before_they_are_parquet_are_kept_and_it_is_said(tmp_path):
+    table = TableWriter(tmp_path / "run.parquet", False, {})
+    table.append(rows(250))
+    with open(table.file, "ab") as file:
+        file.write(b"1,2\n")
+    table.close()
+    assert "the rows are in" in table.refusal
+    assert [*tmp_path.iterdir()] == [table.file] == [tmp_path / "run.growing.csv"]
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
@@ -88,6 +103,18 @@ def test_a_full_disk_costs_the_rows_that_do_not_fit_and_no_others(tmp_path, suff
         np.testing.assert_array_equal(found[name], sent[: len(sent) - table.waiting])
 
 
+@pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.CSV"])
+def test_a_csv_of_its_stem_is_of_no_concern_to_a_recording(tmp_path, name):
+    out, unrelated = tmp_path / name, tmp_path / ("run.csv" if name != "run.csv" else "run.parquet")
+    unrelated.write_text("mine")
+    check_targets(out, False)
+    growing = tmp_path / "run.growing.csv"
+    growing.write_text("rows of a recording that was ended")
+    check_targets(out, False, live=False)
+    if name == "run.parquet":
+        assert refusal(check_targets, out, False).startswith(f"{growing}: exists already")
+
+
 def test_it_replaces_nothing_unasked(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("mine")
@@ -99,3 +126,18 @@ def test_it_replaces_nothing_unasked(tmp_path):
     table.append(rows(3))
     table.close()
     assert (table.waiting, table.refusal, path.read_text()) == (3, "File exists", "mine")
+
+
+def test_the_soak_benchmark_sees_rows_that_are_lost_or_doubled(tmp_path):
+    out, steps = tmp_path / "run.csv", np.arange(250)
+    done = SimpleNamespace(unwritten=0, runs=1)
+    for rows, said in (
+        (steps, ""),
+        (steps[:-1], "249 rows, not 250"),
+        (np.r_[0, steps[:-1]], "from 0 to 4000"),
+        (np.r_[steps[:7], steps[8:], 250], "from 4000 to 8000"),
+    ):
+        write_recording(Recording.from_arrays(np.zeros((len(rows), 6)), time=rows * 0.004), out, overwrite=True)
+        found = soak.wrong_rows(done, out, 250)
+        assert found == said if not said else said in found
+    assert soak.wrong_rows(SimpleNamespace(unwritten=3, runs=2), out, 250) == "3 rows unwritten, 2 runs"

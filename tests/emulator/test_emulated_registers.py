@@ -35,6 +35,7 @@ def test_version_and_serial_number(arm):
 
 def test_what_is_not_emulated_is_called_invalid(arm, controller):
     assert arm.get_gripper_position()[0] != 0
+    assert arm.get_dh_params()[0] != 0  # 28 numbers, the longest that the SDK unpacks
     before = snapshot(controller)
     for change in (arm.motion_enable, arm.clean_error, arm.clean_warn):
         assert change() != 0

@@ -60,6 +60,22 @@ def test_a_sidecar_says_what_columns_are(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
+    ("unit", "angle", "length", "size", "message"),
+    [
+        ("rad", 150, "mm", 1e3, r"column J1: .* are these degrees\? name the columns q1_deg ..."),
+        ("deg", 150, "m", 1e3, r"columns X Y Z: .* are these millimetres\? name the columns x_mm y_mm z_mm"),
+        ("deg", 9000, "mm", 1e3, r"column J1: .* rad; check the unit"),
+        ("deg", 150, "mm", 1e5, r"columns X Y Z: .* check the unit"),
+    ],
+)
+def test_columns_of_other_names_are_asked_about_where_they_are_declared_in_si(unit, angle, length, size, message):
+    table = {f"J{i}": np.full(ROWS, angle if i == 1 else 0.0) for i in range(1, 7)}
+    table |= dict(zip("XYZ", size * P.T, strict=True))
+    columns = {f"J{i}": f"q{i}_{unit}" for i in range(1, 7)} | {name: f"{name.lower()}_{length}" for name in "XYZ"}
+    assert re.search(f"{message}$", refusal(Recording.from_dataframe, table, columns=columns, arm="lite6"))
+
+
+@pytest.mark.parametrize(
     ("form", "angles"),
     [
         (("rx", "ry", "rz"), TURNED.as_rotvec()),

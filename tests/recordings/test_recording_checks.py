@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from typed import refusal
 
+import lite6jax
 from lite6jax.arms.description import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.recordings import (
@@ -93,6 +94,19 @@ def test_too_few_samples_give_both_counts(oriented, unknowns, message):
     assert said.startswith("a.csv: ")
     assert message in said
     require_samples(recording, 24 if oriented else 12)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, 0.5 + 1j])
+@pytest.mark.parametrize("name", ["position", "joint_position", "payload"])
+def test_a_fit_names_the_first_number_that_is_none(plausible, name, number):
+    values = getattr(plausible, name).astype(type(number))
+    values[[7, 9]] = number
+    said = refusal(lite6jax.fit, dataclasses.replace(plausible, **{name: values}))
+    column = {"position": "x_m", "joint_position": "q1_rad", "payload": "payload_kg"}[name]
+    assert said == (
+        f"recording: row 8 has {number} in column {column}; give finite real numbers, as Recording.from_arrays does, "
+        "which leaves out rows without"
+    )
 
 
 def test_time_disorder_agrees_with_a_plain_loop():

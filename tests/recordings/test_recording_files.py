@@ -406,3 +406,17 @@ def test_no_flipped_bit_of_a_parquet_file_changes_numbers_in_silence(tmp_path):
         for name, column in whole.columns().items():
             assert read.notes != whole.notes or np.array_equal(read.columns()[name], column), name
     assert refused > 75
+
+
+@pytest.mark.parametrize("end", [b"0.3", b"\0" * 5000, b"0.3,0.2\0\0"])
+@pytest.mark.parametrize("name", ["run7.csv", "run7.growing.csv"])
+def test_what_a_kill_or_a_power_cut_leaves_at_the_end_of_a_recording_is_left_out(tmp_path, name, end):
+    rows = "".join(f"0.{k},0.2\n" for k in range(1, 4))
+    path = file(tmp_path, f"{JOINTS}\n{rows}".encode() + end, name)
+    (tmp_path / "run7.yaml").write_text("recording: {}\naccount: {complete: false}\n")
+    for asked in (path, tmp_path / "run7.parquet") if "growing" in name else (path,):
+        read = read_recording(asked)
+        assert read.joint_position[:, 0].tolist() == [0.1, 0.2, 0.3]
+        assert any(f"at the end of {name} is left out" in note for note in read.notes)
+    (tmp_path / "run7.yaml").write_text("recording: {}\n")  # of a complete one, nobody knows what is lost
+    unread(path)

@@ -27,7 +27,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
-from lite6jax.recordings.files import open_table
+from lite6jax.recordings.files import open_table, require_table
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
 from lite6jax.storage import exists
@@ -256,9 +256,10 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     Raises:
         InputError: as `read_targets`; or what a column means, or its unit, is not certain.
     """
+    path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, said = _recognised(Path(path), model, reach, given or {})
+    columns, said = _recognised(path, model, reach, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
     recording = replace(recording, notes=(*said, *recording.notes))
     settings = recording.settings

@@ -17,7 +17,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.compensate import Reason, compensate
+from lite6jax.domains.pose.compensate import Reason, compensate, read_pose_targets
 from lite6jax.domains.pose.predict import predict
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.nonparametric import Unnamed
@@ -393,6 +393,10 @@ def test_files_that_are_no_targets(tmp_path, content, says):
 
 
 def test_targets_of_another_kind_of_file(tmp_path):
+    log = tmp_path / "targets.mcap"
+    log.touch()
+    for read in (lambda path: read_targets(path, 6), lambda path: read_pose_targets(path, None)):
+        assert refused(read, log) == f"{log}: targets end in .csv or .parquet; convert it or correct the name"
     assert refused(read_targets, tmp_path / "none.csv", 6).endswith("no such file; check the name")
 
 
