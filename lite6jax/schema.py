@@ -8,7 +8,7 @@ from msgspec import Meta
 from lite6jax.errors import InputError
 
 Kind = TypeVar("Kind")
-Positive = Annotated[float, Meta(ge=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[int, Meta(ge=1)]
 """Of a row or a joint, which count from 1; or of samples."""

@@ -40,7 +40,7 @@ GROUP_BYTES = 1 << 24
 class TableWriter:
     """A CSV or Parquet table, by the suffix of its path, to which rows are appended.
 
-    What is on the disk is complete, even if the process is killed. Once a disk refuses rows, no more are written. A
+    Rows on the disk stay readable, even if the process is killed. Once a disk refuses rows, no more are written. A
     Parquet file can be read once the list of its row groups is written at its end; until then the rows stand in a CSV,
     `run.growing.csv` of `run.parquet`. That is the recording where the process is killed, or the disk has no room for
     the Parquet file.
@@ -169,8 +169,16 @@ MOST_IN_SIDECAR = 100
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a recording: the number of rows; time (s) and run of the last one; the rate of rows within runs
-    (Hz) and the number of missing reports, both by the controller's clock; the present problem, empty without one."""
+    """The progress of a recording.
+
+    Attributes:
+        rows: how many.
+        time: s, of the last row.
+        rate: Hz, of rows within runs, by the controller's clock.
+        run: of the last row.
+        missing: how many reports, by the same clock.
+        trouble: the present problem; empty without one.
+    """
 
     rows: int
     time: float
@@ -182,7 +190,7 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class LiveRecording:
-    """A completed recording of a live arm.
+    """The result of recording a live arm, whether or not it reached its end.
 
     Attributes:
         written: the files.
@@ -290,7 +298,7 @@ def record(
     settings = station.sidecar_settings(out)
     declared: list[Path] = []
 
-    def declare() -> None:  # before the first row, so that an interrupted recording is complete
+    def declare() -> None:  # before the first row, so that the rows of an interrupted recording can be read
         files = []
         if station.calibration is not None:
             files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))

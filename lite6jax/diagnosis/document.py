@@ -35,7 +35,7 @@ from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
 from lite6jax.recordings.files import recording_file
 from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
-from lite6jax.schema import Count, Number, Positive, Strict, check
+from lite6jax.schema import Count, NonNegative, Number, Strict, check
 from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
@@ -71,7 +71,7 @@ class Recorded(Strict):
 
     joint_range_rad: _Ranges
     joint_position_rad: list[list[float]]
-    spacing_rad: Positive
+    spacing_rad: NonNegative
     drivers: dict[str, tuple[float, float]]
     velocity_range_rad_per_s: _Ranges | None = None
     acceleration_range_rad_per_s2: _Ranges | None = None
@@ -80,8 +80,8 @@ class Recorded(Strict):
 class PerAxis(Strict):
     """A standard deviation per axis."""
 
-    position_m: Positive
-    orientation_rad: Positive
+    position_m: NonNegative
+    orientation_rad: NonNegative
 
 
 class PoseUncertainty(Strict):
@@ -97,7 +97,7 @@ class PoseUncertainty(Strict):
 
 
 class Inertia(Strict):
-    """Masses as estimated."""
+    """Masses and their centres as estimated, with the payload's centre and gravity."""
 
     mass: list[_Mass]
     center_of_mass: list[_Point]
@@ -134,8 +134,8 @@ class PoseDocument(msgspec.Struct, kw_only=True):
     """What is read of a diagnosis of poses beside its report."""
 
     model: PoseModel
-    before: dict[str, Positive] = msgspec.field(default_factory=dict)
-    after: dict[str, Positive] = msgspec.field(default_factory=dict)
+    before: dict[str, NonNegative] = msgspec.field(default_factory=dict)
+    after: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     against: PoseReference | None = None
 
 
@@ -144,9 +144,9 @@ class TorqueUncertainty(Strict):
 
     inertial: bool
     covariance: list[float]
-    left_Nm: list[Positive]  # noqa: N815 (the key)
-    unseen_Nm: list[Positive]  # noqa: N815 (the key)
-    noise_Nm: list[Positive]  # noqa: N815 (the key)
+    left_Nm: list[NonNegative]  # noqa: N815 (the key)
+    unseen_Nm: list[NonNegative]  # noqa: N815 (the key)
+    noise_Nm: list[NonNegative]  # noqa: N815 (the key)
     recorded: Recorded
 
 

@@ -14,7 +14,7 @@ from lite6jax.effects.catalogue import POSE_EFFECTS
 from lite6jax.effects.dynamic import LINEAR, SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.schema import Positive, Strict, check
+from lite6jax.schema import NonNegative, Strict, check
 
 _TYPES = {
     int: "a whole number",
@@ -33,7 +33,7 @@ class _Estimate(Strict):
     """A parameter in the JSON form of an effect."""
 
     value: float
-    std: Positive = 0.0
+    std: NonNegative = 0.0
 
 
 def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> tuple[type[Effect], bool]:

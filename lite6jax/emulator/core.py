@@ -8,8 +8,8 @@ reports are such that an arm with hidden effects can be recorded and diagnosed:
 - 30000, `target_…`: the commanded joints and the controller's kinematics of them, without effects.
 - 30000, joints and velocities: the readings of encoders, 8 ms after the commands. They do not contain the effects,
   because compliance or backlash acts between encoder and link.
-- Every port and the registers 42 and 55, torques: what the motors exert in the motion of the encoders, by the dynamics
-  of the rigid arm and its payload, with the effects on torques and their noise. Currents follow them.
+- Every port and the registers 42 and 55, torques: those of the rigid arm and its payload in the motion of the encoders.
+  They contain the effects on torques and their noise. Currents follow them.
 - 30000, `pose`: the true pose of the tool *with* all effects, as measured by a perfect sensor. This is the only
   deviation from a real controller, which computes this pose from the encoders. It replaces a laser tracker.
 - 30001, 30002, 30003 and the registers 41 and 42: the commanded joints and the controller's kinematics of them.
@@ -39,10 +39,13 @@ NAN_PLACES = ("calibration", "kinematics", "reports")
 
 
 def _fault(
-    default: Any, name: str, words: str, value: str = "", example: str = "", lowest: int = 0, highest: int = 10**9
+    default: Any, name: str, words: str, value: str = "", given: str = "", lowest: int = 0, highest: int = 10**9
 ) -> Any:
-    """A field: its value without the fault; the fault's name and effect; of its value the name, default and bounds."""
-    kind = {"name": name, "words": words, "value": value, "example": example, "bounds": (lowest, highest)}
+    """A field with its value without the fault.
+
+    Its metadata are the fault's name and effect, and of its value the name, what it is where none is given, and bounds.
+    """
+    kind = {"name": name, "words": words, "value": value, "given": given, "bounds": (lowest, highest)}
     return field(default=default, metadata=kind)
 
 
@@ -90,7 +93,7 @@ def describe_faults() -> list[tuple[str, str]]:
     described = []
     for kind in (item.metadata for item in fields(Faults)):
         name = f"{kind['name']}:{kind['value']}" if kind["value"] else kind["name"]
-        described.append((name, kind["words"] + (f" (default {kind['example']})" if kind["example"] else "")))
+        described.append((name, kind["words"] + (f" (default {kind['given']})" if kind["given"] else "")))
     return described
 
 
@@ -109,7 +112,7 @@ def parse_faults(texts: Iterable[str]) -> Faults:
         kind, key = kinds[name].metadata, kinds[name].name
         if colon and not kind["value"]:
             raise InputError(f"fault {name}: takes no value; leave {value!r} out")
-        found = _parse_value(name, value or kind["example"], *kind["bounds"]) if kind["value"] else True
+        found = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
         if isinstance(found, frozenset):
             found |= getattr(faults, key)
         faults = replace(faults, **{key: found})

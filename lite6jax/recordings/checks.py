@@ -124,7 +124,7 @@ def time_disorder(recording: Recording) -> TimeDisorder:
 
 @dataclass(frozen=True)
 class RepeatedRows:
-    """Samples that equal an earlier one in joints, pose and load, and which one: `rows[i]` repeats `first_rows[i]`."""
+    """Samples that equal an earlier one in joints and pose, and which one: `rows[i]` repeats `first_rows[i]`."""
 
     samples: Int[np.ndarray, " found"]
     rows: Int[np.ndarray, " found"]
@@ -172,8 +172,10 @@ WINDOW = 50
 STILL_RAD = 1e-4
 """The range of each joint's position in a window at rest: encoders have some noise."""
 NOISELESS = 1e-4
-"""Range of a torque in a window at rest over its largest magnitude, below which it has no noise: sensors and currents
-have a hundredth, and the range of a joint's position changes gravity's torque by this much."""
+"""Range of a torque in a window at rest over its largest magnitude, below which it has no noise.
+
+Sensors and currents have a hundredth. Gravity's torque changes by this much within `STILL_RAD`.
+"""
 QUANTISED = 1e-3
 """Smallest step of a torque over its largest magnitude, from which its noise may be lost in rounding."""
 FEWEST = 4
@@ -220,8 +222,8 @@ class TorqueNoise:
 def estimated_torque(recording: Recording) -> bool:
     """Whether the recorded torques have no noise at all: the controller's own model, which says nothing of the motors.
 
-    False where there are no torques, where the arm is nowhere at rest for so long that it would show, and where the
-    steps of the torques are so coarse that they may hide noise.
+    False without torques, and where the arm is never at rest for long enough. False too where the steps of the torques
+    are so coarse that they may hide noise.
     """
     noise = TorqueNoise()
     if recording.joint_torque is None:

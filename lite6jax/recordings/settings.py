@@ -301,7 +301,10 @@ KEYS: Mapping[str, tuple[Any, str]] = {
     key: _split_hint(hint) for key, hint in get_type_hints(RecordingSettings, include_extras=True).items()
 }
 """Of each key the type of its value, and what it accepts in words; of listed words these are enough."""
-OF_READINGS = tuple(KEYS)[tuple(KEYS).index("contact_noise_m") : tuple(KEYS).index("date")]
+OF_READINGS = (
+    *("contact_noise_m", "contact_distances", "contact_points", "plane_noise_m", "planes", "distance_noise_m"),
+    *("anchor_m", "distance_offset", "axis_noise_m", "axis", "pixel_noise_px", "camera", "board", "points_m"),
+)
 """Keys of readings that are no poses."""
 
 
@@ -457,7 +460,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
         return Sidecar(RecordingSettings(), {})
     content = read_yaml(path)
     if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
-        raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
+        raise InputError(f"{path}: is not a sidecar; give the key `recording:` with the settings below it")
     _reject_unknown(f"{path}: ", content, ["recording", "columns", "account"])
     settings, columns = ({} if (given := content.get(key)) is None else given for key in ("recording", "columns"))
     for key, given, lines in (("recording", settings, "key: value"), ("columns", columns, "name in the table: q1_rad")):
@@ -488,8 +491,9 @@ def write_settings(
     overwrite: bool = False,
     account: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too,
-    but for those of readings that are no poses.
+    """Writes a sidecar that `read_settings` reads back exactly.
+
+    Declared keys are written even at their default; those of readings that are no poses only where they differ from it.
 
     Args:
         settings: what it declares.

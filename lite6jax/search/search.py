@@ -169,7 +169,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
             )
             break
         state = refitted(problem, state, [*tested[:k], *tested[k + 1 :]], options)
-        state = replace(state, fit=selector.in_own_noise(state.fit))
+        state = replace(state, fit=selector.in_likeliest_noise(state.fit))
     return replace(selection, state=state)
 
 

@@ -1,9 +1,12 @@
 """The selection of terms by evidence: add, re-estimate, drop, exchange.
 
+A *name* is a term with a formula, a *process* a nonparametric one, a Gaussian process. A *quantity* is a driver on
+which a process may depend.
+
 1. Add the names that nearly every problem has, then the term whose evidence most exceeds the cost of its choice, if by
    a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
-3. Drop the term that is least worth its cost, as long as one is not.
+3. Drop terms that are not worth their cost, the least first, until all that remain are.
 4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier.
 5. Then exchange each term for whatever is likelier in its place.
 
@@ -45,7 +48,7 @@ class Selector:
         many processes are significant that each describe a part of it. Terms are then tried in its place.
         Terms of an earlier search are taken over with its decisions between names, noise and processes.
         """
-        state, grown = replace(state, fit=self.in_own_noise(state.fit)), False
+        state, grown = replace(state, fit=self.in_likeliest_noise(state.fit)), False
         if any(one.term not in self._preset for one in state.tested):
             state = self._settled(self._estimated(state))
             asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
@@ -70,7 +73,7 @@ class Selector:
         for k, one in enumerate(state.tested):
             if one.term.nonparametric:
                 trial = self._left_out(state, k)
-                trial = replace(trial, fit=self.in_own_noise(trial.fit))
+                trial = replace(trial, fit=self.in_likeliest_noise(trial.fit))
                 if trial.fit.noise.models != state.fit.noise.models:
                     trials.append(trial)
         if not trials:
@@ -85,7 +88,7 @@ class Selector:
         other = self._with_usual(replace(state, fit=white))
         if worth := self._next(other, set()):
             other = self._added(other, worth)
-        return None if other.fit is white else self._dropped(replace(other, fit=self.in_own_noise(other.fit)))
+        return None if other.fit is white else self._dropped(replace(other, fit=self.in_likeliest_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
         """With all that is worth adding; names are tried for the processes that are not among those `asked`."""
@@ -148,8 +151,8 @@ class Selector:
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms of a ranking that are worth their cost and within their bounds, of each row the likeliest alone.
 
-        A further term that explains less than noise of its own would at the component of one that is there may be a
-        part of what that does not describe.
+        A further term may be a part of what a present one does not describe. It is left out where it explains less than
+        noise of its own would at that one's component.
         """
         model, marginal = state.fit.terms.terms, Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
@@ -157,7 +160,7 @@ class Selector:
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
-        weighed = [self._continued(one, model) for one in self._possible(ranked, test, state)]
+        weighed = [self._continued(one, model) for one in self._not_refused(ranked, test, state)]
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
@@ -200,7 +203,7 @@ class Selector:
         )
 
     @staticmethod
-    def _possible(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
+    def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
         refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
         return [one for one in ranked if one.process or one.cause[0] not in refused]
 
@@ -433,7 +436,7 @@ class Selector:
             if gain + self.options.close < process.net + needed:
                 continue
             bare = bare or self._left_out(state, k)
-            trial = self._in_own_noise(self._dropped(self._added(bare, names)))
+            trial = self._noise_chosen_again(self._dropped(self._added(bare, names)))
             if trial.evidence > state.evidence + needed:
                 return trial
         return None
@@ -480,7 +483,7 @@ class Selector:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
             least = state.tested[k].net - self.options.close
-            found = self._possible(self.scan.ranked(test, rows, least), test, state)
+            found = self._not_refused(self.scan.ranked(test, rows, least), test, state)
             continued = [self._continued(one, test.fit.terms.terms) for one in found]
             ordered = continued if continued == found else sorted(continued, key=lambda one: -one.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
@@ -548,13 +551,13 @@ class Selector:
 
     def _settled(self, state: State) -> State:
         """Without what is not possible or not worth its cost, in the noise that is then left."""
-        return self._in_own_noise(self._dropped(self._within_bounds(state)))
+        return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
 
-    def _in_own_noise(self, state: State) -> State:
+    def _noise_chosen_again(self, state: State) -> State:
         """In noise that was white it stays so: `selected` asks for another."""
-        return state if state.fit.noise.white else replace(state, fit=self.in_own_noise(state.fit))
+        return state if state.fit.noise.white else replace(state, fit=self.in_likeliest_noise(state.fit))
 
-    def in_own_noise(self, fitted: Fit) -> Fit:
+    def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""
         noise = remaining_noise_model(self.problem, fitted, self.options)
         if noise.white and fitted.noise.white:

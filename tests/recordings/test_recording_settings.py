@@ -77,7 +77,7 @@ def test_round_trip_is_exact(tmp_path, settings):
     ("text", "message"),
     [
         ("recording: {pose_frme: base}", "recording.pose_frme: unknown key; did you mean pose_frame?"),
-        ("arm: lite6", "is not a sidecar; its one top key must be `recording:`"),
+        ("arm: lite6", "is not a sidecar; give the key `recording:`"),
         ("recording: [arm, lite6]", "recording: ['arm', 'lite6'] is not a mapping; write `key: value` lines"),
         ("recording: {motion: moving}", "recording.motion: 'moving' is not accepted; give static or trajectory"),
         ("recording: {joint_source: [measured]}", "recording.joint_source: ['measured'] is not accepted; give"),

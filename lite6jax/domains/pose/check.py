@@ -1,4 +1,4 @@
-"""The simple causes of a mismatch, before calibration is suspected: codes and numbers; `report.data_faults` words them.
+"""The simple causes of a mismatch, before calibration is suspected: codes and numbers; `report.faults` words them.
 
 A recording is screened for data faults as in a fit and a diagnosis; what remains is compared with a constant tool
 offset, with a change of geometry, and with outliers. A calibration is compared with the nominal tables and with a

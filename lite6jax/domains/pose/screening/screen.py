@@ -3,7 +3,7 @@
 A screen finds a fault in a recording that all earlier screens have corrected, and corrects it before the next looks.
 The coarsest come first: faults of rows are found without an arm, those of columns with the nominal arm and frames in
 closed form, and those of the size of the sensor's noise with a fitted arm. A new fault is one entry here, its function,
-and its sentences in `report.data_faults`.
+and its sentences in `report.faults`.
 """
 
 from collections.abc import Callable
