@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
-from lite6jax.recordings import streams
 from lite6jax.recordings.columns import PLACE, QUATERNION, spelled
+from lite6jax.recordings.streams import join, said_of
 
 Array = NDArray[np.floating]
 
@@ -304,13 +304,13 @@ def _at_poses(
         raise InputError(f"{path}: has {len(stamp)} joint states at different times; record at least 2")
     base = min(stamp[0], at.min())
     times = _seconds(stamp, base), _seconds(at, base)
-    joined = streams.join(times[0], columns, [name for name in columns if re.match(r"q\d", name)], times[1])
+    joined = join(times[0], columns, [name for name in columns if re.match(r"q\d", name)], times[1])
     if not joined.kept.any():
         moved, measured = (f"{time.min():.3f} to {time.max():.3f} s" for time in times)
         raise InputError(
             f"{path}: no pose lies between joint states (joints {moved}, poses {measured}); stamp both by one clock"
         )
-    notes += streams.said_of(joined)
+    notes += said_of(joined)
     return joined.kept, joined.columns
 
 

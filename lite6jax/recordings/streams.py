@@ -275,7 +275,7 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     if run is None or not np.isfinite(run).all():
         row = int(np.flatnonzero(there)[np.flatnonzero(anew)[0] + 1]) + 1
         raise InputError(f"times begin anew at row {row}; number the runs in a column `run`")
-    return clock + run_segments(run) * (10 * width + 1.0)
+    return clock + run_segments(np.unique(run, return_inverse=True)[1]) * (10 * width + 1.0)
 
 
 def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:

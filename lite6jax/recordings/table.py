@@ -11,7 +11,6 @@ import pyarrow as pa
 from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
-from lite6jax.recordings import streams
 from lite6jax.recordings.columns import (
     IGNORED,
     LABELS,
@@ -25,6 +24,7 @@ from lite6jax.recordings.columns import (
     with_quaternions,
 )
 from lite6jax.recordings.readings import with_readings
+from lite6jax.recordings.streams import merged
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
 
@@ -269,7 +269,7 @@ def tabulate(
     else:
         try:  # where joints and poses stand in different rows
             joints, places = name_columns("joint_position", found.joints), name_columns("position")
-            if (whole := streams.merged(values, joints, places, "time_s")) is not None:
+            if (whole := merged(values, joints, places, "time_s")) is not None:
                 values, row = whole.columns, whole.rows + 1
                 notes += whole.said
         except InputError as error:

@@ -349,6 +349,7 @@ def test_messages():
         (few, {}, r"simulated.csv: 5 samples give 30 numbers, too few .* record at least 6"),
         (many, {"geometry": "exact"}, r"needs a factory_calibration in the sidecar; use --geometry free"),
         (many, {"nominal": "xarm7"}, r"has 6 joints, but xarm7 has 7"),
+        (dataclasses.replace(many, position=many.position + 1j), {}, "row 1 has .* give finite real numbers"),
         (np.zeros((6, 5)), {}, r"give \(joint, 6\) finite numbers"),
         (lite6, {"nominal": "lite6", "samples": 3}, "samples 3: too few for 28 parameters; give at least 5"),
         (xarm7, {"nominal": "xarm7", "samples": 5}, "samples 5: too few for 32 parameters; give at least 6"),

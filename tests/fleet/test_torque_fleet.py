@@ -15,7 +15,7 @@ from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
 """A filter of all orders to 400 would take most of the time."""
-VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False")
+VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False,exponent=1.0")
 ORDER, BUMP = 11.0, 0.02
 DEVIATION = 0.0057
 """Nm·s/rad, the standard error of joint 2's viscous friction in one recording; a search of one needs five of these."""
