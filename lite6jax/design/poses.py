@@ -280,7 +280,7 @@ def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices
 CriterionName = Literal["D", "A", "I"]
 
 MOST_POSES = 400
-"""The largest number of poses that designs and random selections are compared at."""
+"""The most poses that are tried for a given accuracy, or drawn at random, unless more are asked for."""
 _RANDOM_DRAWS = 50
 """Random selections of as many poses that a design is compared with."""
 _ROUNDING = 1e-12
@@ -320,7 +320,8 @@ class Plan(_Chosen, PublicResult):
         accuracy: `(pose,)` m: one standard deviation of predicted positions over the workspace (root mean square, in
             3-D) after the first 1, 2, … poses; infinite where these do not determine it.
         random_accuracy: `(draw, count)` m, the same of poses drawn at random from the candidates.
-        needed: how many poses reach the accuracy given; None where none was given, or `MOST_POSES` do not reach it.
+        needed: how many poses reach the accuracy given. None where none was given, or the most poses that were tried do
+            not reach it.
     """
 
     criterion: CriterionName

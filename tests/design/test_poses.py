@@ -23,6 +23,7 @@ from lite6jax.design.poses import (
 from lite6jax.design.sensor import BARE
 from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, JointOffset
 from lite6jax.errors import InputError
+from lite6jax.report.study import plan_report
 from tests.oracles.arms import random_positions
 
 LITE6 = load_bundled("lite6")
@@ -87,6 +88,13 @@ def test_how_many_poses_reach_an_accuracy(monkeypatch):
     enough = plan_poses(SETUP, CANDIDATES, found.needed)
     assert enough.accuracy[-1] <= 1.05 * target
     assert plan_poses(SETUP, CANDIDATES, 6, accuracy=1e-9).needed is None
+
+
+@pytest.mark.parametrize(("candidates", "tried"), [(60, 60), (5000, 400), (5, 12)])
+def test_how_many_poses_were_tried_in_vain(found, candidates, tried):
+    """As many as there are candidates, or the most that are tried; those that were asked for in any case."""
+    text = " ".join(str(part) for part in plan_report(replace(found, candidates=candidates), 1e-9))
+    assert f"is not reached by {tried} poses either." in text
 
 
 # ------------------------------------------------------------------ discrimination
