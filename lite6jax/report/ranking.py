@@ -245,11 +245,6 @@ def is_computed(document: Document) -> bool:
     return found or document.get("pose_source") == "controller_fk"
 
 
-def is_significant(finding: Entry) -> bool:
-    """Whether a finding was tested by itself; numbers that share a prior are found together."""
-    return bool(finding["p_value"] < _NEARLY)
-
-
 def is_nearly_significant(nearest: Entry | None) -> bool:
     """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
     return nearest is not None and nearest["p_value"] < _NEARLY

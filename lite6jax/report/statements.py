@@ -256,7 +256,6 @@ def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[En
         shape="" if torques or not unnamed else shape(where),
         numbers=", ".join(str(size) for size in quantities(finding, torques) if size.std),
         moves=moves,
-        significant=ranking.is_significant(finding),
         title=effect_title,
     )
     return " ".join([said, *_as_a_gear(finding, beside)])
@@ -292,9 +291,7 @@ def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
 
 
 def p_value_statement(finding: Entry) -> str:
-    """How improbable a finding is without the effect; what else it rests on, where a model was chosen as a whole."""
-    if not ranking.is_significant(finding):
-        return "It is part of the likeliest model, and is not significant beside the other findings alone."
+    """How improbable a finding is without the effect."""
     p = finding["p_value"]  # one below what floats hold is not zero
     shown = f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
     return f"Family-wise {shown} over all effects, sites and orders searched."
