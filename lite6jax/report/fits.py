@@ -27,25 +27,31 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
-from lite6jax.report.words import (
-    SCREEN,
-    SHOWS_AS_ZERO,
-    STATISTICS,
-    fill,
-    fixed,
-    listed,
-    listing,
-    number,
-    plus_minus,
-    read_texts,
-    what_is_measured,
-)
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing, number, plus_minus, row_ranges
 
 Array = NDArray[np.floating]
 
 _TEXTS = read_texts("screens.yaml")
 _MOST_PAIRS = 8
 """Arms of which each pair is listed."""
+
+
+_READINGS = {
+    "contact": "touches of points",
+    "plane": "touches of planes",
+    "distance": "distances",
+    "axis": "heights along an axis",
+}
+
+
+def what_is_measured(recording: Recording) -> str:
+    """In words: positions, poses or touches."""
+    if recording.touches is not None:
+        return _READINGS[recording.touches.kind]
+    if recording.readings is not None:
+        return "images of a board, as positions and orientations"
+    return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
 
 
 def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType]:
@@ -267,7 +273,7 @@ def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
     """Data faults, parameters that are held, the noise and outliers, a sentence each."""
     for fault in solution.faults:
-        rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+        rows = f" Rows {row_ranges(fault.rows)}." if fault.rows else ""
         yield f"Data fault: {fault_statement(fault)}{rows}"
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in solution.held:

@@ -26,7 +26,8 @@ from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
 from lite6jax.report.ranking import Files, effect_title, of_torques, units
 from lite6jax.report.sections import Picture, Report, Section, sections_of, show_sections
-from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity, read_texts
+from lite6jax.report.texts import read_texts
+from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity
 
 Document = Mapping[str, Any]
 
@@ -227,7 +228,7 @@ def _findings(document: Document) -> list[str]:
 def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
     """The 95 % interval of a number in the unit in which it is read; one that was chosen has none."""
     value, std = estimate["value"], estimate["std"]
-    named = {"named": OF_TORQUES} if torques else {}
+    named = {"named": NAMED_OF_TORQUES} if torques else {}
     middle, *ends = (
         quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **named) for side in (0, -1, 1)
     )

@@ -14,7 +14,8 @@ import numpy as np
 from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
 from lite6jax.report.faults import fault_name
-from lite6jax.report.words import capital, fill, joined, plus_minus, ranges, read_texts, torque_units
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import capital, joined, plus_minus, ranges, torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]

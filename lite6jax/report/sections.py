@@ -20,7 +20,7 @@ from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
 from lite6jax.report.ranking import Files, by_site, of_torques
 from lite6jax.report.screen import indented
-from lite6jax.report.words import capital, counted, fixed, joint_units, listed, listing
+from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
 
 Document = Mapping[str, Any]
 Block = tuple[str, Any]
@@ -82,7 +82,7 @@ def sections_of(report: Report) -> list[Section]:
     cause = [statements.verdict_statement(document), *statements.cautions(document)]
     measured = [statements.held_out_statement(document), statements.noise_statement(document)]
     several, actions = len(ranked) > 1, ranking.actions(document)
-    to_do = [f"{listed(ranks)}. {said}" if several else said for ranks, said in actions]
+    to_do = [f"{row_ranges(ranks)}. {said}" if several else said for ranks, said in actions]
     commands = [] if files is None else ranking.steps(document, files)
     made = [
         Section("Difference from the reference", list(_comparison(document)), "against"),
@@ -130,7 +130,7 @@ def _comparison(document: Document) -> Iterator[Block]:
 
 def _faults(report: Report) -> Iterator[Block]:
     if found := report.document["data_faults"]:
-        yield "faults", [(fault_name(each["fault"]), each["statement"], listed(each["rows"])) for each in found]
+        yield "faults", [(fault_name(each["fault"]), each["statement"], row_ranges(each["rows"])) for each in found]
     elif report.details:
         yield "text", "None found."
 

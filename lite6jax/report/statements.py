@@ -25,19 +25,18 @@ from lite6jax.report.ranking import (
     units,
     with_articles,
 )
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
-    OF_TORQUES,
+    NAMED_OF_TORQUES,
     SCREEN,
     Quantity,
     capital,
     each_with_unit,
-    fill,
     fixed,
     multiple,
     number,
     plus_minus,
     quantity,
-    read_texts,
     rounded,
     significant,
 )
@@ -286,7 +285,7 @@ def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
         estimates = {key: {"value": float(f"{finding[key]:.3g}"), "std": 0.0}}
     elif not torques:
         estimates = finding.get("peak_to_peak", estimates)
-    known = (OF_TORQUES,) if torques else ()
+    known = (NAMED_OF_TORQUES,) if torques else ()
     return [quantity(name, estimate, *known) for name, estimate in estimates.items()]
 
 
@@ -430,7 +429,9 @@ def _numbers(known: Entry | None, chosen: bool = True) -> str:
     """The parameters that one side shows; those without a standard deviation were chosen and not estimated."""
     parameters = {} if known is None else known["parameters"]
     return ", ".join(
-        str(quantity(name, estimate, OF_TORQUES)) for name, estimate in parameters.items() if chosen or estimate["std"]
+        str(quantity(name, estimate, NAMED_OF_TORQUES))
+        for name, estimate in parameters.items()
+        if chosen or estimate["std"]
     )
 
 

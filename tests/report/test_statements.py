@@ -338,7 +338,7 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
 
 
 def test_a_number_that_is_not_finite_is_unknown():
-    for shown in (words.number, words.significant, words.multiple, words.fixed, words.plus_minus):
+    for shown in (words.number, words.significant, words.milli, words.multiple, words.fixed, words.plus_minus):
         assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
     assert words.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
 
