@@ -15,10 +15,12 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
-from lite6jax.report.ranking import Files, by_site, of_torques
+from lite6jax.report.ranking import Files
+from lite6jax.report.remedies import by_site
 from lite6jax.report.screen import indented
 from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
 
@@ -121,7 +123,7 @@ def _texts(lines: Iterable[str]) -> list[Block]:
 
 def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
-        units = ranking.units(document) if of_torques(document) else ()
+        units = ranking.units(document) if is_of_torques(document) else ()
         yield "text", statements.comparison_headline(comparison, units)
         said = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
         yield "bullets", said
