@@ -29,7 +29,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
-from lite6jax.report import ranking
+from lite6jax.report import remedies
 from lite6jax.report.inspection import KEYS
 
 HERE = Path(__file__).parent
@@ -273,12 +273,12 @@ def diagnoses_table() -> str:
 
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
-    return _effects(catalogue.POSE_EFFECTS, _looks("poses"), ranking.OF_POSES)
+    return _effects(catalogue.POSE_EFFECTS, _looks("poses"), remedies.OF_POSES)
 
 
 def torque_effects() -> str:
     """The catalogue of effects on torques."""
-    return _effects(catalogue.TORQUE_EFFECTS, _looks("torques"), ranking.OF_TORQUES)
+    return _effects(catalogue.TORQUE_EFFECTS, _looks("torques"), remedies.OF_TORQUES)
 
 
 def own_effect(place: int = 0) -> str:
@@ -314,7 +314,7 @@ def python_pages() -> str:
     return "\n\n".join(sections)
 
 
-def _effects(kinds: Mapping[str, type[Effect]], looks: Mapping[str, str], known: Mapping[str, ranking.Remedy]) -> str:
+def _effects(kinds: Mapping[str, type[Effect]], looks: Mapping[str, str], known: Mapping[str, remedies.Remedy]) -> str:
     _check("effects.yaml", looks, kinds)
     _check("remedies", known, kinds)
     return "\n\n".join(_effect(kind, looks[name], known[name].action) for name, kind in kinds.items())

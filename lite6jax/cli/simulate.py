@@ -19,7 +19,7 @@ with import_lazily():
     from lite6jax.arms import files
     from lite6jax.design import readings
     from lite6jax.effects import catalogue, composition, serialization
-    from lite6jax.report import screen, words
+    from lite6jax.report import fits, screen, words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -219,7 +219,7 @@ class Simulate:
 
         recording, settings = measured.recording, measured.recording.settings
         kind = "positions" if recording.quaternion is None else "poses"
-        kind = words.what_is_measured(recording) if recording.readings is not None else kind
+        kind = fits.what_is_measured(recording) if recording.readings is not None else kind
         by = settings.pose_source.replace("_", " ")
         runs = f" in {self.runs} runs" if self.runs > 1 else ""
         yield Text(f"Simulated {recording.samples} {kind} of a {arm.name} by {by}, {recording.motion}{runs}.")

@@ -467,7 +467,7 @@ class Design:
             hidden = serialization.parse_effect(one, sliding=arm.sliding)
             rivals = hidden, serialization.parse_effect(other, neutral=True, sliding=arm.sliding)[0]
             found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
-        q = found.joint_position[poses.shortest_round(found.joint_position)]
+        q = found.joint_position[poses.short_path(found.joint_position)]
         settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
         report = study.design_report(found, drawn, disabled, self.source, accuracy)
         readings = None

@@ -84,7 +84,7 @@ class Criterion:
             return np.linalg.slogdet(S)[1]
         return np.sum(np.linalg.inv(S) * _products(rows, C @ self.weight @ C), (1, 2))
 
-    def rank(self, rows: Array, M: Array) -> Array:
+    def approximate_gains(self, rows: Array, M: Array) -> Array:
         """As `gains`, with each row of a pose by itself: exact for a single row, and fast."""
         C = np.linalg.inv(M)
         weighted, found = None if self.weight is None else C @ self.weight @ C, np.empty(len(rows))
@@ -191,11 +191,11 @@ class Pool:
 
     def foremost(self, criterion: Criterion, chosen: Indices) -> Indices:
         """`chosen`, and the candidates that rank first beside them."""
-        gains = criterion.rank(self.rows, self.information(chosen))
+        gains = criterion.approximate_gains(self.rows, self.information(chosen))
         gains[chosen] = np.inf
         size = min(_FOREMOST + len(chosen), len(gains))
-        names = np.argpartition(-gains, size - 1)[:size]
-        return np.concatenate([chosen, np.setdiff1d(names, chosen)])
+        among = np.argpartition(-gains, size - 1)[:size]
+        return np.concatenate([chosen, np.setdiff1d(among, chosen)])
 
 
 class Design(NamedTuple):
@@ -235,18 +235,18 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
         )
     chosen = np.zeros(0, np.int64)
     while len(chosen) < count:
-        names = pool.foremost(criterion, chosen)
-        chosen = names[_build(pool, criterion, names, len(chosen), min(len(chosen) + _TOGETHER, count))]
+        among = pool.foremost(criterion, chosen)
+        chosen = among[_build(pool, criterion, among, len(chosen), min(len(chosen) + _TOGETHER, count))]
     chosen, exchanges, cycles = exchange(pool, criterion, chosen)
     chosen = chosen[_build(pool, criterion, chosen, 0, count)]
     return Design(chosen, criterion.value(pool.accumulate(pool.rows[chosen])), rank, exchanges, cycles)
 
 
-def _build(pool: Pool, criterion: Criterion, names: Indices, already: int, count: int) -> list[int]:
-    """`count` of `names`, which begin with those `already` chosen: each the best beside the ones before it."""
-    rows, chosen = pool.rows[names], list(range(already))
+def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count: int) -> list[int]:
+    """`count` of `among`, which begin with those `already` chosen: each the best beside the ones before it."""
+    rows, chosen = pool.rows[among], list(range(already))
     while len(chosen) < count:
-        gains = criterion.gains(rows, pool.information(names[chosen]))
+        gains = criterion.gains(rows, pool.information(among[chosen]))
         gains[chosen] = -np.inf
         chosen.append(int(np.argmax(gains)))
     return chosen
@@ -257,19 +257,19 @@ def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices
     exchanges = cycles = 0
     count = len(chosen)
     while cycles < _CYCLES:
-        names, at = pool.foremost(criterion, chosen), list(range(count))
-        rows, made, visited, in_vain = pool.rows[names], 0, 0, 0
+        among, at = pool.foremost(criterion, chosen), list(range(count))
+        rows, made, visited, in_vain = pool.rows[among], 0, 0, 0
         while in_vain < count and cycles + visited // count < _CYCLES:
             i = visited % count
             others = at[:i] + at[i + 1 :]
-            gains = criterion.gains(rows, pool.information(names[others]))
+            gains = criterion.gains(rows, pool.information(among[others]))
             gains[others] = -np.inf
             best = int(np.argmax(gains))
             better = gains[best] > gains[at[i]] * (1 + _IMPROVES)
             at[i] = best if better else at[i]
             made, in_vain, visited = made + better, 0 if better else in_vain + 1, visited + 1
-        chosen, exchanges, cycles = names[at], exchanges + made, cycles + -(-visited // count)
-        if not made or len(names) == len(pool.rows):
+        chosen, exchanges, cycles = among[at], exchanges + made, cycles + -(-visited // count)
+        if not made or len(among) == len(pool.rows):
             break
     return chosen, int(exchanges), cycles
 
@@ -280,7 +280,7 @@ def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices
 CriterionName = Literal["D", "A", "I"]
 
 MOST_POSES = 400
-"""The largest number of poses that designs and random selections are compared at."""
+"""The most poses that are tried for a given accuracy, or drawn at random, unless more are asked for."""
 _RANDOM_DRAWS = 50
 """Random selections of as many poses that a design is compared with."""
 _ROUNDING = 1e-12
@@ -317,10 +317,11 @@ class Plan(_Chosen, PublicResult):
     Attributes:
         experiment, joint_position, design, candidates: as of every design.
         criterion: by which they were chosen.
-        accuracy: `(pose,)` m: one standard deviation of predicted positions over the workspace (root mean square, in
-            3-D) after the first 1, 2, … poses; infinite where these do not determine it.
+        accuracy: `(pose,)` m: standard deviation of predicted positions after the first 1, 2, … poses, root mean square
+            over the workspace in 3-D. Infinite where these do not determine it.
         random_accuracy: `(draw, count)` m, the same of poses drawn at random from the candidates.
-        needed: how many poses reach the accuracy given; None where none was given, or `MOST_POSES` do not reach it.
+        needed: how many poses reach the accuracy given. None where none was given, or the most poses that were tried do
+            not reach it.
     """
 
     criterion: CriterionName
@@ -347,9 +348,9 @@ class DiscriminationPlan(_Chosen, PublicResult):
     Attributes:
         experiment, joint_position, design, candidates: as of every design; the experiment has both effects.
         rivals: the labels of the two effects.
-        distance: `(pose,)`, after the first 1, 2, … poses: how many standard deviations the readings with the first
-            effect are from the closest that the other, with everything else that is unknown, explains; NaN where these
-            poses do not determine the parameters.
+        distance: `(pose,)`, after the first 1, 2, … poses: from the readings with the first effect to the closest that
+            the other explains, all other unknowns refitted. In standard deviations; NaN where these poses do not
+            determine the parameters.
         random_distance: `(draw,)`, the same of as many poses drawn at random from the candidates.
     """
 
@@ -435,9 +436,9 @@ def plan_discrimination(
 ) -> DiscriminationPlan:
     """Chooses the poses at which two rival models differ most after everything else that is unknown is refitted.
 
-    The criterion is T-optimality (A. Atkinson, V. Fedorov, Biometrika 62, 1975), linearised: with one number for the
-    first effect at its hypothesised size and all numbers of the other unknown, the distance is one over the standard
-    deviation of that number.
+    The criterion is T-optimality (A. Atkinson, V. Fedorov, Biometrika 62, 1975), linearised. One number scales the
+    first effect from its hypothesised size, and all numbers of the other are unknown. The distance is one over the
+    standard deviation of that number.
 
     Args:
         experiment: what is unknown beside the two effects.
@@ -504,7 +505,7 @@ def _random_draws(candidates: int, count: int, seed: int) -> Sequence[NDArray[np
     return [random.choice(candidates, count, replace=False) for _ in range(_RANDOM_DRAWS)]
 
 
-def shortest_round(joint_position: Array) -> NDArray[np.integer]:
+def short_path(joint_position: Array) -> NDArray[np.integer]:
     """An order `(pose,)` in which an arm moves little from where all joints are at zero through `(pose, joint)` rad.
 
     From each pose to the nearest, then improved two by two. The distance is the largest move of any joint, which is

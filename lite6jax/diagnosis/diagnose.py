@@ -18,19 +18,12 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.quality import ROUNDING
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
 from lite6jax.diagnosis.discrimination import separating_poses
+from lite6jax.diagnosis.estimates import DISAGREE, EffectEstimate, difference_p_value, estimate_effect, side_entry
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.diagnosis.torque_diagnosis import (
-    DISAGREE,
-    Known,
-    TorqueDiagnosis,
-    diagnose_torques,
-    difference_p_value,
-    estimate_effect,
-    side_entry,
-)
+from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
@@ -176,8 +169,8 @@ class Shared:
     """
 
     quantity: Quantity
-    poses: Known | None
-    torques: Known | None
+    poses: EffectEstimate | None
+    torques: EffectEstimate | None
     p_value: float | None
 
     @property

@@ -9,7 +9,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.design.candidates import candidates
 from lite6jax.design.information import experiment
-from lite6jax.design.poses import plan_discrimination, shortest_round
+from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
@@ -71,7 +71,7 @@ def separating_poses(
         except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
             continue
         q = chosen.joint_position
-        found.append(SeparatingPoses((effect.label, rival.label), q[shortest_round(q)]))
+        found.append(SeparatingPoses((effect.label, rival.label), q[short_path(q)]))
     return tuple(found)
 
 

@@ -11,12 +11,19 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
 from lite6jax.diagnosis.document import effect_entry, torque_model_entry
+from lite6jax.diagnosis.estimates import (
+    DISAGREE,
+    EffectEstimate,
+    difference_p_value,
+    estimate_effect,
+    fit_with_effect,
+    side_entry,
+)
 from lite6jax.diagnosis.heldout import errors_of_folds, fold_count, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
@@ -32,9 +39,8 @@ from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate, slides
 from lite6jax.effects.user_effects import require_effects
 from lite6jax.errors import require_type
-from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.terms import Terms
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
@@ -139,7 +145,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
 
     def _finding(self, k: int) -> dict[str, Any]:
         problem, fit, finding = self.problem, self.fit, self.findings[k]
-        effect, sliding = finding.effect, problem.data.arm.slides
+        effect, of_slide = finding.effect, problem.data.arm.slides
         columns = problem.columns([effect], finding.values, (fit.terms, fit.values))
         moved = np.tensordot(fit.values[fit.terms.slices[k]], columns, 1) * problem.sigma
         acts = np.abs(moved).max(1) > 0
@@ -147,7 +153,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         size: dict[str, Any] = {}
         if isinstance(effect, UnnamedTorque):
             size[effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
-        contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], sliding[where], STATISTICS["rms"])
+        contribution: dict[str, Any] = by_kind("moves_rms_Nm", moved[where], of_slide[where], STATISTICS["rms"])
         contribution["joints"] = (1 + np.flatnonzero(acts)).tolist()
         others = [one for one in finding.alternatives if one.term not in fit.terms.terms]
         alternatives = [self._alternative(one) for one in sorted(others, key=lambda one: one.gap)]
@@ -196,8 +202,8 @@ def diagnose_torques(
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
 
-    Effects that raise the error on rows that were not used are not kept, unless they hold in shorter blocks without
-    which they are fitted again: they are in `withdrawn` of the result.
+    Effects that raise the error on held-out rows are fitted again without shorter blocks. Where they raise it there
+    too, they are withdrawn, and stand in `withdrawn` of the result.
 
     Raises:
         InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit;
@@ -290,8 +296,8 @@ class HeldOutTorques(NamedTuple):
     def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float:
         """Errors with effects over those without, of the samples `kept`: the mean of the logarithms over folds.
 
-        Of errors whose variance is unknown and differs from fold to fold that is the ratio of likelihoods: one in which
-        a curve meets what it was never fitted to does not decide alone.
+        The variance of errors is unknown and differs between folds, so this is the ratio of likelihoods. No fold
+        decides alone, such as one where a curve meets what it was never fitted to.
         """
         problem, ratios = selection.problem, []
         assert isinstance(problem, TorqueProblem)
@@ -318,7 +324,7 @@ def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, among
 def _errors_without(
     held: Mask, problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], Selection]
 ) -> HeldOutTorques:
-    """The errors on the samples of a fold, by a model of the problem linearised at the others, and of these.
+    """The errors on the samples of a fold, by a model of the other samples, at which the problem is linearised.
 
     The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
     """
@@ -333,81 +339,6 @@ def _errors_without(
     return HeldOutTorques(errors(found.reference, found.state.baseline), errors(found.problem, found.state.fit))
 
 
-# ------------------------------------------------------------------ what a diagnosis says of one effect
-
-
-DISAGREE = 0.0027
-"""The probability of a difference by chance, three standard deviations, below which two estimates disagree."""
-_VAGUE = 30.0
-"""Typical sizes beyond which the standard deviation of an estimate says that a recording does not show it."""
-
-
-class Known(NamedTuple):
-    """What one domain says of a quantity: its values `(number,)`, their covariance, and the same with their names.
-
-    What is not `found` was estimated beside the findings.
-    """
-
-    found: bool
-    values: Array
-    covariance: Array
-    parameters: dict[str, Estimate]
-
-
-def side_entry(known: Known | None) -> dict[str, Any] | None:
-    """What one side says of a quantity, as values that JSON can hold."""
-    if known is None:
-        return None
-    return {"found": known.found, "parameters": {key: e._asdict() for key, e in known.parameters.items()}}
-
-
-def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> Known | None:
-    """What a result says of an effect: as it was found, or fitted beside all that was; None where it is not shown.
-
-    Of an effect with an order, a speed or an exponent that a search chose, its size is what is compared.
-    """
-    for finding in result.findings:
-        if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):
-            return _of(True, finding.effect, finding.values, finding.covariance)
-    candidates: tuple[Effect, ...] = result.problem.candidates
-    if (effect not in candidates and not effect.searched) or effect in result.confounded:
-        return None
-    beside = fit_with_effect(result, effect)
-    part = beside.terms.slices[-1]
-    values, covariance = beside.values[part], beside.covariance[part, part]
-    typical = np.array([number.typical for number in effect.coordinates])
-    std = np.sqrt(np.diagonal(covariance))
-    if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
-        return None
-    return _of(False, effect, values, covariance)
-
-
-def fit_with_effect(
-    result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
-) -> Fit:
-    """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""
-    at = result.fit
-    kept = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
-    rest, values = at.terms.part(at.values, kept)
-    terms, start = Terms((*rest.terms, effect)), np.append(values, np.zeros(effect.size))
-    return fit(result.problem, terms, result.options.engine, start, at.nuisance, at.training, at.noise)
-
-
-def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:
-    parameters = effect.reported(values, covariance)
-    if effect.searched:
-        size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
-        values, covariance = np.array([size.value]), np.array([[size.std**2]])
-    return Known(found, values, covariance, parameters)
-
-
-def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
-    """Of a difference as large as theirs, both being normal; `sign` is that of the second over the first."""
-    off = one.values - sign * other.values
-    together = one.covariance + other.covariance
-    return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
-
-
 # ------------------------------------------------------------------ relative to a reference
 
 
@@ -420,8 +351,8 @@ class EffectDifference:
     """
 
     effect: TorqueEffect
-    here: Known | None
-    there: Known | None
+    here: EffectEstimate | None
+    there: EffectEstimate | None
     p_value: float | None
 
     def to_dict(self) -> dict[str, Any]:
@@ -500,7 +431,9 @@ def _difference(
     return EffectDifference(effect, here, there, p)
 
 
-def _curves(effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosis) -> tuple[Known | None, Known | None]:
+def _curves(
+    effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosis
+) -> tuple[EffectEstimate | None, EffectEstimate | None]:
     """A function without a name as both results show it: its values on the rows whose drivers both have in range.
 
     A result that has another function of the same drivers is fitted with this one in its place.
@@ -531,13 +464,13 @@ def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
     return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
 
 
-def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> Known:
+def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> EffectEstimate:
     """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
     at = result.fit
     if not result.has(effect):
         at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
-    part = at.terms.slices[at.terms.terms.index(effect)]
-    values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
+    numbers = at.terms.slices[at.terms.terms.index(effect)]
+    values, covariance = along @ at.values[numbers], along @ at.covariance[numbers, numbers] @ along.T
     size = float(np.sqrt(values @ values))
     std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
-    return Known(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})
+    return EffectEstimate(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})

@@ -12,7 +12,8 @@ from lite6jax.errors import InputError
 from lite6jax.fleet.place import DIED, Place, list_recordings
 from lite6jax.workers import Workers, run_batches
 
-with import_lazily():  # where recordings are pooled
+with import_lazily():  # where a recording is diagnosed, or all are pooled
+    from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.fleet import pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
@@ -117,9 +118,8 @@ def make_row(
 ) -> pa.Table:
     """The row of a recording of this name in its folder: of its `document`, the `text` of that file, of a fleet the
     file of the `reduced` recording, and what was remarked on the way."""
-    of_torques = document.get("domain") == "torque"
-    poses = None if of_torques else document
-    torques = document if of_torques else document.get("torques")
+    poses = None if diagnosis_file.is_of_torques(document) else document
+    torques = diagnosis_file.find_torques(document)
     row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
     faults, findings = [], []
     for domain, part in (("poses", poses), ("torques", torques)):

@@ -36,7 +36,7 @@ from lite6jax.report.figures import (
     panels_in_rows,
     titled,
 )
-from lite6jax.report.ranking import effect_name, spaced
+from lite6jax.report.remedies import effect_name, spaced
 from lite6jax.report.words import joint_units, torque_units
 
 Array = NDArray[np.floating]

@@ -66,15 +66,17 @@ _FIELDS: dict[type, tuple[str, str]] = {
     ),
     Solution: (
         "fit",
-        "arm=arm.name result=result.name steps quality held T_sensor_base=model.T_sensor_base"
+        "arm=arm.name steps quality held T_sensor_base=model.T_sensor_base"
         " T_flange_tool=model.T_flange_tool before=nominal_errors fitted=errors after=checked noise data_faults=faults"
         " notes",
     ),
     Compensation: ("compensation", "omitted notes"),
     Sensitivity: ("sensitivity", ""),
 }
-"""Of a class the name of its schema, and the keys of its document, each with the attribute that it holds where that has
-another name. What is no attribute of a class is added by `document`."""
+"""For each class the name of its schema, and the keys of its document.
+
+A key may be followed by `=` and the attribute that it holds. `_more` adds what no attribute holds.
+"""
 
 
 @singledispatch

@@ -16,7 +16,8 @@ from rich.text import Text
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.screen import indented
-from lite6jax.report.words import capital, fill, joined, milli, read_texts, rows_named
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import capital, joined, milli, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not

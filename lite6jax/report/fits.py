@@ -1,15 +1,13 @@
-"""What a terminal shows of a fit, of a comparison of arms and of a connected arm: in mm and degrees, for 60 columns."""
+"""What a terminal shows of a fit and of a comparison of arms: in mm and degrees, for 60 columns."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
-from lite6jax.arms import entries, frames
+from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
@@ -17,29 +15,14 @@ from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
 from lite6jax.calibration.quality import ABOVE_NOISE
 from lite6jax.calibration.solution import Result, Solution
-from lite6jax.calibration.start import calibration_poses, check_positions
-from lite6jax.controller.recorder import LiveRecording, Progress
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
-from lite6jax.controller.station import CalibrationRead
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
-from lite6jax.report.words import (
-    SCREEN,
-    SHOWS_AS_ZERO,
-    STATISTICS,
-    fill,
-    fixed,
-    listed,
-    listing,
-    number,
-    plus_minus,
-    read_texts,
-    what_is_measured,
-)
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing, number, plus_minus, row_ranges
 
 Array = NDArray[np.floating]
 
@@ -53,6 +36,23 @@ def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType
     arm = calibration.arm
     yield Text(f"{calibration.source}", no_wrap=True, overflow="ignore")
     yield Text(f"Factory calibration of {arm.dof} joints, of a {arm.name}.")
+
+
+_READINGS = {
+    "contact": "touches of points",
+    "plane": "touches of planes",
+    "distance": "distances",
+    "axis": "heights along an axis",
+}
+
+
+def what_is_measured(recording: Recording) -> str:
+    """In words: positions, poses or touches."""
+    if recording.touches is not None:
+        return _READINGS[recording.touches.kind]
+    if recording.readings is not None:
+        return "images of a board, as positions and orientations"
+    return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
 
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
@@ -267,7 +267,7 @@ def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
     """Data faults, parameters that are held, the noise and outliers, a sentence each."""
     for fault in solution.faults:
-        rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+        rows = f" Rows {row_ranges(fault.rows)}." if fault.rows else ""
         yield f"Data fault: {fault_statement(fault)}{rows}"
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in solution.held:
@@ -347,157 +347,4 @@ def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
         f"Between two arms: {1e3 * distance[near]:.3f} mm at most for the nearest pair"
         f" ({pairs[0][near] + 1} and {pairs[1][near] + 1}), {1e3 * distance[far]:.3f} mm for the furthest"
         f" ({pairs[0][far] + 1} and {pairs[1][far] + 1})."
-    )
-
-
-# ------------------------------------------------------------------ a connected arm
-
-
-_MOST_GAPS = 10
-
-
-def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
-    """The calibration, and its distance from nominal."""
-    calibration = read.calibration
-    arm = calibration.arm
-    yield Text(f"{calibration.source}: factory calibration of {arm.dof} joints, of a {arm.name}.")
-    if read.error:
-        yield from screen.notes(["the controller reports an error or a warning, which does not affect the calibration"])
-    q = check_positions(arm)
-    nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
-    distance = 1e3 * np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)
-    yield Text(
-        f"Its flange is {number(float(distance.mean()), 3)} mm from the nominal one on average and"
-        f" {number(float(distance.max()), 3)} mm at most ({len(q)} joint positions)."
-    )
-    yield ""
-    yield Text("Six parameters (mm, deg); below each number its difference from nominal")
-    console = screen.console()
-    unbounded = console.options.update(max_width=1000)
-    tables = [_six_parameters(calibration, digits) for digits in (4, 3, 2)]
-    fits = (table for table in tables if console.measure(table, options=unbounded).maximum <= console.width)
-    yield next(fits, tables[-1])
-
-
-def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
-    table = listing("joint", *entries.SIX)
-    scale = np.array([1e3, 1e3, 1e3, *[180 / np.pi] * 3])
-    for i, (row, nominal) in enumerate(zip(calibration.kinematics, calibration.arm.kinematics, strict=True)):
-        turned = row - nominal
-        turned[3:] = (turned[3:] + np.pi) % (2 * np.pi) - np.pi  # -180° and 180° are one angle
-        pairs = zip(scale * row, scale * turned, strict=True)
-        cells = (f"{fixed(value, digits)}\n{fixed(change, digits, '+')}" for value, change in pairs)
-        table.add_row(f"J{i + 1}", *cells)
-    return table
-
-
-def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
-    """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
-    texts, condition = _TEXTS["verification"], verification.condition
-    facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}
-    yield Text(fill(texts["head"], facts))
-    table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
-    for name, position, orientation in (
-        ("joints as sent (32 bits)", verification.position, verification.orientation),
-        ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
-    ):
-        for values, (scale, unit) in zip((position, orientation), SCREEN.values(), strict=True):
-            digits = 6 if scale * values.max() < 1 else 4
-            cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
-            table.add_row(name if unit == "mm" else "", unit, *cells)
-    yield table
-    yield Text(fill(texts["tool"], facts))
-    if condition.has_world:
-        offset = _offset(condition.world_offset)
-        yield from screen.notes([f"a base offset is set, {offset}; its effect is not included"])
-    if condition.warning:
-        yield from screen.notes([f"the controller has warning {condition.warning}, which is not cleared"])
-    yield Text(fill(texts["verdict"], facts))
-    if verification.passed:
-        return
-    yield Text(fill(texts["cause"], facts))
-    if verification.hidden_tool is None and verification.other_chain is None:
-        for command in (
-            "lite6jax design lite6 --poses 200 --out poses.csv",
-            f"lite6jax record --ip {where} --poses poses.csv --out fk.csv",
-            "lite6jax diagnose fk.csv --out diagnosis.json",
-            "lite6jax fit fk.csv --geometry free",
-        ):
-            yield Text(f"  {command}", no_wrap=True, overflow="ignore")
-
-
-def _offset(offset: Array) -> str:
-    x, y, z = (fixed(float(v), 3) for v in offset[:3])
-    roll, pitch, yaw = (fixed(float(np.degrees(v)), 3) for v in offset[3:])
-    return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
-
-
-@contextmanager
-def recording_progress() -> Iterator[Callable[[Progress], None]]:
-    """The progress of a recording on stderr, from what the yielded function is called with."""
-    reached = list[Progress]()
-    with screen.repeated(lambda: _progress_line(reached[-1]) if reached else "no row yet"):
-        yield lambda progress: reached.__setitem__(slice(None), [progress])
-
-
-def _progress_line(progress: Progress) -> str:
-    line = f"{progress.time:8.1f} s  {progress.rows} rows  {progress.rate:.1f} Hz"
-    line += f"  run {progress.run}" if progress.run else ""
-    line += f"  {progress.missing} missing" if progress.missing else ""
-    return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (stop with Ctrl-C)"
-
-
-def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
-    """The rows, gaps, sources of the columns and notes of a recording."""
-    computed = recorded.settings.joint_source == "commanded"
-    if not recorded.rows:
-        yield Text("Nothing was recorded, and nothing is written.")
-    elif not computed:
-        runs = f" in {recorded.runs} runs" if recorded.runs > 1 else ""
-        yield Text(
-            f"Recorded {recorded.rows} rows{runs}: {recorded.duration:.3f} s at {recorded.rate:.2f} Hz by the"
-            " controller's clock."
-        )
-        if recorded.short:
-            yield Text(f"{recorded.asked} rows were asked for.")
-        repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
-        gaps = recorded.gaps
-        missing = f"{gaps.within} reports missing" if gaps.within else "No report missing"
-        if recorded.runs > 1:
-            missing = f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
-            missing = missing if gaps.within + gaps.between else "No report missing within or between runs"
-        yield Text(f"{missing}{repeated}.")
-        if gaps.count:
-            longest = gaps.longest(_MOST_GAPS)
-            title = "Gaps" if len(longest) == gaps.count else f"The {len(longest)} longest of {gaps.count} gaps"
-            rows = (
-                (str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
-                for gap in longest
-            )
-            headers = (f"{title}: before row", "run", "missing", "s", "reason")
-            yield listing(*headers, rows=rows, left=[4], wrapped=[4])
-    else:
-        yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
-    if computed and recorded.missing:
-        yield Text(f"{recorded.missing} joint positions were not requested.")
-    if recorded.rows:
-        yield _sources(recorded)
-    yield from screen.notes(recorded.notes)
-
-
-def _sources(recorded: LiveRecording) -> Table:
-    """The sources of the columns, with neighbouring columns of the same source in one row."""
-    grouped: list[tuple[list[str], str]] = []
-    for name, source in recorded.sources.items():
-        if grouped and grouped[-1][1] == source and _kind(grouped[-1][0][0]) == _kind(name):
-            grouped[-1][0].append(name)
-        else:
-            grouped.append(([name], source))
-    rows = ((names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source) for names, source in grouped)
-    return listing("columns", "source", rows=rows, left=[1], wrapped=[1])
-
-
-def _kind(name: str) -> str:
-    return (
-        "pose" if name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") else name.rstrip("0123456789_radNmCsegp/")[:2]
     )

@@ -12,7 +12,7 @@ from rich.text import Text
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import Row
-from lite6jax.report.ranking import effect_title
+from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import capital, chance, counted, listing, number, quantity
 from lite6jax.schema import FLEET

@@ -22,7 +22,7 @@ from lite6jax.recordings.naming import Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
 from lite6jax.report.screen import indented
-from lite6jax.report.words import fill, read_texts
+from lite6jax.report.texts import fill, read_texts
 
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3

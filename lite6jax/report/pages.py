@@ -18,15 +18,18 @@ from rich.console import Console
 
 from lite6jax import storage
 from lite6jax.diagnosis.diagnose import CombinedDiagnosis
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
-from lite6jax.report.ranking import Files, effect_title, of_torques, units
+from lite6jax.report.ranking import Files, units
+from lite6jax.report.remedies import effect_title
 from lite6jax.report.sections import Picture, Report, Section, sections_of, show_sections
-from lite6jax.report.words import OF_TORQUES, each_with_unit, number, quantity, read_texts
+from lite6jax.report.texts import read_texts
+from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity
 
 Document = Mapping[str, Any]
 
@@ -76,7 +79,7 @@ def _pictures(
     found: Diagnosis | TorqueDiagnosis, document: Document, figures: Mapping[str, Figure]
 ) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
-    torques, order = of_torques(document), ranking.order(document)
+    torques, order = is_of_torques(document), ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"]["torques" if torques else "poses"]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     for rank, finding in enumerate(statements.findings_of(document), 1):
@@ -160,7 +163,7 @@ def certificate(document: Document) -> Figure:
             [
                 ("table", statements.error_rows(document)),
                 ("text", statements.held_out_statement(document)),
-                *([] if of_torques(document) else [("text", iso)]),
+                *([] if is_of_torques(document) else [("text", iso)]),
             ],
         ),
         Section("Findings, with 95 % intervals", [("text", line) for line in _findings(document)]),
@@ -192,7 +195,7 @@ def certificate(document: Document) -> Figure:
 
 
 def _subject(document: Document) -> list[tuple[str, str]]:
-    torques = of_torques(document)
+    torques = is_of_torques(document)
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
     source = document["torque_source" if torques else "pose_source"]
     instrument = document["instrument"] or _INSTRUMENTS.get(source, "not stated")
@@ -211,7 +214,7 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
-    torques, findings = of_torques(document), statements.findings_of(document)
+    torques, findings = is_of_torques(document), statements.findings_of(document)
     lines = []
     for rank, finding in enumerate(findings[:_MOST], 1):
         chosen = any(key in finding for key in ("peak_to_peak_Nm", "peak_to_peak_N"))
@@ -227,7 +230,7 @@ def _findings(document: Document) -> list[str]:
 def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
     """The 95 % interval of a number in the unit in which it is read; one that was chosen has none."""
     value, std = estimate["value"], estimate["std"]
-    named = {"named": OF_TORQUES} if torques else {}
+    named = {"named": NAMED_OF_TORQUES} if torques else {}
     middle, *ends = (
         quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **named) for side in (0, -1, 1)
     )

@@ -1,232 +1,34 @@
-"""What effects are called and what to do about them; what a diagnosis is worth, and the commands that follow.
+"""What a diagnosis is worth: its first sentence, its ranking and the commands that follow.
 
-Texts of causes and remedies are in `templates/remedies.yaml`; an effect of a user's own has a general remedy.
 Contributions are in mm, degrees, Nm or N.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
 from lite6jax.report.faults import fault_name
-from lite6jax.report.words import capital, fill, joined, plus_minus, ranges, read_texts, torque_units
+from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.words import capital, plus_minus, torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
 
 
-class Remedy(NamedTuple):
-    """An effect as a workshop sees it.
-
-    Attributes:
-        cause: what is the matter, a clause with `{place}`, `{source}` and `{exerted}`.
-        action: what to do, in whole sentences.
-        of_arm: whether it displaces the arm alike at each visit, so that other joint positions compensate it.
-        of_geometry: whether a new calibration of the geometry contains it.
-    """
-
-    cause: str
-    action: str
-    of_arm: bool = True
-    of_geometry: bool = False
-
-
-OF_POSES, OF_TORQUES = (
-    {
-        effect: Remedy(one["cause"], one["action"], "sensor" not in one, "geometry" in one)
-        for effect, one in remedies.items()
-    }
-    for remedies in read_texts("remedies.yaml").values()
-)
-"""By the name of an effect on poses, and of one on torques."""
-
-_SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or replace it; the arm needs no correction."
-"""Of what no effect of the catalogue names there: joint positions cannot compensate what a sensor shows."""
-
-_OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
-_OF_SLIDE = {
-    "the gear ratio": "the lead",
-    "the gear": "the screw, the belt or the guide",
-    "its gear": "its screw, belt or rack",
-    "turns by another angle": "moves by another length",
-}
-"""What is said of a prismatic joint in place of what is said of a revolute one."""
-_PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
-
-
-def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
-    """The remedy of a finding of the document, that of a user's own effect where neither catalogue has it."""
-    found, exerted = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN), _exerted(entry)
-    if not torques and entry["site"] in ("sensor", "clock"):
-        return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)
-    if exerted == "force":
-        for of_turn, of_slide in _OF_SLIDE.items():
-            found = found._replace(cause=found.cause.replace(of_turn, of_slide))
-            found = found._replace(action=found.action.replace(of_turn, of_slide))
-    return found._replace(action=found.action.replace("{exerted}", exerted))
-
-
-def cause_of(entry: Entry, torques: bool = False) -> str:
-    """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
-    parameters = entry.get("parameters", {})
-    if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
-        mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))
-        at = ", ".join(f"{1e3 * value:.0f}" for value in center)
-        return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
-    source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
-    return remedy_of(entry, torques).cause.format(
-        place=place_of(entry["site"]) if torques else joined(_places(entry), "or"),
-        source=f"joint {source:.0f}" if source else "another joint",
-        effect=effect_name(entry["effect"]),
-        exerted=_exerted(entry),
-    )
-
-
-def _exerted(entry: Entry) -> str:
-    """What the motors exert that a finding acts on: forces of prismatic joints, or torques, which may be both."""
-    in_metres = any(name.endswith(("_m", "_m_per_N")) for name in entry.get("parameters", ()))
-    if entry["effect"].startswith("joint_") and (in_metres or "slide position" in str(entry.get("driver"))):
-        return "force"
-    return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
-
-
-def _places(entry: Entry) -> list[str]:
-    """The place of a finding in words; of an unnamed one also those where it is nearly as likely, the nearest first."""
-    near = [rival for rival in distinct_rivals(entry) if rival["status"] not in ("rejected", "found")]
-    sites = [entry["site"], *(rival["site"] for rival in near if entry["effect"] == "unnamed")]
-    return list(dict.fromkeys(map(place_of, sites)))[:_MOST_PLACES]
-
-
-def distinct_rivals(finding: Entry) -> list[Entry]:
-    """The effects that a finding may be instead, the nearest first.
-
-    What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
-    """
-    rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
-    kept, seen = [], [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
-    for rival in rivals:
-        if rival["effect"] == "unnamed":
-            drivers = set(drivers_of(rival))
-            if any(drivers > fewer for fewer in seen):
-                continue
-            seen.append(drivers)
-        kept.append(rival)
-    return kept
-
-
-def place_of(site: str) -> str:
-    """A site in words: joint2 is joint 2, base is the base."""
-    return _PLACES.get(site) or spaced(site)
-
-
-def effect_name(effect: str) -> str:
-    """The name of an effect in words; friction has those of its discoverers."""
-    return effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
-
-
-# ------------------------------------------------------------------ titles
-
-
-_SHAPES = {
-    "line": "a line",
-    "cubic": "a smooth curve",
-    "smooth": "a smooth curve",
-    "medium": "a curve",
-    "fine": "a fine curve",
-    "rough": "steps or kinks",
-    "wave": "a wave that repeats after a turn",
-    "spectrum": "waves of many orders, as of a gear",
-    "play": "a hysteresis loop",
-}
-"""What a nonparametric effect of one driver looks like, by its kernel."""
-_MOST_PLACES = 3
-"""Where an effect may be, in its cause."""
-
-
-def effect_title(entry: Entry) -> str:
-    """An effect in words, such as "joint harmonic of order 2 at joint1"."""
-    site, where = entry["site"], entry.get("where", {})
-    if entry["effect"] == "unnamed" and "driver" in entry:
-        driver = entry["driver"].removesuffix(f" of {spaced(site)}")
-        own = driver != entry["driver"] and " and " not in driver
-        of = f"its {driver}" if own else f"the {with_articles(entry['driver'])}"
-        return f"unnamed effect at {site}{component(where or entry)} as a function of {of}"
-    return f"{effect_name(entry['effect'])}{detail(entry)} at {site}"
-
-
-def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:
-    """Names of effects, each with all its sites, those of consecutive numbers as a range: joint1–6."""
-    numbers: dict[str, dict[str, list[int]]] = {}
-    for entry in entries:
-        kind = entry["site"].rstrip("0123456789")
-        held = numbers.setdefault(effect_name(entry["effect"]), {}).setdefault(kind, [])
-        held += [int(entry["site"].removeprefix(kind))] if entry["site"] != kind else []
-    return [
-        (name, ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(held))) for kind, held in kinds.items()))
-        for name, kinds in numbers.items()
-    ]
-
-
-def detail(entry: Entry) -> str:
-    """The order of a harmonic, or its period along a slide, or the source of a coupling, of a finding or a rival."""
-    numbers = entry.get("parameters", {})
-    order, period, source = (
-        numbers[key]["value"] if key in numbers else entry.get(key) for key in ("order", "period_m", "source_joint")
-    )
-    if period:
-        return f" of period {1e3 * period:.4g} mm"
-    return f" of order {order:.4g}" if order else f" from joint{source:.0f}" if source else ""
-
-
-def component(where: Entry) -> str:
-    """Along or about which axis an effect acts that is at no joint."""
-    at_joint = where.get("where", where.get("site", "joint")).startswith("joint")
-    return "" if at_joint or "component" not in where else f" ({where['component']})"
-
-
-def shape(where: Entry) -> str:
-    """What a nonparametric effect looks like; `where` has its fields."""
-    two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
-    return _SHAPES.get(where.get("kernel", "smooth"), two)
-
-
-def drivers_of(entry: Entry) -> Sequence[str]:
-    """The phrases of what an effect depends on."""
-    return [] if entry["driver"] == "none" else entry["driver"].split(" and ")
-
-
-def with_articles(driver: str) -> str:
-    """The phrases of several drivers, an article before each but the first; those of one quantity together."""
-    one, _, other = driver.partition(" and ")
-    for of in (" of joint ", " of link "):
-        (quantity, _, place), (same, _, further) = one.partition(of), other.partition(of)
-        if further and quantity == same:
-            return f"{quantity}{of.rstrip()}s {place} and {further}"
-    return driver.replace(" and ", " and the ")
-
-
-def spaced(site: str) -> str:
-    """A site with a space before its number: joint2 is joint 2."""
-    return re.sub(r"(\D)(\d)", r"\1 \2", site)
-
-
 _SHARE = 0.1
-"""Of the error of positions, below which all findings concern orientations."""
+"""Share of the error of positions, or orientations, from which a finding matters there."""
 _NEARLY = 0.05
 """Family-wise p-value below which an effect that is no finding is said to be nearly significant."""
 
 
 # ------------------------------------------------------------------ what a document is of
-
-
-def of_torques(document: Document) -> bool:
-    """Whether a document is of torques."""
-    return document.get("domain") == "torque"
 
 
 def sliding(document: Document) -> tuple[int, ...]:
@@ -245,11 +47,6 @@ def is_computed(document: Document) -> bool:
     return found or document.get("pose_source") == "controller_fk"
 
 
-def is_significant(finding: Entry) -> bool:
-    """Whether a finding was tested by itself; numbers that share a prior are found together."""
-    return bool(finding["p_value"] < _NEARLY)
-
-
 def is_nearly_significant(nearest: Entry | None) -> bool:
     """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
     return nearest is not None and nearest["p_value"] < _NEARLY
@@ -261,24 +58,23 @@ def is_nearly_significant(nearest: Entry | None) -> bool:
 class Measure(NamedTuple):
     """In what findings are ranked: the keys of what one moves and of the RMS error, and how sizes are shown.
 
-    `scale` leads from SI units to `unit`; `what` is moved.
+    `scale` leads from SI units to `unit`.
     """
 
     moves: str
     error: str
     scale: float
     unit: str
-    what: str
 
     def size_of(self, value: float) -> str:
         """A value in SI units as it is shown, in two digits."""
         return f"{plus_minus(self.scale * value)} {self.unit}"
 
 
-POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm", "the measured point")
-ORIENTATION = Measure("moves_rms_rad", "heldout_orientation_rms_rad", 180 / np.pi, "deg", "the measured orientation")
-TORQUE = Measure("moves_rms_Nm", "heldout_torque_rms_Nm", 1.0, "Nm", "the torque")
-FORCE = Measure("moves_rms_N", "heldout_torque_rms_N", 1.0, "N", "the force")
+POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm")
+ORIENTATION = Measure("moves_rms_rad", "heldout_orientation_rms_rad", 180 / np.pi, "deg")
+TORQUE = Measure("moves_rms_Nm", "heldout_torque_rms_Nm", 1.0, "Nm")
+FORCE = Measure("moves_rms_N", "heldout_torque_rms_N", 1.0, "N")
 """Of prismatic joints."""
 
 
@@ -294,7 +90,7 @@ def measures_of(document: Document) -> tuple[Measure, ...]:
 
     Of an arm that has prismatic joints also newtons, or these alone.
     """
-    if of_torques(document):
+    if is_of_torques(document):
         return tuple(measure for measure in (TORQUE, FORCE) if measure.error in document["before"]) or (TORQUE,)
     moved, turned = (
         max((_share(document, finding, measure) for finding in document["findings"]), default=0.0)
@@ -316,7 +112,7 @@ def order(document: Document) -> list[int]:
 
 
 def bars(document: Document) -> list[Bar]:
-    """The contribution of each finding in this order."""
+    """The contribution of each finding, in the order of `order`."""
     ranked, alone = [document["findings"][k] for k in order(document)], unit_of(document)
     shares = [_share(document, finding, _main(document, finding)) for finding in ranked]
     return [
@@ -346,7 +142,7 @@ def _main(document: Document, finding: Entry) -> Measure:
 
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
-    findings, torques, texts = document["findings"], of_torques(document), read_texts("diagnosis.yaml")
+    findings, torques, texts = document["findings"], is_of_torques(document), read_texts("diagnosis.yaml")
     more: dict[str, Any] = {"torques": torques, "sensor": "sensors'" if torques else "sensor's"}
     if findings:
         main = findings[order(document)[0]]
@@ -417,13 +213,13 @@ def actions(document: Document) -> list[tuple[list[int], str]]:
     """What to do, each once, with the ranks of the findings that it is for."""
     ranks: dict[str, list[int]] = {}
     for rank, k in enumerate(order(document), 1):
-        ranks.setdefault(remedy_of(document["findings"][k], of_torques(document)).action, []).append(rank)
+        ranks.setdefault(remedy_of(document["findings"][k], is_of_torques(document)).action, []).append(rank)
     return [(held, action) for action, held in ranks.items()]
 
 
 def steps(document: Document, files: Files) -> list[Step]:
     """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
-    recording, findings, torques = files.recording, document["findings"], of_torques(document)
+    recording, findings, torques = files.recording, document["findings"], is_of_torques(document)
     named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")
@@ -463,9 +259,5 @@ def steps(document: Document, files: Files) -> list[Step]:
 
 def _known(document: Document, own: Sequence[str]) -> bool:
     """Whether the model can be read, which effects of the user's own take their file for."""
-    # a look at a table, which has next steps too, takes no effects
-    from lite6jax.effects.catalogue import POSE_EFFECTS
-    from lite6jax.effects.catalogue import TORQUE_EFFECTS as OF_TORQUES
-
-    known = OF_TORQUES if of_torques(document) else POSE_EFFECTS
+    known = TORQUE_EFFECTS if is_of_torques(document) else POSE_EFFECTS
     return bool(own) or all(finding["effect"] in known for finding in document["findings"])

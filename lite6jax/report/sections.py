@@ -15,12 +15,14 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
-from lite6jax.report.ranking import Files, by_site, of_torques
+from lite6jax.report.ranking import Files
+from lite6jax.report.remedies import by_site
 from lite6jax.report.screen import indented
-from lite6jax.report.words import capital, counted, fixed, joint_units, listed, listing
+from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
 
 Document = Mapping[str, Any]
 Block = tuple[str, Any]
@@ -82,7 +84,7 @@ def sections_of(report: Report) -> list[Section]:
     cause = [statements.verdict_statement(document), *statements.cautions(document)]
     measured = [statements.held_out_statement(document), statements.noise_statement(document)]
     several, actions = len(ranked) > 1, ranking.actions(document)
-    to_do = [f"{listed(ranks)}. {said}" if several else said for ranks, said in actions]
+    to_do = [f"{row_ranges(ranks)}. {said}" if several else said for ranks, said in actions]
     commands = [] if files is None else ranking.steps(document, files)
     made = [
         Section("Difference from the reference", list(_comparison(document)), "against"),
@@ -121,7 +123,7 @@ def _texts(lines: Iterable[str]) -> list[Block]:
 
 def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
-        units = ranking.units(document) if of_torques(document) else ()
+        units = ranking.units(document) if is_of_torques(document) else ()
         yield "text", statements.comparison_headline(comparison, units)
         said = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
         yield "bullets", said
@@ -130,7 +132,7 @@ def _comparison(document: Document) -> Iterator[Block]:
 
 def _faults(report: Report) -> Iterator[Block]:
     if found := report.document["data_faults"]:
-        yield "faults", [(fault_name(each["fault"]), each["statement"], listed(each["rows"])) for each in found]
+        yield "faults", [(fault_name(each["fault"]), each["statement"], row_ranges(each["rows"])) for each in found]
     elif report.details:
         yield "text", "None found."
 

@@ -10,34 +10,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.report import faults, ranking
-from lite6jax.report.ranking import (
+from lite6jax.report.ranking import units
+from lite6jax.report.remedies import (
     component,
     detail,
     distinct_rivals,
     drivers_of,
     effect_name,
     effect_title,
-    of_torques,
     shape,
-    units,
     with_articles,
 )
+from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
-    OF_TORQUES,
+    NAMED_OF_TORQUES,
     SCREEN,
     Quantity,
     capital,
     each_with_unit,
-    fill,
     fixed,
     multiple,
     number,
     plus_minus,
     quantity,
-    read_texts,
     rounded,
     significant,
 )
@@ -67,7 +66,7 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects on poses get a `reason`. Torques beside poses get all of this too.
     """
-    torques, stated = of_torques(document), faults.with_statements(document)
+    torques, stated = is_of_torques(document), faults.with_statements(document)
     detailed = _detailed(document)
     stated["findings"] = [
         {**finding, "statement": finding_statement(each, torques, detailed)}
@@ -89,7 +88,7 @@ def with_statements(document: Document) -> dict[str, Any]:
 
 def _fill(text: str, document: Document, **more: object) -> str:
     """A text about a document."""
-    torques, near, noise, left = (of_torques(document), *(document[key] for key in ("nearest", "noise", "left")))
+    torques, near, noise, left = (is_of_torques(document), *(document[key] for key in ("nearest", "noise", "left")))
     keys = {"torque_noise_Nm": "declared_torque_Nm"} if torques else {"position_noise_m": "declared_position_m"}
     declared = [bool(noise[key]) for key in keys.values()]
     if not torques and document["model"]["orientation"]:
@@ -115,13 +114,13 @@ def _fill(text: str, document: Document, **more: object) -> str:
 
 def setting_statement(document: Document) -> str:
     """The arm, and how much was recorded."""
-    what = " of torques" if of_torques(document) else f" ({document['model']['motion']})"
+    what = " of torques" if is_of_torques(document) else f" ({document['model']['motion']})"
     return f"{document['model']['arm']}, {document['samples']} samples{what}."
 
 
 def verdict_statement(document: Document) -> str:
     """The verdict in a few sentences, with what is left and where that acts."""
-    torques, left, ratios = of_torques(document), document["left"], ""
+    torques, left, ratios = is_of_torques(document), document["left"], ""
     if document["verdict"] in _LEFT_OVER:
         worst: dict[str, object] = {}
         if torques and left["torque_over_noise"] is not None:
@@ -140,7 +139,7 @@ def verdict_statement(document: Document) -> str:
 def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
-    torques, withdrawn = of_torques(document), document["withdrawn"]
+    torques, withdrawn = is_of_torques(document), document["withdrawn"]
     if torques:
         lines = [_TEXTS["estimated"]] if document["torque_source"] == "estimated" else []
         given: dict[str, Any] = {"names": list(map(effect_title, withdrawn))}
@@ -167,7 +166,7 @@ def quality_statement(quality: Entry) -> str | None:
 
 def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """The table of held-out errors: headers, and a row for each with its unit and statistic."""
-    before, after, rows, torques = document["before"], document["after"], [], of_torques(document)
+    before, after, rows, torques = document["before"], document["after"], [], is_of_torques(document)
     kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
     if torques:
         both = dict.fromkeys(units(document))
@@ -201,7 +200,7 @@ def noise_statement(document: Document) -> str:
 def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
     drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
-    loaded = not of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
+    loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
     return [said for text in _TEXTS["assumptions"] if (said := _fill(text, document, loaded=loaded))]
 
 
@@ -214,7 +213,7 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
     Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `rivals` and
     `rejected` (effects that are not, and are, distinguished from it).
     """
-    torques, findings = of_torques(document), _detailed(document)
+    torques, findings = is_of_torques(document), _detailed(document)
     return [
         {
             **findings[k],
@@ -256,7 +255,6 @@ def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[En
         shape="" if torques or not unnamed else shape(where),
         numbers=", ".join(str(size) for size in quantities(finding, torques) if size.std),
         moves=moves,
-        significant=ranking.is_significant(finding),
         title=effect_title,
     )
     return " ".join([said, *_as_a_gear(finding, beside)])
@@ -287,14 +285,12 @@ def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
         estimates = {key: {"value": float(f"{finding[key]:.3g}"), "std": 0.0}}
     elif not torques:
         estimates = finding.get("peak_to_peak", estimates)
-    known = (OF_TORQUES,) if torques else ()
+    known = (NAMED_OF_TORQUES,) if torques else ()
     return [quantity(name, estimate, *known) for name, estimate in estimates.items()]
 
 
 def p_value_statement(finding: Entry) -> str:
-    """How improbable a finding is without the effect; what else it rests on, where a model was chosen as a whole."""
-    if not ranking.is_significant(finding):
-        return "It is part of the likeliest model, and is not significant beside the other findings alone."
+    """How improbable a finding is without the effect."""
     p = finding["p_value"]  # one below what floats hold is not zero
     shown = f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
     return f"Family-wise {shown} over all effects, sites and orders searched."
@@ -363,7 +359,7 @@ def what_to_record(document: Document) -> list[str]:
             lines.append(fill(asked["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
     if document["confounded"]:
         steps = []
-        if not of_torques(document):
+        if not is_of_torques(document):
             parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
             steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
@@ -433,7 +429,9 @@ def _numbers(known: Entry | None, chosen: bool = True) -> str:
     """The parameters that one side shows; those without a standard deviation were chosen and not estimated."""
     parameters = {} if known is None else known["parameters"]
     return ", ".join(
-        str(quantity(name, estimate, OF_TORQUES)) for name, estimate in parameters.items() if chosen or estimate["std"]
+        str(quantity(name, estimate, NAMED_OF_TORQUES))
+        for name, estimate in parameters.items()
+        if chosen or estimate["std"]
     )
 
 

@@ -269,7 +269,8 @@ def plan_report(found: Plan, accuracy: float | None = None) -> Iterator[Renderab
     if accuracy is not None:
         wanted = number(1e3 * accuracy)
         if found.needed is None:
-            yield Text(f"±{wanted} mm is not reached by {MOST_POSES} poses either.")
+            tried = max(found.count, min(MOST_POSES, found.candidates))
+            yield Text(f"±{wanted} mm is not reached by {tried} poses either.")
         elif found.needed <= found.count:
             yield Text(f"±{wanted} mm is reached by {found.needed} of them; give --poses {found.needed}.")
         else:

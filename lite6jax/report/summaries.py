@@ -26,7 +26,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import fits, ranking, statements, study
 from lite6jax.report.compensation import outside_sentence, registration_report
 from lite6jax.report.faults import fault_name
-from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units, what_is_measured
+from lite6jax.report.words import be, counted, each_with_unit, joint_units, number, torque_units
 from lite6jax.results import Description, describe
 
 _MOST_FINDINGS = 4
@@ -35,7 +35,7 @@ _MOST_FINDINGS = 4
 @describe.register
 def _recording(recording: Recording) -> Description:
     settings = recording.settings
-    poses = what_is_measured(recording)
+    poses = fits.what_is_measured(recording)
     by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
     runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
     scales, units = joint_units(recording.sliding, recording.dof)

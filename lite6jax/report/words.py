@@ -1,20 +1,15 @@
 """How numbers, units and lists are written: on screens, on pages and in sentences alike."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jinja2
 import numpy as np
-import yaml
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.arm import joint_unit
-from lite6jax.recordings import Recording
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """Factor and name of the printed unit, by SI unit."""
@@ -67,6 +62,8 @@ def significant(value: float, digits: int = 3) -> str:
 
 def milli(value: float, digits: int = 3) -> str:
     """Metres in mm, or radians in mrad; rounding errors show as zero."""
+    if not np.isfinite(value):
+        return UNKNOWN
     return f"{1e3 * value:.{digits}g}" if abs(value) > 1e-9 else "0"
 
 
@@ -122,7 +119,7 @@ def listing(
     return table
 
 
-def listed(rows: Iterable[int]) -> str:
+def row_ranges(rows: Iterable[int]) -> str:
     """Row numbers with consecutive ones as ranges; at most `MOST_ROWS` parts, then the number of the others."""
     parts = ranges(rows)
     shown = ", ".join(text for text, _ in parts[:MOST_ROWS])
@@ -132,7 +129,7 @@ def listed(rows: Iterable[int]) -> str:
 
 def rows_named(rows: Sequence[int]) -> str:
     """Row numbers with their noun: row 61, or rows 3, 5–9."""
-    return f"row{'' if len(rows) == 1 else 's'} {listed(rows)}"
+    return f"row{'' if len(rows) == 1 else 's'} {row_ranges(rows)}"
 
 
 def ranges(numbers: Iterable[int]) -> list[tuple[str, int]]:
@@ -213,7 +210,7 @@ _NAMED = {
     "rest_rad": (180 / np.pi, "deg"),
 }
 """Whose names alone do not say how they are read."""
-OF_TORQUES = {**_NAMED, "scale": (100.0, "%")}
+NAMED_OF_TORQUES = {**_NAMED, "scale": (100.0, "%")}
 """The same, of effects on torques: the scale of a current is not known to ppm."""
 _STIFF = 3.0
 """Standard deviations that a compliance must be from zero for its inverse to mean something."""
@@ -263,78 +260,3 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
         scale, unit = (1e3, "mm") if end == "_m_per_s" else (180 / np.pi, "deg")
         return f"{' ± '.join(rounded(scale * _DAY * value, scale * _DAY * std))} {unit} a day"
     return ""
-
-
-_READINGS = {
-    "contact": "touches of points",
-    "plane": "touches of planes",
-    "distance": "distances",
-    "axis": "heights along an axis",
-}
-
-
-def what_is_measured(recording: Recording) -> str:
-    """In words: positions, poses or touches."""
-    if recording.touches is not None:
-        return _READINGS[recording.touches.kind]
-    if recording.readings is not None:
-        return "images of a board, as positions and orientations"
-    return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
-
-
-# ------------------------------------------------------------------ sentences filled with numbers
-
-
-@cache
-def read_texts(name: str) -> dict[str, Any]:
-    """The texts of a file in `templates`."""
-    text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
-    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-
-
-def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:
-    """A text with its numbers, and one blank between words.
-
-    Raises:
-        KeyError: a number is missing.
-    """
-    try:
-        return " ".join(_template(text).render(numbers, **more).split())
-    except jinja2.UndefinedError as error:
-        raise KeyError(str(error)) from error
-
-
-def _count_of(function: Callable[..., str]) -> Callable[..., str]:
-    """A function of a number, which takes rows or joints in its place."""
-    return lambda of, *more: function(len(of) if isinstance(of, Sized) else of, *more)
-
-
-def _vector(numbers: Sequence[float], digits: int = 3) -> str:
-    return f"({', '.join(milli(value, digits) for value in numbers)})"
-
-
-@cache
-def _template(text: str) -> jinja2.Template:
-    return _environment().from_string(text)
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False)
-    environment.filters |= {
-        "g": lambda value, digits=3: f"{value:.{digits}g}",
-        "mm": milli,
-        "mm_vector": _vector,
-        "listed": ", ".join,
-        "joined": lambda parts, last="and": joined(map(str, parts), last),
-        "count_of": _count_of(counted),
-        **{of.__name__: of for of in (capital, joints_named, number, multiple, rows_named)},
-        "plus_minus": plus_minus,
-    }
-    environment.globals |= {
-        "be": _count_of(be),
-        "deg": lambda angle: float(np.rad2deg(angle)),
-        "chance": chance,
-        "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
-    }
-    return environment

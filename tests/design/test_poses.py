@@ -18,11 +18,12 @@ from lite6jax.design.poses import (
     exchange,
     plan_discrimination,
     plan_poses,
-    shortest_round,
+    short_path,
 )
 from lite6jax.design.sensor import BARE
 from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, JointOffset
 from lite6jax.errors import InputError
+from lite6jax.report.study import plan_report
 from tests.oracles.arms import random_positions
 
 LITE6 = load_bundled("lite6")
@@ -89,6 +90,13 @@ def test_how_many_poses_reach_an_accuracy(monkeypatch):
     assert plan_poses(SETUP, CANDIDATES, 6, accuracy=1e-9).needed is None
 
 
+@pytest.mark.parametrize(("candidates", "tried"), [(60, 60), (5000, 400), (5, 12)])
+def test_how_many_poses_were_tried_in_vain(found, candidates, tried):
+    """As many as there are candidates, or the most that are tried; those that were asked for in any case."""
+    text = " ".join(str(part) for part in plan_report(replace(found, candidates=candidates), 1e-9))
+    assert f"is not reached by {tried} poses either." in text
+
+
 # ------------------------------------------------------------------ discrimination
 
 
@@ -114,7 +122,7 @@ def test_what_discrimination_refuses(one, values, says):
         plan_discrimination(SETUP, ((one, values), JointHarmonic(2, 1.0)), CANDIDATES, 15)
 
 
-def test_a_short_round():
+def test_a_short_path():
     """Against every order of few poses, and against chance for many."""
 
     def length(order, q):
@@ -123,9 +131,9 @@ def test_a_short_round():
 
     rng = np.random.default_rng(5)
     few, many = rng.uniform(-1, 1, (7, 3)), rng.uniform(-3, 3, (60, 6))
-    assert sorted(shortest_round(few)) == list(range(7))
-    assert length(shortest_round(few), few) <= 1.15 * min(length(order, few) for order in permutations(range(7)))
-    assert length(shortest_round(many), many) < 0.6 * length(range(60), many)
+    assert sorted(short_path(few)) == list(range(7))
+    assert length(short_path(few), few) <= 1.15 * min(length(order, few) for order in permutations(range(7)))
+    assert length(short_path(many), many) < 0.6 * length(range(60), many)
 
 
 # ------------------------------------------------------------------ selection among candidates

@@ -106,7 +106,8 @@ def test_documents_are_not_replaced_unasked(recordings, tmp_path):
 def test_rows_of_torques_and_of_both():
     torques = {
         "domain": "torque",
-        "schema": "lite6jax/torque_diagnosis/1",
+        "schema": "lite6jax/diagnosis/2",
+        "model": {},
         "verdict": "explained",
         "before": {"heldout_torque_rms_Nm": 2.0},
         "after": {"heldout_torque_rms_Nm": 1.0},

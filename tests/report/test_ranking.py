@@ -18,7 +18,8 @@ from lite6jax.effects.dynamic import PayloadTorque, ViscousFriction
 from lite6jax.recordings import Recording
 from lite6jax.report import ranking
 from lite6jax.report.diagnosis_figures import drawings
-from lite6jax.report.ranking import OF_POSES, OF_TORQUES, Files, cause_of, contribution, headline, remedy_of, steps
+from lite6jax.report.ranking import Files, contribution, headline, steps
+from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
 from lite6jax.report.statements import with_statements
 from tests.oracles import kane
 

@@ -21,7 +21,7 @@ from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.progress import Stage
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, ranking, statements, words
+from lite6jax.report import diagnosis_figures, ranking, remedies, statements, words
 from lite6jax.report import screen as terminal
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
@@ -170,8 +170,8 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 def test_what_is_known_of_an_unnamed_effect_is_its_title_and_its_shape(effect, title, shape):
     where = effect_as_dict(effect, np.zeros(effect.size))["where"]
     entry = {"effect": "unnamed", "site": effect.site, "driver": effect.driver, "where": where}
-    assert ranking.effect_title(entry) == f"unnamed effect at {title}"
-    assert ranking.shape(where) == shape
+    assert remedies.effect_title(entry) == f"unnamed effect at {title}"
+    assert remedies.shape(where) == shape
 
 
 # ------------------------------------------------------------------ the reference
@@ -338,7 +338,7 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
 
 
 def test_a_number_that_is_not_finite_is_unknown():
-    for shown in (words.number, words.significant, words.multiple, words.fixed, words.plus_minus):
+    for shown in (words.number, words.significant, words.milli, words.multiple, words.fixed, words.plus_minus):
         assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
     assert words.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
 

@@ -38,7 +38,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.fleet.reduction import reduced
 from lite6jax.recordings import write_recording
 from lite6jax.report.faults import fault_statement
-from lite6jax.report.ranking import cause_of, remedy_of
+from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.statements import comparison_headline, finding_statement
 from tests.oracles import kane
 
