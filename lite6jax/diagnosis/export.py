@@ -26,7 +26,6 @@ from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic import (
     FIELDS,
-    LINEAR,
     CoulombFriction,
     Dynamics,
     JointSpring,
@@ -194,8 +193,8 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
 
     Other friction over the velocity is viscous and Coulomb friction as far as these fit it at the speeds recorded.
     """
-    linear = getattr(effect, "exponent", LINEAR) == LINEAR
-    if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and linear:
+    bent = isinstance(effect, ViscousFriction) and effect.fixed_number is not None
+    if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and not bent:
         transition = getattr(effect, "transition_rad_per_s", 0.0)
         unit = "m/s" if effect.of_slide else "rad/s"
         said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""

@@ -177,19 +177,16 @@ def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
     tried = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
     found: list[dynamic.TorqueEffect] = []
     limits = {dynamic.StribeckFriction: dynamic.STRIBECK, dynamic.CoulombFriction: dynamic.TRANSITION}
-    for (kind, bounds), (joint, speed) in product(limits.items(), tried):
-        slides = joint - 1 in motion.sliding.joints
-        low, high = (joint_size(bound, "rad/s", slides) for bound in bounds)
-        if max(low, passed[joint - 1]) <= speed <= high:
-            found.append(kind(joint, speed, of_slide=slides))
     slides = np.isin(np.arange(len(fastest)), motion.sliding.joints)
-    moving = np.flatnonzero(as_revolute(fastest, "rad/s", slides) > dynamic.DIRECTION_SPEED) + 1
-    bent = [
-        dynamic.ViscousFriction(joint, exponent, of_slide=joint - 1 in motion.sliding.joints)
-        for joint in moving.tolist()
-        for exponent in _EXPONENTS
-    ]
-    return (*found, *bent)
+    for (kind, bounds), (joint, speed) in product(limits.items(), tried):
+        of_slide = bool(slides[joint - 1])
+        low, high = (joint_size(bound, "rad/s", of_slide) for bound in bounds)
+        if max(low, passed[joint - 1]) <= speed <= high:
+            found.append(kind(joint, speed, of_slide=of_slide))
+    moving = np.flatnonzero(as_revolute(fastest, "rad/s", slides) > dynamic.DIRECTION_SPEED)
+    for joint, exponent in product(moving.tolist(), _EXPONENTS):
+        found.append(dynamic.ViscousFriction(joint + 1, exponent, of_slide=bool(slides[joint])))
+    return tuple(found)
 
 
 # ------------------------------------------------------------------ a list for people

@@ -187,6 +187,7 @@ class ViscousFriction(JointTorque):
     specificity: ClassVar[int] = 1
     common: ClassVar[bool] = True
     fixed: ClassVar[str | None] = "exponent"
+    plain: ClassVar[float | None] = LINEAR
     searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
@@ -196,16 +197,6 @@ class ViscousFriction(JointTorque):
 
     def __post_init__(self) -> None:
         self.require_fixed()
-
-    @property
-    def fixed_number(self) -> float | None:
-        """The exponent, of friction that is not in proportion to the speed."""
-        return None if self.exponent == LINEAR else self.exponent
-
-    @property
-    def includes(self) -> tuple[Effect, ...]:
-        """The friction in proportion to the speed, of which this one is another form; none if it is that itself."""
-        return () if self.exponent == LINEAR else (ViscousFriction(self.joint, of_slide=self.of_slide),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         n = max(values[1], 1e-9) if self.exponent is None else self.exponent
@@ -231,6 +222,7 @@ class CoulombFriction(JointTorque):
     specificity: ClassVar[int] = 1
     common: ClassVar[bool] = True
     fixed: ClassVar[str | None] = "transition_rad_per_s"
+    plain: ClassVar[float | None] = SHARP
     searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("direction of motion",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
@@ -239,19 +231,7 @@ class CoulombFriction(JointTorque):
     )
 
     def __post_init__(self) -> None:
-        if self.transition_rad_per_s != SHARP:
-            self.require_fixed()
-
-    @property
-    def fixed_number(self) -> float | None:
-        """The transition; one that is as sharp as encoders show is no number of it."""
-        return self.transition_rad_per_s or None
-
-    @property
-    def includes(self) -> tuple[Effect, ...]:
-        """The friction with a sharp transition, of which this one is a smooth form; none if it is that itself."""
-        wide = self.transition_rad_per_s != SHARP
-        return (CoulombFriction(self.joint, of_slide=self.of_slide),) if wide else ()
+        self.require_fixed()
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.transition_rad_per_s is None else self.transition_rad_per_s

@@ -98,6 +98,8 @@ class Effect(ABC):
     """Its coordinates, as of a revolute joint. One that is also a field is none where that field is given."""
     fixed: ClassVar[str | None] = None
     """A field that is reported as a parameter too, without uncertainty."""
+    plain: ClassVar[float | None] = None
+    """The value of `fixed` in the simplest form of an effect, which is no number of it; None where there is none."""
     searched: ClassVar[bool] = False
     """Whether `fixed` is a number that a search chooses; None in the field makes it the last coordinate."""
 
@@ -156,13 +158,16 @@ class Effect(ABC):
 
     @property
     def fixed_number(self) -> float | None:
-        """What the field `fixed` says; None where it says nothing, or there is none."""
-        return None if self.fixed is None else getattr(self, self.fixed)
+        """What the field `fixed` says; None where it says nothing or the simplest form, or there is none."""
+        number = None if self.fixed is None else getattr(self, self.fixed)
+        return None if number == self.plain else number
 
     @property
     def includes(self) -> "tuple[Effect, ...]":
-        """The effects that are this one with some of its numbers zero."""
-        return ()
+        """The effects that are this one with some of its numbers zero, or in its simplest form."""
+        if self.fixed is None or self.plain in (None, getattr(self, self.fixed)):
+            return ()
+        return (replace(self, **{self.fixed: self.plain}),)
 
     def released(self) -> "Effect":
         """The same effect with its chosen number as its last coordinate."""
@@ -185,7 +190,7 @@ class Effect(ABC):
             InputError: as said.
         """
         number = getattr(self, self.fixed or "")
-        if number is not None and not (0 < number < np.inf or (zero and number == 0)):
+        if number not in (None, self.plain) and not (0 < number < np.inf or (zero and number == 0)):
             wanted = "zero or a positive number" if zero else "a positive number"
             raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {wanted}")
 

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_unit
 from lite6jax.effects.catalogue import POSE_EFFECTS
-from lite6jax.effects.dynamic import LINEAR, SHARP
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.schema import NonNegative, Strict, check
@@ -164,15 +163,11 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
         covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
     """
     where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
-    silent = {
-        _OF_SLIDE: False,
-        "transition_rad_per_s": SHARP,
-        "exponent": LINEAR,
-    }  # fields that say nothing at these values
+    silent = {_OF_SLIDE: False, effect.fixed: effect.plain}  # fields that say nothing at these values
     given = {
         effect.own(name): list(value) if isinstance(value, tuple) else value
         for name, value in where.items()
-        if value not in (None, ()) and (name not in silent or value != silent[name])
+        if value not in (None, (), silent.get(name))
     }
     return {
         "effect": effect.name,

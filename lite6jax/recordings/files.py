@@ -147,7 +147,11 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
 
 
 def _is_growing(path: Path) -> bool:
-    """Whether a table of text is of a recording that was not completed, by its sidecar."""
+    """Whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
+    with open(path, "rb") as file:
+        file.seek(-min(file.seek(0, os.SEEK_END), 1), os.SEEK_END)
+        if file.read() in (b"", b"\n"):
+            return False
     with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
         return not read_sidecar(sidecar_path(path)).complete
     return False

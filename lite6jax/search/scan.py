@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +109,18 @@ class Ranked:
     def key(self) -> tuple[Any, ...]:
         """The same for processes of the same quantities at the same component, whatever their kernel."""
         return self.site, self.place, self.cause
+
+
+class Pair(NamedTuple):
+    """Two names that may be added together.
+
+    Attributes:
+        names: each with the gain of both.
+        net: log posterior odds of the presence of both.
+    """
+
+    names: tuple[Ranked, Ranked]
+    net: float
 
 
 @final
@@ -280,7 +292,7 @@ class Scan:
             if (site, name) in components and all(phrase in place for phrase in phrases)
         ]
 
-    def together(self, test: ScoreTest, term: Term) -> list[tuple[Ranked, Ranked]]:
+    def together(self, test: ScoreTest, term: Term) -> list[Pair]:
         """A name that has a number which is tried, each time with another name of its site, the likeliest pair first.
 
         Either alone may take another number: a spring and a play add up to a wider play.
@@ -352,8 +364,8 @@ class _Weighed:
             found = self._refined(found[0])
         return found[0] if found else None
 
-    def together(self, term: Term) -> list[tuple[Ranked, Ranked]]:
-        """As `Scan.together`; the second of each pair has what the two are worth."""
+    def together(self, term: Term) -> list[Pair]:
+        """As `Scan.together`."""
         same = [one for one in self._scan.names if one.label == term.label]
         same = [*same, *self._near(term)]
         others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
@@ -366,14 +378,12 @@ class _Weighed:
         evidence = self._marginal.of_names([np.concatenate([own[a], beside[b]]) for a, b in pairs])
         found = []
         for (a, b), one in zip(pairs, evidence, strict=True):
-            cost = self._scan.cost_of_name(same[a]) + self._scan.cost_of_name(others[b])
-            each = ((t.label,) for t in (same[a], others[b]))
             first, second = (
-                self._ranked(one, cost, t.site, cause, "", lambda t=t: t)
-                for t, cause in zip((same[a], others[b]), each, strict=True)
+                self._ranked(one, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term)
+                for term in (same[a], others[b])
             )
-            found.append((first, second))
-        return sorted(found, key=lambda pair: -pair[1].net)
+            found.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
+        return sorted(found, key=lambda pair: -pair.net)
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this, as fine as the data tell it."""

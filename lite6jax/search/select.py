@@ -25,7 +25,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import NEARLY, Considered, Ranked, Scan
+from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -135,7 +135,7 @@ class Selector:
         Numbers of them are chosen when all are there: that of one alone would describe what another one does.
         """
         before = state
-        while worth := self._worth(self.scan.usual(self.test(state)), self.test(state), state, set()):
+        while worth := self._worth(self.scan.usual(test := self.test(state)), test, state, set()):
             state = self._within_bounds(self._with(state, *worth))
         return state if state is before else self._settled(self._estimated(state))
 
@@ -211,15 +211,10 @@ class Selector:
         return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
 
     def _with(self, state: State, *ranked: Ranked) -> State:
-        new = [self._as_selected(one) for one in ranked]
+        new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
         included = {term for one in new for term in one.term.includes}
         kept = [one for one in state.tested if one.term not in included]
         return refitted(self.problem, state, [*kept, *new], self.options)
-
-    def _as_selected(self, one: Ranked) -> SelectedTerm:
-        term = one.make()
-        single = not one.process and not term.periodic  # of a pair of names, each has its own cost
-        return SelectedTerm(term, one.gain, self.scan.cost_of_name(term) if single else one.cost, one.volume)
 
     def _left_out(self, state: State, k: int) -> State:
         """Without the k-th term, refitted."""
@@ -257,9 +252,7 @@ class Selector:
 
     def _is_open(self, term: Term) -> bool:
         """Whether something of a term is chosen, so that it may be chosen anew."""
-        if term in self._preset or term.periodic:
-            return False
-        return term.nonparametric or term.chosen is not None or self.scan.has_numbers(term)
+        return term not in self._preset and (term.nonparametric or self._has_number(term))
 
     def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
@@ -413,17 +406,17 @@ class Selector:
         best = self._likeliest_pair(self.beside(state, k), one.term, one.net, there)
         if best is None:
             return None
-        trial = self._settled(self._estimated(self._with(self._left_out(state, k), *best)))
+        trial = self._settled(self._estimated(self._with(self._left_out(state, k), *best.names)))
         return trial if trial.evidence > state.evidence + self.options.better else None
 
     def _has_number(self, term: Term) -> bool:
         """Whether a number of a name is tried."""
         return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
 
-    def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, known: set[str]) -> tuple[Ranked, Ranked] | None:
+    def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, known: set[str]) -> Pair | None:
         """A name with another one beside it that is not `known`, where the two gain a margin over its own odds."""
-        best = next((pair for pair in self.scan.together(test, term) if pair[1].cause[0] not in known), None)
-        return None if best is None or best[1].net < net + self.options.margin else best
+        best = next((pair for pair in self.scan.together(test, term) if pair.names[1].cause[0] not in known), None)
+        return None if best is None or best.net < net + self.options.margin else best
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
@@ -457,7 +450,7 @@ class Selector:
             pair = None
             if self._has_number(term := best.make()):
                 pair = self._likeliest_pair(test, term, best.net, known)
-            more, net = ((best,), best.net) if pair is None else (pair, pair[1].net)
+            more, net = ((best,), best.net) if pair is None else pair
             known |= {one.cause[0] for one in more}
             names, gain = [*names, *more], gain + net
             test = test.extend(self.problem.columns([one.make() for one in more], beside=model))

@@ -1,4 +1,4 @@
-"""Who the controller says it is, and what it refuses, as the unmodified SDK asks for it."""
+"""Who the controller says it is, and what it refuses, as the unmodified SDK reads it."""
 
 import numpy as np
 import pytest

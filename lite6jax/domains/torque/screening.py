@@ -400,13 +400,16 @@ def held_by_friction(data: TorqueRows) -> Held:
             bands.append(band)
     if not joints:
         return Held(slack, repeated, ())
+
+    def kept_samples(flags: Flags) -> list[tuple[slice, NDArray[np.integer]]]:
+        spans = stretches(flags, data.filter.runs)
+        return [(span, kept[(kept >= span.start) & (kept < span.stop)]) for span in spans]
+
     # one rest is one torque, however many samples show it
-    for span in stretches(still.all(0), data.filter.runs):
-        own = kept[(kept >= span.start) & (kept < span.stop)]
+    for _, own in kept_samples(still.all(0)):
         repeated[own[np.arange(len(own)) != len(own) // 2]] = True
     for j, band in zip(joints, bands, strict=True):
-        for span in stretches(near[j - 1], data.filter.runs):
-            own = kept[(kept >= span.start) & (kept < span.stop)]
+        for span, own in kept_samples(near[j - 1]):
             single = own[~repeated[own]]
             slack[j - 1, span] = band * np.sqrt(max(len(own), 1))
             slack[j - 1, single] = band * np.sqrt(max(len(single), 1))
