@@ -406,7 +406,7 @@ def held_by_friction(data: TorqueRows) -> Held:
         return [(span, kept[(kept >= span.start) & (kept < span.stop)]) for span in spans]
 
     # one rest is one torque, however many samples show it
-    for _, own in kept_samples(still.all(0)):
+    for _, own in kept_samples(np.logical_and.reduce(still)):
         repeated[own[np.arange(len(own)) != len(own) // 2]] = True
     for j, band in zip(joints, bands, strict=True):
         for span, own in kept_samples(near[j - 1]):
