@@ -78,6 +78,14 @@ class Tree(NamedTuple):
         """The joints of the chain that are not fixed."""
         return _movable(self.chain)
 
+    def carried(self, joint: Joint) -> list[tuple[str, Array]]:
+        """The links that a joint of the chain moves and no later one, as `rigid_links`.
+
+        Joints beside the chain, as those of a gripper's fingers, stand at zero.
+        """
+        own = {each.child for each in self.moving}
+        return _links_below(joint.child, [each for each in self.joints if each.child not in own])
+
 
 def find_chain(
     path: str | Path,
@@ -216,10 +224,14 @@ def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
 
 def rigid_links(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
     """A link and every link fixed to it, by name, each with its pose (4, 4) in the frame of the first."""
+    return _links_below(link, [joint for joint in joints if joint.kind == "fixed"])
+
+
+def _links_below(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
+    """A link and all that joints lead to from it, by name, each with its pose (4, 4) in the frame of the first."""
     below: dict[str, list[Joint]] = {}
     for joint in joints:
-        if joint.kind == "fixed":
-            below.setdefault(joint.parent, []).append(joint)
+        below.setdefault(joint.parent, []).append(joint)
     found, waiting = [], [(link, IDENTITY)]
     while waiting:
         name, T = waiting.pop()
@@ -255,9 +267,9 @@ def arm_of_chain(
 
     Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
     `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every position of
-    a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia. Links on
-    moving joints beside the chain are omitted. Inertia that is zero throughout is unknown. Of links, `body_of` says
-    what they are in their frames, and `drives` are fields of `Arm`.
+    a joint keeps its value and sign. Links are lumped with the link that carries them, mass and inertia: those fixed to
+    it, and those on moving joints beside the chain, such as fingers, where these joints are at zero. Inertia that is
+    zero throughout is unknown. `body_of` says what a link is in its frame, and `drives` are fields of `Arm`.
 
     Raises:
         InputError: no joint that moves, or one that no arm here has; or as `Arm`.
@@ -311,19 +323,19 @@ def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
 
 
 def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], frames.Body | None]) -> dict[str, Array]:
-    """The fields of `Arm` that say what each moved link is with every link fixed to it."""
-    fixed = [
+    """The fields of `Arm` that say what each moved link is with every link that it carries."""
+    carried = [
         [
             frames.transform_body(body, axis_frame(joint.axis).T @ T)
-            for name, T in rigid_links(joint.child, tree.joints)
+            for name, T in tree.carried(joint)
             if (body := body_of(name)) is not None
         ]
         for joint in tree.moving
     ]
-    if not any(fixed):
+    if not any(carried):
         return {}
-    links, known = [frames.lump(bodies) for bodies in fixed], True
-    for joint, bodies, link in zip(tree.moving, fixed, links, strict=True):
+    links, known = [frames.lump(bodies) for bodies in carried], True
+    for joint, bodies, link in zip(tree.moving, carried, links, strict=True):
         if wrong := next(filter(None, (frames.defect(body.inertia) for body in (*bodies, link))), ""):
             known = False
             warnings.warn(

@@ -2,6 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,22 +90,21 @@ def _tree(path: str | Path, base: str | None, tip: str | None) -> tuple[Tree, ET
 def _read(path: str | Path, base: str | None, tip: str | None) -> tuple[Arm, Tree, ET.Element]:
     """The arm, the chain that it is, and the root element."""
     tree, robot = _tree(path, base, tip)
+    drives = _drives(path, robot, tree.moving)
+    return arm_of_chain(path, tree, robot.get("name", ""), "URDF", partial(_body_of, path, tree), drives), tree, robot
 
-    def body_of(name: str) -> frames.Body | None:
-        element = tree.links[name].find("inertial")
-        if element is None:
-            return None
-        where = f"{path}: link {name!r}: inertial"
-        kg = scalar(_attribute(element, "mass", "value", where), f"{where}: mass")
-        entry = element.find("inertia")
-        six = [
-            0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in frames.TENSOR_ENTRIES
-        ]
-        body = frames.Body(kg, np.zeros(3), frames.tensor(six))
-        return frames.transform_body(body, frames.transform_from_row(origin(element, where)))
 
-    arm = arm_of_chain(path, tree, robot.get("name", ""), "URDF", body_of, _drives(path, robot, tree.moving))
-    return arm, tree, robot
+def _body_of(path: str | Path, tree: Tree, name: str) -> frames.Body | None:
+    """What a link of the file is in its own frame; None where the file does not say it."""
+    element = tree.links[name].find("inertial")
+    if element is None:
+        return None
+    where = f"{path}: link {name!r}: inertial"
+    kg = scalar(_attribute(element, "mass", "value", where), f"{where}: mass")
+    entry = element.find("inertia")
+    six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in frames.TENSOR_ENTRIES]
+    body = frames.Body(kg, np.zeros(3), frames.tensor(six))
+    return frames.transform_body(body, frames.transform_from_row(origin(element, where)))
 
 
 def _parse(path: str | Path) -> ET.Element:
@@ -276,7 +276,8 @@ def write_into_urdf(
 
     Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
     does not know. What follows the last joint changes in the last fixed joint, if it is to change. Where the arm has
-    inertia, that of each link contains the links fixed to it, whose own is removed.
+    inertia, that of each link contains the links fixed to it, whose own is removed; links on joints beside the chain
+    keep theirs.
 
     Returns:
         what the file has no place for, a phrase each.
@@ -319,11 +320,19 @@ def write_into_urdf(
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
     if arm.mass is not None and arm.inertia is not None and not _same_bodies(arm, old):
         for i, joint in enumerate(tree.moving):
-            for name, _ in rigid_links(joint.child, tree.joints):
+            fixed = {name for name, _ in rigid_links(joint.child, tree.joints)}
+            beside = [
+                frames.transform_body(body, T)
+                for name, T in tree.carried(joint)
+                if name not in fixed and (body := _body_of(robot, tree, name)) is not None
+            ]
+            for name in fixed:
                 for entry in tree.links[name].findall("inertial"):
                     tree.links[name].remove(entry)
             if (body := link_body(arm, i)) is not None:
-                _set_body(tree.links[joint.child], frames.transform_body(body, axis_frame(joint.axis)))
+                whole = frames.transform_body(body, axis_frame(joint.axis))
+                rest = frames.lump([whole, *(frames.Body(-b.mass, b.center, -b.inertia) for b in beside)])
+                _set_body(tree.links[joint.child], rest)
     left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
     _write(root, path, overwrite)

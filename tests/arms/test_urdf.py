@@ -438,13 +438,29 @@ def moved(rng, row):
 
 @pytest.fixture
 def robot(tmp_path):
-    """Odd axes, a fixed joint in the chain, bodies fixed beside it, and a tip that a fixed joint leads to."""
+    """Odd axes, a fixed joint in the chain, bodies fixed and moving beside it, and a tip after a fixed joint."""
     parts = [link("base"), heavy("a", 2, "0.1 0 0.02", "0.3 -0.2 1"), heavy("cover", 1, "0 0.05 0.1", "0 1 0.4")]
     parts += [heavy("b", 3, "0 0.2 0", "1 1 1"), heavy("hand", 0.5, "0.01 0.02 0.03", "0.5 0 0"), link("tool")]
     parts += [joint("j1", "base", "a", axis="0 -1 0", rpy="0.2 0 0", extra='<dynamics damping="0.7"/>')]
     parts += [joint("weld", "a", "cover", "fixed", xyz="0 0.5 0", rpy="1.2 0.3 0")]
     parts += [joint("j2", "cover", "b", xyz="0.3 0 0", axis="1 2 -3"), joint("f2", "b", "hand", "fixed", rpy="0 0 1")]
+    parts += [heavy("finger", 0.2, "0 0.01 0.04", "0 0.2 0"), heavy("pad", 0.1, "0 0 0.02", "1 0 0")]
+    parts += [joint("finger", "hand", "finger", "prismatic", xyz="0 0.02 0.06", rpy="0.1 0 0", axis="0 1 0")]
+    parts += [joint("pad", "finger", "pad", xyz="0 0 0.05")]
     return write(tmp_path, *parts, joint("f4", "hand", "tool", "fixed", xyz="0.1 0 0"))
+
+
+def pinocchio_without_fingers(path):
+    """The arm of a file with `finger` and `pad` held at zero."""
+    model = pin.buildModelFromUrdf(str(path))
+    return pin.buildReducedModel(model, [model.getJointId("finger"), model.getJointId("pad")], pin.neutral(model))
+
+
+def test_what_an_arm_carries_on_joints_beside_its_chain_weighs_on_it(robot):
+    arm, model = read_urdf(robot, tip="tool"), pinocchio_without_fingers(robot)
+    motion = np.random.default_rng(1).normal(0, 2, (3, 2, 20))
+    torques = inverse_dynamics(arm.kinematics, link_parameters(arm), *motion, model.gravity.linear)
+    np.testing.assert_allclose(torques, pinocchio_torques(model, *motion), rtol=0, atol=1e-10)
 
 
 def test_the_file_is_the_arm(robot, tmp_path):
@@ -464,11 +480,13 @@ def test_the_file_is_the_arm(robot, tmp_path):
     path = tmp_path / "new.urdf"
     assert write_into_urdf(arm, robot, path, tip="tool") == ["rotor inertia"]
     q = rng.uniform(-2, 2, (10, 2))
-    shown = np.array([urdf_link_pose(path, "tool")(row) for row in q])
+    at = np.pad(q, [(0, 0), (0, 2)])
+    shown = np.array([urdf_link_pose(path, "tool")(row) for row in at])
     np.testing.assert_allclose(shown, six_parameter_poses(arm.kinematics, q) @ tail, rtol=0, atol=1e-12)
     motion = rng.normal(0, 2, (3, 2, 20))
-    model = pin.buildModelFromUrdf(str(path))
+    model = pinocchio_without_fingers(path)
     wanted = inverse_dynamics(arm.kinematics, link_parameters(arm), *motion, model.gravity.linear)
+    assert ET.parse(path).find("link[@name='finger']/inertial/mass").get("value") == "0.2"
     np.testing.assert_allclose(pinocchio_torques(model, *motion), wanted, rtol=0, atol=1e-10)
     assert '<dynamics damping="0.9"' in path.read_text()
     np.testing.assert_array_equal(read_urdf(path, tip="tool").viscous_friction, [0.9, 0.4])
