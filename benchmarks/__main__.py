@@ -14,15 +14,18 @@ from rich.table import Table
 from benchmarks.measure import DONE, MISSED, UNUSABLE, Record, Workload, ended, write_records
 from lite6jax.storage import check_writable
 
-WORKLOADS = {
-    **dict.fromkeys(("one", "fleet"), "fits"),
-    **{name: name for name in ("samples", "study", "command", "folders", "devices", "ceres", "diagnose")},
-    **{name: name for name in ("fleet_diagnosis", "compensation", "models", "regressor", "soak")},
+MODULES = {
+    "fits": ("one", "fleet", "samples", "devices", "ceres"),
+    "study": ("study", "models", "regressor"),
+    "commands": ("command", "folders", "diagnose"),
+    "fleet_diagnosis": ("fleet_diagnosis",),
+    "compensation": ("compensation",),
+    "soak": ("soak",),
 }
-"""Functions of this folder's modules, by name, in the order in which they run."""
+"""Workloads in the order in which they run: functions of this folder's modules."""
+WORKLOADS = {name: module for module, names in MODULES.items() for name in names}
 BY_NAME = ("devices", "ceres", "fleet_diagnosis")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
-COMPARED = ("models", "devices")
 PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}
 """Those of the extra `benchmark`, by the module that is imported."""
 COMMANDS = {
@@ -58,9 +61,8 @@ def _run(arguments: Sequence[str], known: dict[str, Workload]) -> int:
         description=__doc__,
         epilog=f"{', '.join(COMMANDS)} have options of their own: concealed --help.",
     )
-    parser.add_argument(
-        "name", nargs="?", choices=list(known), help=f"one workload; without it all but {', '.join(BY_NAME)}"
-    )
+    unnamed = f"one workload; without it all but {', '.join(BY_NAME)}"
+    parser.add_argument("name", nargs="?", choices=list(known), help=unnamed)
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
         "--device", choices=("cpu", "gpu"), help="compare this device with the processor: runs `devices` only"
@@ -77,7 +79,12 @@ def _run(arguments: Sequence[str], known: dict[str, Workload]) -> int:
     for name in [options.name] if options.name else [name for name in known if name not in BY_NAME]:
         with console.status(f"{name} …"):
             found = list(known[name]())
-        console.print(table(name, found))
+        table = Table("workload", "subject", "metric", "value", "unit", title=name, title_justify="left")
+        for each in found:
+            value = ("none" if each.value is None else f"{each.value:.4g}") + (" ✗" if each.failed else "")
+            style = "red" if each.failed else None
+            table.add_row(each.workload, each.subject, each.metric, value, each.unit, style=style)
+        console.print(table)
         records += found
     if options.json:
         write_records(options.json, records)
@@ -85,36 +92,6 @@ def _run(arguments: Sequence[str], known: dict[str, Workload]) -> int:
     for record in failed:
         console.print(f"wrong: {record.workload}, {record.subject}, {record.metric}: {record.failed}", style="red")
     return MISSED if failed else DONE
-
-
-def table(name: str, records: Sequence[Record]) -> Table:
-    """The records of a workload, one a row; of one that compares like with like, a column a subject."""
-    shown = Table(title=name, title_justify="left")
-    if name in COMPARED:
-        cells = {(record.metric, record.subject): record for record in records}
-        subjects = list(dict.fromkeys(record.subject for record in records))
-        shown.add_column("metric")
-        for subject in subjects:
-            shown.add_column(subject, justify="right")
-        for metric, unit in dict.fromkeys((record.metric, record.unit) for record in records):
-            row = [cells.get((metric, subject)) for subject in subjects]
-            values = ["" if record is None else _value(record) for record in row]
-            shown.add_row(f"{metric} ({unit})" if unit else metric, *values)
-        return shown
-    for column in ("workload", "subject", "metric"):
-        shown.add_column(column, overflow="fold")
-    for column in ("value", "unit", "better"):
-        shown.add_column(column, justify="right" if column == "value" else "left")
-    for record in records:
-        style = "red" if record.failed else None
-        shown.add_row(
-            record.workload, record.subject, record.metric, _value(record), record.unit, record.better, style=style
-        )
-    return shown
-
-
-def _value(record: Record) -> str:
-    return ("none" if record.value is None else f"{record.value:.4g}") + (" ✗" if record.failed else "")
 
 
 if __name__ == "__main__":

@@ -1,22 +1,28 @@
 """Concealed fleets by the command: effects that no recording shows, odd arms, and false alarms where none is.
 
-Every kind of fleet is drawn several times. Effects go round through the catalogue, and a fleet counts as found where an
-effect of the right name, site and order is in its document.
+Every kind of fleet is drawn several times, by the generator of the concealed trials. Effects go round through the
+catalogue, and a fleet counts as found where an effect of the right name, site and order is in its document.
 """
 
 import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from benchmarks.campaigns.shares import Share, share
-from benchmarks.concealed.fleets import Shared, write_fleet
-from benchmarks.concealed.plain_physics import Hidden
+from benchmarks.campaigns.shares import share
+from benchmarks.concealed import chain as chains
+from benchmarks.concealed.hiding import beyond_named, detection_threshold
+from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, Setup, poses
+from benchmarks.concealed.plans import SENSORS, Plan
+from benchmarks.concealed.trials import PAYLOAD_CENTER, draw_motion, files_of, measure, pose_readings
+from benchmarks.concealed.view import Open, View, turned
 from benchmarks.measure import ROOT, Record
 
 HALF = 0.5
@@ -28,28 +34,63 @@ _MIDDLE = {1: 0.0, 2: 0.0, 3: 1.8, 4: 0.0, 5: 0.0}
 _WIDTH = 0.4
 """rad, of a bump over the position of a joint."""
 
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Shared:
+    """An effect that arms of a fleet have.
+
+    Attributes:
+        effect: with values of size 1; those of a wave are turned to a phase of each arm.
+        thresholds: its size, in thresholds of one recording.
+        odd: the only arm that has it, from 0; None where all have.
+    """
+
+    effect: Hidden
+    thresholds: float
+    odd: int | None = None
+
+    def found_in(self, document: Document) -> bool:
+        """Whether a document has it with its name, site and order."""
+        return any(
+            (one["effect"], one["site"]) == (self.effect.name, self.effect.site)
+            and all(abs(one.get(name, value) - value) < 0.5 for name, value in self.effect.fixed.items())
+            for one in document["effects"]
+        )
+
 
 def fleet_diagnosis(
     fleets: int = 6, clean: int = 20, arms: int = 30, fewer: int = 12, rows: int = 200, seed: int = 11
 ) -> Iterator[Record]:
     """Shares of so many fleets of each kind and of clean ones, with 95 % intervals; `fewer` arms are in some."""
+    kinds = {
+        "half": (arms, "half-threshold effect in all"),
+        "outside": (arms, "half-threshold bump in all"),
+        "odd": (fewer, "effect in one arm"),
+    }
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind, count in (("half", arms), ("outside", arms), ("odd", fewer)):
+        for kind, (count, words) in kinds.items():
             answers = []
             for number in range(fleets):
                 hidden = _hidden(kind, number, count, seed)
-                place = folder / f"{kind}{number}"
-                answers.append((hidden, _answer(place, seed + number, count, rows, (hidden,))))
-            yield from _judged(kind, f"{count} recordings", answers)
+                answers.append((hidden, _answer(folder / f"{kind}{number}", seed + number, count, rows, (hidden,))))
+            yield from _shares(f"{words}, {count} recordings", _judged(kind, answers))
         documents = [_answer(folder / f"clean{i}", seed + 1000 + i, fewer, rows, ()) for i in range(clean)]
-        work = f"{fewer} clean arms"
-        alarms = share(bool(document["effects"]) for document in documents)
-        yield _record(work, "fleets with an effect", alarms, "lower")
-        said = share(
-            bool(member["outlier_in"]) for document in documents for member in document["recordings"] if member["used"]
-        )
-        yield _record(work, "arms said to differ", said, "lower")
+        used = [member for document in documents for member in document["recordings"] if member["used"]]
+        alarms = {
+            "fleets with an effect": (bool(document["effects"]) for document in documents),
+            "arms said to differ": (bool(member["outlier_in"]) for member in used),
+        }
+        yield from _shares(f"{fewer} clean arms", alarms)
+
+
+def _shares(work: str, flags: Mapping[str, Iterable[bool]]) -> Iterator[Record]:
+    for metric, each in flags.items():
+        found = share(each)
+        said = f"{metric}, of {found.of} ({100 * found.low:.0f} to {100 * found.high:.0f} %)"
+        yield Record("fleet diagnosis", work, said, 100 * found.value, "%")
 
 
 def _hidden(kind: str, number: int, arms: int, seed: int) -> Shared:
@@ -69,79 +110,90 @@ def _hidden(kind: str, number: int, arms: int, seed: int) -> Shared:
         joint = int(rng.integers(1, 6))
         fixed = {"joint": float(joint), "centre": _MIDDLE[joint] + float(rng.uniform(-0.5, 0.5))}
         return Shared(Hidden("joint_bump", f"joint{joint}", (1.0,), {**fixed, "width": _WIDTH}), HALF)
-    if kind == "half":
-        return Shared(effect, HALF)
-    return Shared(effect, 0.0, odd=((int(rng.integers(arms)), _ODD),))
+    return Shared(effect, HALF) if kind == "half" else Shared(effect, _ODD, int(rng.integers(arms)))
 
 
-def _answer(folder: Path, seed: int, arms: int, rows: int, hidden: tuple[Shared, ...]) -> dict[str, Any]:
+def _answer(folder: Path, seed: int, arms: int, rows: int, hidden: tuple[Shared, ...]) -> Document:
     """The document that the command writes."""
     write_fleet(folder, seed, arms, rows, hidden)
     out = folder.with_name(f"{folder.name}_out")
     given = ["diagnose", "--fleet", str(folder), "--out", str(out), "--quick"]
-    done = subprocess.run([sys.executable, "-m", "lite6jax.cli", *given], cwd=ROOT, capture_output=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr.decode())
-    document: dict[str, Any] = json.loads((out / "fleet.json").read_text())
+    subprocess.run([sys.executable, "-m", "lite6jax.cli", *given], cwd=ROOT, capture_output=True, check=True)
+    document: Document = json.loads((out / "fleet.json").read_text())
     return document
 
 
-def _judged(kind: str, work: str, answers: list[tuple[Shared, dict[str, Any]]]) -> Iterator[Record]:
-    names = {
-        "half": "half-threshold effect in all",
-        "outside": "half-threshold bump in all",
-        "odd": "effect in one arm",
-    }
-    subject = f"{names[kind]}, {work}"
-    found = [_found(hidden, document) for hidden, document in answers]
+def _judged(kind: str, answers: Sequence[tuple[Shared, Document]]) -> dict[str, Iterable[bool]]:
+    """What counts of fleets of a kind, a flag each."""
     if kind == "outside":
-        there = [
+        at_site = [
             [one["effect"] for one in document["effects"] if one["site"] == hidden.effect.site]
             for hidden, document in answers
         ]
-        yield _record(subject, "without a name at its site", share(one == ["unnamed"] for one in there), "higher")
-        wrong = share(any(one["effect"] != "unnamed" for one in document["effects"]) for _, document in answers)
-        yield _record(subject, "with a name, which is wrong", wrong, "lower")
-        return
-    yield _record(subject, "found and named", share(one is not None for one in found), "higher")
+        named = (any(one["effect"] != "unnamed" for one in document["effects"]) for _, document in answers)
+        return {
+            "without a name at its site": (names == ["unnamed"] for names in at_site),
+            "with a name, which is wrong": named,
+        }
+    found = [hidden.found_in(document) for hidden, document in answers]
+    flags: dict[str, Iterable[bool]] = {"found and named": found}
     if kind == "half":
-        silent = share(
-            not any(_is(hidden, label) for label in _labels(member))
+        flags["recordings that do not show it alone"] = (
+            all(one["label"] != f"{hidden.effect.name}:{hidden.effect.site}" for one in member["found_alone"])
             for hidden, document in answers
             for member in document["recordings"]
         )
-        yield _record(subject, "recordings that do not show it alone", silent, "higher")
-    if kind == "odd":
-        right = share(_outliers(document) == [f"arm{hidden.odd[0][0] + 1:02d}.csv"] for hidden, document in answers)
-        yield _record(subject, "that arm named, and no other", right, "higher")
-    further = share(
-        len(document["effects"]) > (one is not None) for one, (_, document) in zip(found, answers, strict=True)
+    else:
+        flags["that arm named, and no other"] = (
+            [member["file"] for member in document["recordings"] if member["outlier_in"]]
+            == [f"arm{(hidden.odd or 0) + 1:02d}.csv"]
+            for hidden, document in answers
+        )
+    flags["with another effect too"] = (
+        len(document["effects"]) > one for one, (_, document) in zip(found, answers, strict=True)
     )
-    yield _record(subject, "with another effect too", further, "lower")
+    return flags
 
 
-def _found(hidden: Shared, document: Mapping[str, Any]) -> dict[str, Any] | None:
-    effect = hidden.effect
-    for one in document["effects"]:
-        if (one["effect"], one["site"]) != (effect.name, effect.site):
-            continue
-        if all(abs(one.get(name, value) - value) < 0.5 for name, value in effect.fixed.items()):
-            return dict(one)
-    return None
+def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared]) -> None:
+    """Writes the recordings of a fleet: `armNN.csv` with sidecar and factory calibration.
 
-
-def _is(hidden: Shared, label: str) -> bool:
-    return label == f"{hidden.effect.name}:{hidden.effect.site}"
-
-
-def _labels(member: Mapping[str, Any]) -> list[str]:
-    return [one["label"] for one in member["found_alone"]]
-
-
-def _outliers(document: Mapping[str, Any]) -> list[str]:
-    return [member["file"] for member in document["recordings"] if member["outlier_in"]]
-
-
-def _record(work: str, metric: str, found: Share, better: Any) -> Record:
-    said = f"{metric}, of {found.of} ({100 * found.low:.0f} to {100 * found.high:.0f} %)"
-    return Record("fleet diagnosis", work, said, 100 * found.value, "%", better)
+    The arms are at rest before a laser tracker whose frame and target are unknown. A threshold is that of the effect in
+    the recording of the first arm, so that all arms share a physical size; of one outside the catalogue, that of what
+    the nearest named effect of its site leaves of it.
+    """
+    folder.mkdir()
+    sizes: list[float] = []
+    for arm in range(arms):
+        rng = np.random.default_rng([seed, 2, arm])
+        actual = chains.lite6().moved(rng, *chains.MADE)
+        plan = Plan(
+            seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows
+        )
+        sensor = turned(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
+        tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
+        setup, noise = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER)), SENSORS[plan.sensor][:2]
+        motion = draw_motion(rng, actual, False, rows, loading=True)
+        view = View(setup, Open(True, 3, False), motion, noise)  # type: ignore[arg-type]
+        if not sizes:
+            span = view.nuisance()
+            spans = [beyond_named(view, one.effect, span) if one.effect.name in OUTSIDE else span for one in hidden]
+            pairs = zip(hidden, spans, strict=True)
+            sizes = [detection_threshold(view, (one.effect,), 0, each).size for one, each in pairs]
+        there = []
+        for one, size in zip(hidden, sizes, strict=True):
+            rng.normal()  # nothing depends on it, but seeds mean the fleets that they meant
+            effect = one.effect
+            if effect.name == "joint_harmonic":
+                phase = rng.uniform(-np.pi, np.pi)
+                effect = effect.sized(np.array([np.cos(phase), np.sin(phase), *effect.values[2:]]))
+            there.append(effect.scaled(size * one.thresholds if one.odd in (None, arm) else 0.0))
+        seen = poses(setup, tuple(there), motion)
+        measured, q, _, _ = measure(plan, rng, setup, motion, seen)
+        files = files_of(plan, chains.lite6(), actual, motion, q, *pose_readings(plan, measured), motion)
+        name = f"arm{arm + 1:02d}"
+        said = yaml.safe_load(files["recording.yaml"])
+        said["recording"]["factory_calibration"] = f"{name}_factory.yaml"
+        (folder / f"{name}.csv").write_text(files["recording.csv"])
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(said, sort_keys=False))
+        (folder / f"{name}_factory.yaml").write_text(files["factory.yaml"])

@@ -7,20 +7,18 @@ the reading of the files. Each half of the recording is fitted and the other one
 """
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.measure import DONE, ended
-from lite6jax.arms.arm import Arm
 from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.calibration.source import declared_arm_of
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
@@ -30,11 +28,11 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
-pin: Any = pinocchio  # a compiled module, which a type checker cannot look into
 Array = NDArray[np.floating]
+LowPass = Callable[[Array], Array]
+"""Of rows `(…, sample)`, zero phase, of fourth order."""
 
 STEPS = ("rigid body alone", "+ viscous, Coulomb, offset", "+ all other terms")
-OURS = "diagnosis"
 _SMOOTH = 2e-3
 """rad/s within which the direction of motion turns."""
 _STRIBECK = (0.05, 0.15)
@@ -64,76 +62,47 @@ class Half(NamedTuple):
     torque: Array
     scored: NDArray[np.bool_]
 
-
-class LowPass(NamedTuple):
-    """Zero phase, of fourth order.
-
-    Attributes:
-        rate: samples per second.
-        cutoff: Hz.
-    """
-
-    rate: float
-    cutoff: float
-
-    def __call__(self, rows: Array) -> Array:
-        """Rows `(…, sample)` low-passed."""
-        return sosfiltfilt(butter(4, self.cutoff, fs=self.rate, output="sos"), rows)
+    @classmethod
+    def of(cls, recording: Recording, rate: float, low: LowPass) -> "Half":
+        """Of a recording of torques in order of time."""
+        dq = low(recording.velocities().T)
+        edge, samples = int(_EDGE * rate), np.arange(recording.samples)
+        scored = (samples >= edge) & (samples < recording.samples - edge)
+        ddq = np.gradient(dq, 1 / rate, axis=1)
+        return cls(low(recording.joint_position.T), dq, ddq, low(recording.torques().T), scored)
 
 
-def half_of(recording: Recording, rate: float, low: "LowPass") -> Half:
-    """A recording of torques in order of time, with everything low-passed."""
-    dq = low(recording.velocities().T)
-    edge, samples = int(_EDGE * rate), np.arange(recording.samples)
-    return Half(
-        low(recording.joint_position.T),
-        dq,
-        np.gradient(dq, 1 / rate, axis=1),
-        low(recording.torques().T),
-        (samples >= edge) & (samples < recording.samples - edge),
-    )
-
-
-def columns(arm: Arm, half: Half, gravity: Sequence[float], step: int, rigid: Array, low: LowPass) -> Array:
+def columns(model: Any, half: Half, step: int, rigid: Array, low: LowPass) -> Array:
     """Columns `(joint, number, sample)` of a step of the ladder.
 
     Args:
-        arm: whose chain carries bodies of which nothing is known.
+        model: Pinocchio's, of bodies of which nothing is known.
         half: the motion.
-        gravity: `(3,)` m/s².
         step: index into `STEPS`.
         rigid: `(joint, sample)` Nm, of the rigid bodies, on which friction by the load depends.
         low: what the torques passed.
     """
     dof = len(half.q)
-    # of unit bodies: the regressor does not depend on them
-    model = pinocchio_model(arm.kinematics, np.ones(dof), np.zeros((dof, 3)), np.tile(np.eye(3), (dof, 1, 1)), gravity)
     blocks = [low(pinocchio_regressor(model, half.q, half.dq, half.ddq))]
     turned = np.tanh(half.dq / _SMOOTH)
-    added: list[Array] = []
-    if step >= 1:
-        added += [half.dq, turned, np.ones_like(half.q)]
+    added = [half.dq, turned, np.ones_like(half.q)] if step >= 1 else []
     if step >= 2:
         added += [half.ddq, half.q, np.abs(rigid) * turned]
         added += [np.exp(-((half.dq / v) ** 2)) * turned for v in _STRIBECK]
-    for rows in added:
-        blocks.append(low(np.eye(dof)[:, :, None] * rows))
-    if step >= 2:
-        for joint in range(dof - 1):  # motors that drive two joints
-            both = half.dq[joint] + half.dq[joint + 1]
-            pair = np.zeros((dof, 2, half.q.shape[1]))
-            pair[joint : joint + 2] = low(np.stack([both, np.tanh(both / _SMOOTH)]))
-            blocks.append(pair)
+    blocks += [low(np.eye(dof)[:, :, None] * rows) for rows in added]
+    for joint in range(dof - 1 if step >= 2 else 0):  # motors that drive two joints
+        both = half.dq[joint] + half.dq[joint + 1]
+        pair = np.zeros((dof, 2, half.q.shape[1]))
+        pair[joint : joint + 2] = low(np.stack([both, np.tanh(both / _SMOOTH)]))
+        blocks.append(pair)
     return np.concatenate(blocks, 1)
 
 
-def climbed(arm: Arm, train: Half, test: Half, gravity: Sequence[float], low: LowPass) -> Iterator[tuple[str, Array]]:
+def climb(model: Any, train: Half, test: Half, low: LowPass) -> Iterator[tuple[str, Array]]:
     """Each step of the ladder with its errors `(joint, sample)` Nm on the other half."""
     rigid = [np.zeros_like(train.q), np.zeros_like(test.q)]
     for step, name in enumerate(STEPS):
-        ours, theirs = (
-            columns(arm, half, gravity, step, load, low) for half, load in zip((train, test), rigid, strict=True)
-        )
+        ours, theirs = (columns(model, *each, low) for each in zip((train, test), (step, step), rigid, strict=True))
         scale = np.maximum(np.sqrt(np.mean(ours**2, (0, 2))), 1e-12)
         weight, numbers = 1 / train.torque.std(1), np.zeros(len(scale))
         for _ in range(_WEIGHTINGS):
@@ -141,18 +110,10 @@ def climbed(arm: Arm, train: Half, test: Half, gravity: Sequence[float], low: Lo
             y = (train.torque * weight[:, None])[:, train.scored].ravel()
             rows = A.transpose(0, 2, 1).reshape(-1, len(scale))
             numbers = np.linalg.lstsq(rows, y, rcond=_DETERMINED)[0] / scale
-            left = np.einsum("jns,n->js", ours, numbers) - train.torque
-            weight = 1 / rms(left, train)
+            weight = 1 / rms(np.einsum("jns,n->js", ours, numbers) - train.torque, train)
         if step == 0:
-            count = 10 * len(train.q)
-            rigid = [np.einsum("jns,n->js", part[:, :count], numbers[:count]) for part in (ours, theirs)]
+            rigid = [np.einsum("jns,n->js", part, numbers) for part in (ours, theirs)]
         yield name, np.einsum("jns,n->js", theirs, numbers) - test.torque
-
-
-def diagnosed(train: Recording, test: Recording, low: LowPass) -> Array:
-    """Errors `(joint, sample)` Nm on a recording of what a diagnosis of another one predicts."""
-    model = diagnose_torques(train).model
-    return low((predict_torques(model, test) - test.torques()).T)
 
 
 def rms(errors: Array, half: Half) -> Array:
@@ -167,25 +128,26 @@ def tables(recording: Recording, cutoff: float, ours: bool) -> Iterator[Table]:
         InputError: no torques or times, or no arm declared.
     """
     arm, recording = declared_arm_of(recording), recording.sorted_by_time()
-    rate = sample_rate(recording)
+    rate, dof = sample_rate(recording), arm.dof
     if cutoff >= rate / 2:
         raise InputError(f"{recording.source}: has {rate:.4g} rows a second; give a --cut below {rate / 2:.4g} Hz")
-    low, middle = LowPass(rate, cutoff), recording.samples // 2
-    parts = [
-        recording.select(np.arange(recording.samples) < middle),
-        recording.select(np.arange(recording.samples) >= middle),
-    ]
-    halves = [half_of(part, rate, low) for part in parts]
-    gravity = recording.settings.gravity_m_per_s2
+    low = partial(sosfiltfilt, butter(4, cutoff, fs=rate, output="sos"))
+    first = np.arange(recording.samples) < recording.samples // 2
+    parts = [recording.select(first), recording.select(~first)]
+    halves = [Half.of(part, rate, low) for part in parts]
+    # of unit bodies: the regressor does not depend on them
+    bodies = np.ones(dof), np.zeros((dof, 3)), np.tile(np.eye(3), (dof, 1, 1))
+    model = pinocchio_model(arm.kinematics, *bodies, recording.settings.gravity_m_per_s2)
     for train, name in ((0, "first half fitted, second predicted"), (1, "second half fitted, first predicted")):
         test = halves[1 - train]
         table = Table(title=f"{recording.source}: {name}, RMS in Nm below {cutoff:g} Hz", title_justify="left")
         table.add_column("")
-        for joint in range(arm.dof):
+        for joint in range(dof):
             table.add_column(f"joint {joint + 1}", justify="right")
-        errors = dict(climbed(arm, halves[train], test, gravity, low))
+        errors = dict(climb(model, halves[train], test, low))
         if ours:
-            errors[OURS] = diagnosed(parts[train], parts[1 - train], low)
+            found, unseen = diagnose_torques(parts[train]).model, parts[1 - train]
+            errors["diagnosis"] = low((predict_torques(found, unseen) - unseen.torques()).T)
         for step, off in errors.items():
             table.add_row(step, *(f"{value:.3f}" for value in rms(off, test)))
         yield table
@@ -208,7 +170,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return DONE
 
     return ended(shown)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""A measured number with unit and direction, how it is timed and kept, whether its answer is right, how a run ends."""
+"""A measured number with its unit, how it is timed and kept, whether its answer is right, how a run ends."""
 
 import json
 import sys
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]
 DONE, MISSED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
+OURS = "lite6jax"
 AGREES = 1e-9
 """m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open."""
 
@@ -33,7 +34,6 @@ class Record:
         metric: what the number says.
         value: the number; None where there is none because the subject failed.
         unit: of `value`.
-        better: which direction is.
         failed: why the answer behind the number is wrong; empty where it was checked and is right.
     """
 
@@ -41,14 +41,12 @@ class Record:
     subject: str
     metric: str
     value: float | None
-    unit: str
-    better: Literal["lower", "higher"]
+    unit: str = ""
     failed: str = ""
 
     def as_json(self) -> dict[str, str | float | None]:
         """The record for the JSON list; the key `failed` is there only where it is."""
-        entry = asdict(self)
-        return entry if self.failed else {key: value for key, value in entry.items() if key != "failed"}
+        return {key: value for key, value in asdict(self).items() if key != "failed" or value}
 
 
 Workload = Callable[..., Iterator[Record]]
@@ -68,7 +66,7 @@ def median_time(call: Callable[[], T], repeats: int) -> tuple[float, T]:
     return median(seconds for seconds, _ in runs), runs[-1][1]
 
 
-def disagreement(answer: np.ndarray, reference: np.ndarray, within: float, what: str) -> str:
+def disagreement(answer: np.ndarray, reference: np.ndarray | float, within: float, what: str) -> str:
     """Why an answer is wrong: empty where no number of it is further than `within` from the reference."""
     distance = np.abs(np.asarray(answer) - np.asarray(reference)).max(initial=0.0)
     return "" if distance <= within else f"{what} off by {distance:.2g}, more than {within:g}"  # NaN is off too
@@ -87,10 +85,10 @@ def unlikely(parameters: np.ndarray, covariance: np.ndarray, truth: np.ndarray) 
     squares = np.einsum("ai,ai->a", error, np.linalg.solve(covariance, error[..., None])[..., 0])
     arms, size = error.shape
     worst, low, high = chi2.isf(1e-9 / arms, size), chi2.ppf(1e-9, arms * size), chi2.isf(1e-9, arms * size)
-    if not (np.isfinite(squares).all() and squares.max() <= worst and low <= squares.sum() <= high):
-        each = squares / size
-        return f"misses the truth: χ² a degree of freedom is {each.mean():.3g}, {each.max():.3g} at worst"
-    return ""
+    if np.isfinite(squares).all() and squares.max() <= worst and low <= squares.sum() <= high:
+        return ""
+    each = squares / size
+    return f"misses the truth: χ² a degree of freedom is {each.mean():.3g}, {each.max():.3g} at worst"
 
 
 def write_records(path: Path, records: Sequence[Record]) -> None:

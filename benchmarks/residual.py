@@ -5,10 +5,10 @@ Linear are a ridge regression on Fourier orders and gravity, and a stepwise sear
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import pairwise, product
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,46 +29,23 @@ _WILD = 8.0
 _GP_TUNED, _GP_ROWS = 800, 3000
 """Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
 ORDERS = tuple(range(1, 61))
-_BLOCKS = 5
-"""Of neighbouring rows, by which a ridge is chosen."""
+_BLOCKS, _PIECE = 5, 500
+"""Blocks of neighbouring rows, by which a ridge is chosen; rows of a piece, so that memory does not matter."""
 _MOST_GROUPS = 80
 _RIDGES = np.logspace(-8, 2, 11)
 _GAUGE = 1e-9
 
 
-class Correction(NamedTuple):
-    """What a rival adds to the geometry's poses.
-
-    Attributes:
-        shift: `(sample, 3)` m, base axes.
-        turn: `(sample, 3)` rad, base axes; zero of one that says nothing of orientation.
-    """
-
-    shift: Array
-    turn: Array
-
-
-class Fitted(NamedTuple):
-    """A rival after it has seen its rows.
-
-    Attributes:
-        correct: what it says of other rows.
-        parameters: how many numbers it has fitted over the geometry; those of a Gaussian process are its weights.
-        names: the physics that it names, as `effect:site`.
-    """
-
-    correct: "Callable[[View], Correction]"
-    parameters: int
-    names: tuple[str, ...] = ()
-
-
-class View(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class View:
     """Rows of a recording as a fitted geometry sees them, in the base's axes.
 
     Attributes:
         recording: the rows.
-        frames: rotations `(sample, joint, 3, 3)` and origins `(sample, joint, 3)` after each joint.
-        tool: rotations `(sample, 3, 3)` and positions `(sample, 3)`.
+        axes: rotations `(sample, joint, 3, 3)` after each joint.
+        origins: `(sample, joint, 3)` m, where these are.
+        tool_axes: `(sample, 3, 3)`.
+        tool: `(sample, 3)` m.
         missed: `(sample, 3)` m, measured less predicted; None without poses.
         turned: `(sample, 3)` rad; None without orientations.
         moment: `(sample, joint, 3)` Nm about each frame's origin in its axes; None where the masses are not known.
@@ -77,8 +54,10 @@ class View(NamedTuple):
     """
 
     recording: Recording
-    frames: tuple[Array, Array]
-    tool: tuple[Array, Array]
+    axes: Array
+    origins: Array
+    tool_axes: Array
+    tool: Array
     missed: Array | None
     turned: Array | None
     moment: Array | None
@@ -87,28 +66,42 @@ class View(NamedTuple):
 
     def rows(self, chosen: NDArray) -> "View":
         """Some of them."""
-
-        def of(array: Array | None) -> Array | None:
-            return None if array is None else array[chosen]
-
-        (R, o), (Rt, p) = self.frames, self.tool
-        return View(
-            self.recording.select(chosen), (R[chosen], o[chosen]), (Rt[chosen], p[chosen]),
-            of(self.missed), of(self.turned), of(self.moment), of(self.base_moment), self.noise,
-        )  # fmt: skip
+        arrays = {each.name: getattr(self, each.name) for each in fields(self)[1:-1]}
+        some = {name: None if array is None else array[chosen] for name, array in arrays.items()}
+        return replace(self, recording=self.recording.select(chosen), **some)
 
     @property
-    def usable(self) -> NDArray[np.bool_]:
-        """`(sample,)`, rows that are not wild."""
+    def whitened(self) -> Array:
+        """`(sample, row)`, residuals over the noise."""
+        assert self.missed is not None
+        shift = self.missed / self.noise[0]
+        return shift if self.turned is None else np.hstack([shift, self.turned / self.noise[1]])
+
+    @property
+    def usable(self) -> "View":
+        """Its rows that are not wild."""
         assert self.missed is not None
         far = np.linalg.norm(self.missed - np.median(self.missed, 0), axis=1)
-        return far < _WILD * np.median(far)
+        return self.rows(np.flatnonzero(far < _WILD * np.median(far)))
 
 
-class Rival(Protocol):
-    """Fits what is left of the geometry's residuals."""
+class Fitted(NamedTuple):
+    """A rival after it has seen its rows.
 
-    def __call__(self, seen: View) -> Fitted: ...
+    Attributes:
+        correct: what it adds to the geometry's poses of other rows, `(sample, 6)` m and rad in the base's axes; turns
+            are zero of one that says nothing of orientation.
+        parameters: how many numbers it has fitted over the geometry; those of a Gaussian process are its weights.
+        names: the physics that it names, as `effect:site`.
+    """
+
+    correct: Callable[[View], Array]
+    parameters: int
+    names: tuple[str, ...] = ()
+
+
+Rival = Callable[[View], Fitted]
+"""Fits what is left of the geometry's residuals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +114,6 @@ class Geometry:
         sensor: `(4, 4)` T_sensor_base.
         after: `(4, 4)` from the last joint's frame to the tool.
         free: whether the chain was fitted; else only frame and tool.
-        parameters: how many numbers were.
     """
 
     chain: Chain
@@ -129,7 +121,6 @@ class Geometry:
     sensor: Array
     after: Array
     free: bool
-    parameters: int
 
     @classmethod
     def of(cls, recording: Recording) -> "Geometry":
@@ -144,27 +135,25 @@ class Geometry:
         mass = arm.mass if known else np.zeros(arm.dof)
         center = arm.center_of_mass if known else np.zeros((arm.dof, 3))
         chain = Chain(arm.name, np.asarray(rows), arm.joint_limits, np.asarray(mass), np.asarray(center))
-        tool = after @ np.asarray(solution.model.T_flange_tool)
-        moved = bool(solution.free[: form.size].any())
-        return cls(chain, known, np.asarray(solution.model.T_sensor_base), tool, moved, int(solution.free.sum()))
+        tool, free = after @ np.asarray(solution.model.T_flange_tool), bool(solution.free[: form.size].any())
+        return cls(chain, known, np.asarray(solution.model.T_sensor_base), tool, free)
 
     def view(self, recording: Recording) -> View:
         """Rows of a recording, with residuals where it has poses."""
         R, o = self.chain.frames(recording.joint_position)
         Rt, p = R[:, -1] @ self.after[:3, :3], o[:, -1] + R[:, -1] @ self.after[:3, 3]
         S, s = self.sensor[:3, :3], self.sensor[:3, 3]
-        missed = turned = None
+        missed = turned = moment = base = None
         if recording.position is not None:
             missed = (recording.position - s) @ S - p
         if recording.quaternion is not None:
             turned = vector_from_rotation(S.T @ rotations(recording.quaternion) @ np.swapaxes(Rt, 1, 2))
-        moment = base = None
-        if self.weighed:
-            center = np.array(recording.settings.payload_com_m)
-            moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
         told = recording.settings
+        if self.weighed:
+            center = np.array(told.payload_com_m)
+            moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
         noise = (told.position_noise_m or UNDECLARED_NOISE[0], told.orientation_noise_rad or UNDECLARED_NOISE[1])
-        return View(recording, (R, o), (Rt, p), missed, turned, moment, base, noise)
+        return View(recording, R, o, Rt, p, missed, turned, moment, base, noise)
 
 
 def rotations(quaternion: Array) -> Array:
@@ -174,36 +163,34 @@ def rotations(quaternion: Array) -> Array:
 
 def geometry_alone(seen: View) -> Fitted:
     """Nothing more."""
-    return Fitted(lambda view: Correction(np.zeros_like(view.tool[1]), np.zeros_like(view.tool[1])), 0)
+    return Fitted(lambda view: np.zeros((len(view.tool), 6)), 0)
 
 
-def features(view: View, angles: bool) -> Array:
-    """What a black box is told of each row: joints (as they are, or as sines and cosines too), and all that varies."""
-    q = view.recording.joint_position
-    r = view.recording
-    columns = [q, np.sin(q), np.cos(q)] if angles else [q]
-    columns += [r.payload[:, None], r.direction_of_motion]
-    columns += [part.reshape(len(q), -1) for part in (r.joint_temperature, r.ambient_temperature) if part is not None]
-    return np.hstack(columns)
+def _learn(seen: View, angles: bool, learn: Callable[[Array, Array], Any]) -> tuple[Any, Callable[[View], Array]]:
+    """A black box fitted to inputs that vary, of mean zero and deviation one, and outputs over theirs; what it says.
 
-
-def _learnt(
-    seen: View, angles: bool, fitted: Callable[[Array, Array], Any]
-) -> tuple[Any, Callable[[View], Correction]]:
-    """A black box fitted to inputs that vary, of mean zero and deviation one, and outputs over theirs; what it says."""
+    It is told joints (`angles`: their sines and cosines too) and all that varies.
+    """
     from sklearn.exceptions import ConvergenceWarning
 
+    def features(view: View) -> Array:
+        r, q = view.recording, view.recording.joint_position
+        columns = [q, np.sin(q), np.cos(q)] if angles else [q]
+        columns += [r.payload[:, None], r.direction_of_motion]
+        warmth = (r.joint_temperature, r.ambient_temperature)
+        return np.hstack([*columns, *(part.reshape(len(q), -1) for part in warmth if part is not None)])
+
     assert seen.missed is not None
-    X, size = features(seen, angles), max(float(np.std(seen.missed)), 1e-12)
+    X, size = features(seen), max(float(np.std(seen.missed)), 1e-12)
     kept = X.std(0) > 1e-9
     mean, spread = X[:, kept].mean(0), X[:, kept].std(0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        box = fitted((X[:, kept] - mean) / spread, seen.missed / size)
+        box = learn((X[:, kept] - mean) / spread, seen.missed / size)
 
-    def correct(view: View) -> Correction:
-        shift = size * np.asarray(box.predict((features(view, angles)[:, kept] - mean) / spread))
-        return Correction(shift, np.zeros_like(shift))
+    def correct(view: View) -> Array:
+        shift = size * np.asarray(box.predict((features(view)[:, kept] - mean) / spread))
+        return np.hstack([shift, np.zeros_like(shift)])
 
     return box, correct
 
@@ -213,7 +200,7 @@ def gaussian_process(seen: View) -> Fitted:
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    def fitted(X: Array, y: Array) -> Any:
+    def learn(X: Array, y: Array) -> Any:
         lengths: Any = np.ones(X.shape[1])  # one a feature
         kernel = ConstantKernel() * RBF(lengths, (0.05, 1e3)) + WhiteKernel(0.1, (1e-6, 10.0))
         chosen: Any = np.random.default_rng(0).permutation(len(X))
@@ -223,7 +210,7 @@ def gaussian_process(seen: View) -> Fitted:
         kept = chosen[:_GP_ROWS]
         return GaussianProcessRegressor(tuned.kernel_, optimizer=as_it_is, normalize_y=True).fit(X[kept], y[kept])
 
-    process, correct = _learnt(seen, False, fitted)
+    process, correct = _learn(seen, False, learn)
     rows, inputs = process.X_train_.shape
     return Fitted(correct, 3 * rows + 2 + inputs)
 
@@ -232,17 +219,13 @@ def neural_network(seen: View) -> Fitted:
     """Two layers of 64 over joints, their sines and cosines, payload, direction and temperature; stopped early."""
     from sklearn.neural_network import MLPRegressor
 
-    net = MLPRegressor(
-        hidden_layer_sizes=(64, 64),
-        activation="tanh",
-        alpha=1e-4,
-        early_stopping=True,
-        n_iter_no_change=25,
-        max_iter=600,
-        random_state=0,
-    )
-    _, correct = _learnt(seen, True, net.fit)
+    stopped: dict[str, Any] = {"early_stopping": True, "n_iter_no_change": 25, "max_iter": 600}
+    net = MLPRegressor(hidden_layer_sizes=(64, 64), activation="tanh", alpha=1e-4, random_state=0, **stopped)
+    _, correct = _learn(seen, True, net.fit)
     return Fitted(correct, sum(part.size for part in (*net.coefs_, *net.intercepts_)))
+
+
+# ------------------------------------------------------------------ linear physics
 
 
 class Column(NamedTuple):
@@ -254,54 +237,36 @@ class Column(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Columns that belong together, and what they are called; nothing of the geometry."""
+    """Columns that belong together, and what they are called."""
 
     name: str
     columns: tuple[Column, ...]
 
 
-def _one(view: View) -> Array:
-    return np.ones(view.recording.samples)
-
-
-def nuisance(view: View, free: bool) -> tuple[Column, ...]:
+def nuisance(view: View, free: bool) -> list[Column]:
     """What the geometry's fit moves, as displacements: sensor frame, tool, and every link where the chain is free."""
     settings, dof = view.recording.settings, view.recording.dof
-    turned = 3 if view.turned is None else 6
     sites: list[tuple[int, int]] = []
     if settings.pose_frame == "unknown":
         sites += product([0], range(6))
     if settings.tool == "unknown":
-        sites += product([dof + 1], range(turned))
+        sites += product([dof + 1], range(3 if view.turned is None else 6))
     if free:
         sites += product(range(1, dof), range(6))
-    return tuple(Column(site, component, _one) for site, component in sites)
-
-
-def _time(view: View) -> Array:
-    # a drift belongs to its set-up: another one that has no clock has none of it
-    return np.zeros(view.recording.samples) if view.recording.time is None else view.recording.time
-
-
-def _moment(joint: int, axis: int, view: View) -> Array:
-    """Of a joint or, beyond the last, of the base."""
-    assert view.moment is not None
-    assert view.base_moment is not None
-    return (view.base_moment if joint == view.moment.shape[1] else view.moment[:, joint])[:, axis]
+    return [Column(site, component, lambda v: np.ones(len(v.tool))) for site, component in sites]
 
 
 def waves(view: View, orders: Sequence[int]) -> list[Group]:
     """Each order of each joint."""
+
+    def wave(i: int, n: int, of: Callable[[Array], Array], v: View) -> Array:
+        return of(n * v.recording.joint_position[:, i])
+
     return [
         Group(
-            f"joint_harmonic:joint{i + 1}",
-            tuple(
-                Column(i + 1, 5, lambda v, i=i, n=n, wave=wave: wave(n * v.recording.joint_position[:, i]))
-                for wave in (np.sin, np.cos)
-            ),
+            f"joint_harmonic:joint{i + 1}", tuple(Column(i + 1, 5, partial(wave, i, n, of)) for of in (np.sin, np.cos))
         )
-        for i in range(view.recording.dof)
-        for n in orders
+        for i, n in product(range(view.recording.dof), orders)
     ]
 
 
@@ -309,101 +274,90 @@ def gravity(view: View) -> list[Group]:
     """Compliances of joints, links and base; none where the masses are not known."""
     if view.moment is None:
         return []
-    dof = view.recording.dof
-    joints = [Group(f"joint_compliance:joint{i + 1}", (Column(i + 1, 5, partial(_moment, i, 2)),)) for i in range(dof)]
-    links = [
-        Group(f"link_compliance:link{i + 1}", tuple(Column(i + 1, 3 + k, partial(_moment, i, k)) for k in (0, 1)))
-        for i in range(dof)
-    ]
-    base = Group("base_compliance:base", tuple(Column(0, 3 + k, partial(_moment, dof, k)) for k in (0, 1)))
-    return [*joints, *links, base]
+
+    def moment(i: int, axis: int, v: View) -> Array:
+        whole: Any = v.base_moment if i < 0 else v.moment
+        return whole[:, axis] if i < 0 else whole[:, i, axis]
+
+    joints = range(view.recording.dof)
+    found = [Group(f"joint_compliance:joint{i + 1}", (Column(i + 1, 5, partial(moment, i, 2)),)) for i in joints]
+    for i in (*joints, -1):
+        name = f"link_compliance:link{i + 1}" if i >= 0 else "base_compliance:base"
+        found.append(Group(name, tuple(Column(i + 1, 3 + k, partial(moment, i, k)) for k in (0, 1))))
+    return found
 
 
 def other_physics(view: View) -> list[Group]:
     """The rest of the catalogue that is linear in the joints' angles, as far as the rows have what it depends on."""
-    r, dof = view.recording, view.recording.dof
-
-    def of_joint(name: str, i: int, driver: Callable[[View], Array]) -> Group:
-        return Group(f"{name}:joint{i + 1}", (Column(i + 1, 5, driver),))
-
-    found: list[Group] = []
-    for i in range(dof):
-        found.append(of_joint("joint_backlash", i, lambda v, i=i: v.recording.direction_of_motion[:, i]))
-        found.append(of_joint("joint_scale", i, lambda v, i=i: v.recording.joint_position[:, i]))
-        for j in range(dof):
-            if j != i:
-                found.append(of_joint("joint_coupling", i, lambda v, j=j: v.recording.joint_position[:, j]))
+    r, found = view.recording, []
+    for i in range(r.dof):
+        drivers: list[tuple[str, Callable[[View], Array]]] = [
+            ("joint_backlash", lambda v, i=i: v.recording.direction_of_motion[:, i]),
+            ("joint_scale", lambda v, i=i: v.recording.joint_position[:, i]),
+            *(("joint_coupling", lambda v, j=j: v.recording.joint_position[:, j]) for j in range(r.dof) if j != i),
+        ]
         if r.motion == "trajectory" and r.joint_velocity is not None:
-            found.append(of_joint("joint_lag", i, lambda v, i=i: v.recording.velocities()[:, i]))
+            drivers.append(("joint_lag", lambda v, i=i: v.recording.velocities()[:, i]))
+        found += [Group(f"{name}:joint{i + 1}", (Column(i + 1, 5, driver),)) for name, driver in drivers]
     if r.time is not None:
-        found.append(Group("base_drift:base", tuple(Column(0, k, _time) for k in range(3))))
+
+        def time(v: View) -> Array:
+            # a drift belongs to its set-up: another one that has no clock has none of it
+            return np.zeros(len(v.tool)) if v.recording.time is None else v.recording.time
+
+        found.append(Group("base_drift:base", tuple(Column(0, k, time) for k in range(3))))
     return found
 
 
-def design(view: View, columns: Sequence[Column]) -> Array:
-    """`(sample, row, column)`, how each column moves the tool, in base axes, over the noise."""
-    (R, o), (_, p) = view.frames, view.tool
-    samples, dof = o.shape[:2]
-    rows = 3 if view.turned is None else 6
-    J = np.empty((samples, rows, len(columns)))
+def design(view: View, columns: Sequence[Column], turned: bool = False) -> Array:
+    """`(sample, row, column)`, how each column moves the tool, in base axes, over the noise; `turned` has six rows."""
+    samples, dof = view.origins.shape[:2]
+    rows = 6 if turned or view.turned is not None else 3
+    J = np.zeros((samples, rows, len(columns)))
     for k, (site, component, driver) in enumerate(columns):
-        axes = np.broadcast_to(np.eye(3), R[:, 0].shape) if site == 0 else R[:, min(site, dof) - 1]
-        if site > dof:
-            axes = view.tool[0]
-        origin = np.zeros_like(p) if site == 0 else p if site > dof else o[:, site - 1]
+        if site == 0:
+            axes, origin = np.broadcast_to(np.eye(3), (samples, 3, 3)), np.zeros_like(view.tool)
+        elif site > dof:
+            axes, origin = view.tool_axes, view.tool
+        else:
+            axes, origin = view.axes[:, site - 1], view.origins[:, site - 1]
         axis = axes[:, :, component % 3] * driver(view)[:, None]
         turns = component > 2
-        J[:, :3, k] = (np.cross(axis, p - origin) if turns else axis) / view.noise[0]
-        if rows == 6:
-            J[:, 3:, k] = axis / view.noise[1] if turns else 0.0
+        J[:, :3, k] = (np.cross(axis, view.tool - origin) if turns else axis) / view.noise[0]
+        if rows == 6 and turns:
+            J[:, 3:, k] = axis / view.noise[1]
     return J
 
 
-@dataclass(frozen=True, eq=False)
-class Gram:
+class Gram(NamedTuple):
     """Normal equations of columns, block by block of neighbouring rows, and their residuals' sum of squares."""
 
     A: Array
     b: Array
     squares: Array
-    count: Array
+    numbers: int
 
     @classmethod
     def of(cls, view: View, columns: Sequence[Column], blocks: int) -> "Gram":
-        """Summed in pieces, so that memory does not matter."""
-        assert view.missed is not None
+        """Summed in pieces."""
         size, samples = len(columns), view.recording.samples
-        A, b = np.zeros((blocks, size, size)), np.zeros((blocks, size))
-        squares, count = np.zeros(blocks), np.zeros(blocks)
+        A, b, squares = np.zeros((blocks, size, size)), np.zeros((blocks, size)), np.zeros(blocks)
         block = np.arange(samples) * blocks // samples
         for k in range(blocks):
-            for rows in np.array_split(np.flatnonzero(block == k), 1 + np.sum(block == k) // 500):
+            for rows in np.array_split(np.flatnonzero(block == k), 1 + np.sum(block == k) // _PIECE):
                 part = view.rows(rows)
-                J = design(part, columns).reshape(-1, size)
-                r = whitened(part).ravel()
+                J, r = design(part, columns).reshape(-1, size), part.whitened.ravel()
                 A[k] += J.T @ J
                 b[k] += J.T @ r
                 squares[k] += r @ r
-                count[k] += r.size
-        return cls(A, b, squares, count)
+        return cls(A, b, squares, view.whitened.size)
 
 
-def whitened(view: View) -> Array:
-    """`(sample, row)`, residuals over the noise."""
-    assert view.missed is not None
-    parts = [view.missed / view.noise[0]]
-    if view.turned is not None:
-        parts.append(view.turned / view.noise[1])
-    return np.hstack(parts)
-
-
-def _corrected(columns: Sequence[Column], beta: Array) -> Callable[[View], Correction]:
-    def correct(view: View) -> Correction:
-        moved = np.empty((view.recording.samples, 6))
-        both = view._replace(turned=np.zeros_like(view.tool[1]))
-        for rows in np.array_split(np.arange(len(moved)), 1 + len(moved) // 500):
-            moved[rows] = design(both.rows(rows), columns) @ beta
-        return Correction(moved[:, :3] * view.noise[0], moved[:, 3:] * view.noise[1])
+def _corrected(columns: Sequence[Column], beta: Array) -> Callable[[View], Array]:
+    def correct(view: View) -> Array:
+        pieces = np.array_split(np.arange(len(view.tool)), 1 + len(view.tool) // _PIECE)
+        moved = np.concatenate([design(view.rows(rows), columns, turned=True) @ beta for rows in pieces])
+        return moved * np.repeat(view.noise, 3)
 
     return correct
 
@@ -413,20 +367,19 @@ def ridge(free: bool, seen: View) -> Fitted:
     fixed = nuisance(seen, free)
     columns = [*fixed, *(c for group in (*waves(seen, ORDERS), *gravity(seen)) for c in group.columns)]
     gram = Gram.of(seen, columns, _BLOCKS)
-    scale = np.sqrt(np.maximum(np.diagonal(gram.A.sum(0)), 1e-300))
-    shrunk = np.r_[np.full(len(fixed), _GAUGE), np.ones(len(columns) - len(fixed))]
+    A, b = gram.A.sum(0), gram.b.sum(0)
+    scale = np.sqrt(np.maximum(np.diagonal(A), 1e-300))
 
     def solved(A: Array, b: Array, strength: float) -> Array:
-        penalty = np.where(shrunk < 1, _GAUGE, strength * shrunk)
+        penalty = np.where(np.arange(len(b)) < len(fixed), _GAUGE, strength)
         return np.linalg.solve(A / scale / scale[:, None] + np.diag(penalty), b / scale) / scale
 
     missed = np.zeros(len(_RIDGES))
-    for k in range(_BLOCKS):
-        A, b = gram.A.sum(0) - gram.A[k], gram.b.sum(0) - gram.b[k]
+    for held_A, held_b, squares in zip(gram.A, gram.b, gram.squares, strict=True):
         for i, strength in enumerate(_RIDGES):
-            beta = solved(A, b, strength)
-            missed[i] += gram.squares[k] - 2 * beta @ gram.b[k] + beta @ gram.A[k] @ beta
-    beta = solved(gram.A.sum(0), gram.b.sum(0), float(_RIDGES[np.argmin(missed)]))
+            beta = solved(A - held_A, b - held_b, strength)
+            missed[i] += squares - 2 * beta @ held_b + beta @ held_A @ beta
+    beta = solved(A, b, float(_RIDGES[np.argmin(missed)]))
     return Fitted(_corrected(columns, beta), len(columns) - len(fixed))
 
 
@@ -438,7 +391,7 @@ def stepwise(free: bool, seen: View) -> Fitted:
     ends = np.cumsum([len(fixed), *(len(group.columns) for group in groups)])
     slices = [slice(a, b) for a, b in pairwise(ends)]
     gram = Gram.of(seen, columns, 1)
-    A, b, n = gram.A[0], gram.b[0], float(gram.count[0])
+    A, b, n = gram.A[0], gram.b[0], gram.numbers
     scale = np.sqrt(np.maximum(np.diagonal(A), 1e-300))
     A, b = A / scale / scale[:, None], b / scale
     held = np.arange(len(fixed))

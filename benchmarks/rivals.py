@@ -19,7 +19,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.concealed.chain import rotation_from_vector
-from benchmarks.measure import DONE, Record, ended, timed, write_records
+from benchmarks.measure import DONE, OURS, Record, ended, timed, write_records
 from benchmarks.residual import (
     Array,
     Fitted,
@@ -40,7 +40,6 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable
 
-OURS = "lite6jax"
 FOLDS = 5
 REAL = "LITE6JAX_REAL"
 """The variable that names the folder of real series."""
@@ -72,59 +71,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _compare(options: argparse.Namespace, real: Path) -> int:
+    """Each series by itself, and from each to the next."""
     console, records = Console(highlight=False), []
     if options.json:
         check_writable(options.json, overwrite=True)
     paths = sorted(path for path in real.glob("*.csv") if sidecar_path(path).exists())
     if not paths:
         raise InputError(f"{real}: holds no recording (.csv with .yaml beside it); put the real series there")
+    recordings = [read_recording(path) for path in paths]
+    recordings = [each.select(np.arange(0, each.samples, options.every)) for each in recordings]
     with console.status("…") as status:
-        for title, outcomes in series(paths, options.every, not options.rivals_only, status.update):
-            console.print(table(title, outcomes))
-            records += [record for outcome in outcomes for record in outcome.records(title)]
+        for k, (path, recording) in enumerate(zip(paths, recordings, strict=True)):
+            other = recordings[k + 1] if k + 1 < len(paths) else None
+            outcomes = {f"{path.name}, {recording.samples} rows, held-out fifths": list(compare(recording))}
+            if other is not None:
+                title = f"from {path.name} to {paths[k + 1].name}, frame and tool registered anew"
+                outcomes[title] = list(transfer(recording, other))
+            if not options.rivals_only:
+                status.update(f"{path.name}: {OURS}")
+                for found, own in zip(outcomes.values(), _diagnosed(recording, other), strict=True):
+                    found.append(own)
+            for title, found in outcomes.items():
+                console.print(table(title, found))
+                records += [record for outcome in found for record in outcome.records(title)]
     if options.json:
         write_records(options.json, records)
     return DONE
-
-
-def series(
-    paths: Sequence[Path], every: int, ours: bool, progress: Callable[[str], object]
-) -> Iterator[tuple[str, list["Outcome"]]]:
-    """A title and the outcomes: each series by itself, and from each to the next."""
-    recordings = [read_recording(path) for path in paths]
-    recordings = [each.select(np.arange(0, each.samples, every)) for each in recordings]
-    for path, recording, after, other in zip(
-        paths, recordings, [*paths[1:], None], [*recordings[1:], None], strict=True
-    ):
-
-        def said(who: str, where: str = path.name) -> object:
-            return progress(f"{where}: {who}")
-
-        outcomes = list(compare(recording, progress=said))
-        elsewhere = [] if other is None else list(transfer(recording, other, progress=said))
-        if ours:
-            said(OURS)
-            seconds, found = timed(partial(diagnose, recording))
-            names = tuple(finding.effect.label for finding in found.findings)
-            outcomes.append(Outcome(OURS, found.after, found.fit.terms.size, names, seconds))
-            if other is not None:
-                with tempfile.TemporaryDirectory() as folder:
-                    model = read_model(write_document(found.to_dict(), Path(folder) / "d.json"))
-                elsewhere.append(replace(outcomes[-1], errors=register_model(model, other)[1].distance))
-        yield f"{path.name}, {recording.samples} rows, held-out fifths", outcomes
-        if after is not None:
-            yield f"from {path.name} to {after.name}, frame and tool registered anew", elsewhere
-
-
-def rivals(free: bool) -> dict[str, Rival]:
-    """By name."""
-    return {
-        "geometry alone": geometry_alone,
-        "geometry and Gaussian process": gaussian_process,
-        "geometry and neural network": neural_network,
-        "ridge, orders 1–60": partial(ridge, free),
-        "stepwise, BIC": partial(stepwise, free),
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,68 +117,86 @@ class Outcome:
     names: tuple[str, ...]
     seconds: float
 
-    def figures(self) -> dict[str, float]:
-        """mm, of the errors that are there."""
+    @property
+    def figures(self) -> tuple[float, float, float]:
+        """mm, RMS, 95th percentile and largest of the errors that are there."""
         e = 1e3 * self.errors
-        return {
-            "RMS": float(np.sqrt(np.nanmean(e**2))),
-            "p95": float(np.nanpercentile(e, 95)),
-            "largest": float(np.nanmax(e)),
-        }
+        return float(np.sqrt(np.nanmean(e**2))), float(np.nanpercentile(e, 95)), float(np.nanmax(e))
 
-    def told(self) -> str:
+    @property
+    def named(self) -> str:
         """The names, those of one kind together."""
         kinds: dict[str, list[str]] = {}
-        for name in self.names:
-            kinds.setdefault(name.split(":")[0], []).append(name.split(":")[1].removeprefix("joint"))
+        for kind, _, site in (name.partition(":") for name in self.names):
+            kinds.setdefault(kind, []).append(site.removeprefix("joint"))
         told = [f"{kind} {', '.join(sites)}" for kind, sites in kinds.items()]
         return "; ".join(told[:_NAMED]) + ("; …" if len(told) > _NAMED else "") or "none"
 
     def records(self, work: str) -> Iterator[Record]:
         """For the JSON."""
-        for name, value in self.figures().items():
-            yield Record(work, self.subject, f"error, {name}", value, "mm", "lower")
-        yield Record(work, self.subject, "numbers", float(self.parameters), "", "lower")
-        yield Record(work, self.subject, f"names: {self.told()}", float(len(self.names)), "", "higher")
-        yield Record(work, self.subject, "time", self.seconds, "s", "lower")
+        for name, value in zip(("RMS", "p95", "largest"), self.figures, strict=True):
+            yield Record(work, self.subject, f"error, {name}", value, "mm")
+        yield Record(work, self.subject, "numbers", float(self.parameters))
+        yield Record(work, self.subject, f"names: {self.named}", float(len(self.names)))
+        yield Record(work, self.subject, "time", self.seconds, "s")
 
 
-def compare(recording: Recording, folds: int = FOLDS, progress: Callable[[str], object] = str) -> Iterator[Outcome]:
+def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcome]:
+    """The diagnosis of a recording by its held-out rows, and registered to another one."""
+    seconds, found = timed(partial(diagnose, recording))
+    names = tuple(finding.effect.label for finding in found.findings)
+    own = Outcome(OURS, found.after, found.fit.terms.size, names, seconds)
+    yield own
+    if other is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            model = read_model(write_document(found.to_dict(), Path(folder) / "d.json"))
+        yield replace(own, errors=register_model(model, other)[1].distance)
+
+
+def rivals(free: bool) -> dict[str, Rival]:
+    """By name."""
+    return {
+        "geometry alone": geometry_alone,
+        "geometry and Gaussian process": gaussian_process,
+        "geometry and neural network": neural_network,
+        "ridge, orders 1–60": partial(ridge, free),
+        "stepwise, BIC": partial(stepwise, free),
+    }
+
+
+def compare(recording: Recording, folds: int = FOLDS) -> Iterator[Outcome]:
     """All rivals on one recording, by contiguous folds, and on all of it for their names."""
     held = recording.contiguous_folds(folds)
     geometries = [timed(partial(Geometry.of, recording.select(~fold))) for fold in held]
     whole = timed(partial(Geometry.of, recording))
-    for name in rivals(whole[1].free):
-        progress(name)
+    for name, rival in rivals(whole[1].free).items():
         errors, seconds = np.zeros(recording.samples), sum(s for s, _ in (*geometries, whole))
         for fold, (_, geometry) in zip(held, geometries, strict=True):
-            taken, fitted = timed(partial(_fitted, geometry, name, recording.select(~fold)))
+            taken, fitted = timed(partial(_fit, geometry, rivals(geometry.free)[name], recording.select(~fold)))
             view = geometry.view(recording.select(fold))
             assert view.missed is not None
-            errors[fold] = np.linalg.norm(fitted.correct(view).shift - view.missed, axis=1)
+            errors[fold] = np.linalg.norm(fitted.correct(view)[:, :3] - view.missed, axis=1)
             seconds += taken
-        taken, fitted = timed(partial(_fitted, whole[1], name, recording))
+        taken, fitted = timed(partial(_fit, whole[1], rival, recording))
         yield Outcome(name, errors, fitted.parameters, fitted.names, seconds + taken)
 
 
-def _fitted(geometry: Geometry, name: str, recording: Recording) -> Fitted:
-    view = geometry.view(recording)
+def _fit(geometry: Geometry, rival: Callable[..., Fitted], recording: Recording) -> Fitted:
     with threadpool_limits(1):  # small matrices: more threads would wait for each other
-        return rivals(geometry.free)[name](view.rows(np.flatnonzero(view.usable)))
+        return rival(geometry.view(recording).usable)
 
 
-def transfer(recording: Recording, other: Recording, progress: Callable[[str], object] = str) -> Iterator[Outcome]:
+def transfer(recording: Recording, other: Recording) -> Iterator[Outcome]:
     """Fitted to one recording, errors on another of the same arm, its sensor frame and tool registered anew."""
     taken, geometry = timed(partial(Geometry.of, recording))
-    for name in rivals(geometry.free):
-        progress(name)
-        seconds, fitted = timed(partial(_fitted, geometry, name, recording))
-        view = geometry.view(other)
-        shift, turn = fitted.correct(view)
-        tool = np.tile(np.eye(4), (len(shift), 1, 1))
-        tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(turn) @ view.tool[0], view.tool[1] + shift
-        assert other.position is not None
-        R = None if other.quaternion is None else rotations(other.quaternion)
+    view = geometry.view(other)
+    assert other.position is not None
+    R = None if other.quaternion is None else rotations(other.quaternion)
+    for name, rival in rivals(geometry.free).items():
+        seconds, fitted = timed(partial(_fit, geometry, rival, recording))
+        moved = fitted.correct(view)
+        tool = np.tile(np.eye(4), (len(moved), 1, 1))
+        tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(moved[:, 3:]) @ view.tool_axes, view.tool + moved[:, :3]
         found = register(tool @ np.linalg.inv(geometry.after), other.position, R, view.noise)
         yield Outcome(name, found.distance, fitted.parameters, fitted.names, taken + seconds)
 
@@ -217,6 +207,6 @@ def table(title: str, outcomes: Sequence[Outcome]) -> Table:
     for column in ("", "RMS mm", "p95 mm", "max mm", "numbers", "s", "names"):
         shown.add_column(column, justify="left" if column in ("", "names") else "right")
     for outcome in outcomes:
-        figures = (f"{value:.4f}" for value in outcome.figures().values())
-        shown.add_row(outcome.subject, *figures, str(outcome.parameters), f"{outcome.seconds:.0f}", outcome.told())
+        figures = (f"{value:.4f}" for value in outcome.figures)
+        shown.add_row(outcome.subject, *figures, str(outcome.parameters), f"{outcome.seconds:.0f}", outcome.named)
     return shown

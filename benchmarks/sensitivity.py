@@ -30,30 +30,8 @@ TRIALS = (35, 45, 100, 0, 3, 5, 10, 25, 55, 60)
 """Mixed, outside, faulty, clean and single ones, static and moving, of chains known, uncertain and unknown."""
 
 
-class Change(NamedTuple):
-    """What one change of one option changes over the trials.
-
-    Attributes:
-        option: its group and name.
-        value: the documented one.
-        changed: the one tried.
-        findings: trials whose findings differ, by effect, site and order.
-        faults: trials whose data faults differ.
-        shift: the largest shift of an estimate of an unchanged finding, in its standard deviations.
-        failed: trials that end in an error.
-    """
-
-    option: str
-    value: float
-    changed: float
-    findings: int
-    faults: int
-    shift: float
-    failed: int
-
-
 class Outcome(NamedTuple):
-    """What a diagnosis says of a trial: findings with their estimates, faults, or an error."""
+    """What a diagnosis says of a trial: findings with their estimates and deviations, faults, or an error."""
 
     findings: dict[tuple[str, str, float | None], tuple[list[float], list[float]]]
     faults: tuple[str, ...]
@@ -68,28 +46,38 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", metavar="OPTION", help="only these options, as group.name")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)), metavar="P")
     chosen = parser.parse_args(arguments)
-    console = Console()
     changes = [c for c in variations() if not chosen.only or c[0] in chosen.only]
     if not changes:
         parser.error("--only: no such option; they are " + ", ".join(dict.fromkeys(name for name, *_ in variations())))
     with tempfile.TemporaryDirectory() as name:
         folder, indices = Path(name), TRIALS[: chosen.trials]
         with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
-            list(pool.map(partial(_written, folder), indices))
-            baseline = list(pool.map(partial(_outcome, folder, None, 0.0), indices))
-            jobs = [
-                (option, value, changed, [pool.submit(_outcome, folder, option, changed, i) for i in indices])
-                for option, value, changed in changes
-            ]
+            list(pool.map(partial(_write, folder), indices))
+            before = list(pool.map(partial(_outcome, folder, None, 0.0), indices))
+            jobs = [pool.map(partial(_outcome, folder, option, tried), indices) for option, _, tried in changes]
             rows = []
-            for k, (option, value, changed, futures) in enumerate(jobs, 1):
-                rows.append(_compared(option, value, changed, baseline, [future.result() for future in futures]))
+            for k, (change, after) in enumerate(zip(changes, jobs, strict=True), 1):
+                rows.append((*change, *_compare(before, list(after))))
                 print(f"\r{k} of {len(jobs)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    console.print(table(rows, len(indices)))
-    idle = sorted({r.option for r in rows} - {r.option for r in rows if r.findings or r.faults or r.shift > 0.01})
-    console.print(f"{len(idle)} of {len({r.option for r in rows})} options change nothing here: {', '.join(idle)}.")
+    heads = ("value", "tried", "findings differ", "faults differ", "largest shift (σ)", "errors")
+    table = Table(
+        "option", *heads, title=f"sensitivity over {len(indices)} trials of seed {SEED}", title_justify="left"
+    )
+    for option, value, tried, findings, faults, shift, failed in sorted(rows, key=_dependence):
+        cells = (f"{value:.4g}", f"{tried:.4g}", str(findings), str(faults), f"{shift:.2g}", str(failed))
+        table.add_row(option, *cells)
+    Console().print(table)
+    options = {row[0] for row in rows}
+    idle = sorted(options - {row[0] for row in rows if row[3] or row[4] or row[5] > 0.01})
+    Console().print(f"{len(idle)} of {len(options)} options change nothing here: {', '.join(idle)}.")
     return 0
+
+
+def _dependence(row: tuple[str, float, float, int, int, float, int]) -> tuple[int, float]:
+    """By which rows are sorted, those on which most depends first."""
+    *_, findings, faults, shift, failed = row
+    return -findings - faults - failed, -shift
 
 
 def variations() -> Iterator[tuple[str, float, float]]:
@@ -103,30 +91,19 @@ def variations() -> Iterator[tuple[str, float, float]]:
             value = getattr(holder, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
-            for changed in (value / FACTOR, value * FACTOR):
+            for tried in (value / FACTOR, value * FACTOR):
                 if isinstance(value, int):
-                    step = 1 if changed > value else -1
-                    changed = max(round(changed), 1) if round(changed) != value else value + step
-                if changed != value and changed > 0:
-                    yield f"{group}.{field.name}", value, changed
+                    step = 1 if tried > value else -1
+                    tried = max(round(tried), 1) if round(tried) != value else value + step
+                if tried != value and tried > 0:
+                    yield f"{group}.{field.name}", value, tried
 
 
-def table(rows: Sequence[Change], trials: int) -> Table:
-    """All changes, those on which most depends first."""
-    shown = Table(title=f"sensitivity over {trials} trials of seed {SEED}", title_justify="left")
-    for name in ("option", "value", "tried", "findings differ", "faults differ", "largest shift (σ)", "errors"):
-        shown.add_column(name, justify="left" if name == "option" else "right", overflow="fold")
-    for row in sorted(rows, key=lambda r: (-r.findings - r.faults - r.failed, -r.shift)):
-        cells = (f"{row.value:.4g}", f"{row.changed:.4g}", str(row.findings), str(row.faults), f"{row.shift:.2g}")
-        shown.add_row(row.option, *cells, str(row.failed))
-    return shown
-
-
-def _written(folder: Path, index: int) -> None:
+def _write(folder: Path, index: int) -> None:
     write_files(draw(SEED, index).files, folder / str(index))
 
 
-def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Outcome:
+def _outcome(folder: Path, option: str | None, tried: float, index: int) -> Outcome:
     """The search of all rows of a trial; held-out errors are not part of it."""
     from lite6jax.diagnosis.explanation import Case, explain
     from lite6jax.diagnosis.options import Options
@@ -137,9 +114,9 @@ def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Ou
     if option is not None:
         group, name = option.split(".")
         if group == "diagnosis":
-            options = replace(options, **{name: changed})
+            options = replace(options, **{name: tried})
         else:
-            options = replace(options, **{group: replace(getattr(options, group), **{name: changed})})
+            options = replace(options, **{group: replace(getattr(options, group), **{name: tried})})
     try:
         found = explain(Case(read_recording(folder / str(index) / "recording.csv"), None, "declared", options))
         state = final_estimates(found.problem, found.selection.state, options.engine)
@@ -153,7 +130,8 @@ def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Ou
     return Outcome(findings, tuple(fault.code for fault in found.screened.found))
 
 
-def _compared(option: str, value: float, changed: float, before: Sequence[Outcome], after: Sequence[Outcome]) -> Change:
+def _compare(before: Sequence[Outcome], after: Sequence[Outcome]) -> tuple[int, int, float, int]:
+    """Trials whose findings differ and whose faults do, the largest shift of an unchanged finding, trials that fail."""
     pairs, shifts = list(zip(before, after, strict=True)), [0.0]
     for old, new in pairs:
         for key in old.findings.keys() & new.findings.keys():
@@ -162,5 +140,4 @@ def _compared(option: str, value: float, changed: float, before: Sequence[Outcom
                 shifts += [abs(y - x) / s for x, y, s in zip(a, b, std, strict=True) if s > 0]
     findings = sum(old.findings.keys() != new.findings.keys() for old, new in pairs)
     faults = sum(old.faults != new.faults for old, new in pairs)
-    failed = sum(bool(new.error) and not old.error for old, new in pairs)
-    return Change(option, value, changed, findings, faults, max(shifts), failed)
+    return findings, faults, max(shifts), sum(bool(new.error) and not old.error for old, new in pairs)

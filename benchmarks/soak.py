@@ -35,16 +35,16 @@ def soak(seconds: float = 600.0) -> Iterator[Record]:
             busy = time.process_time() - before
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # reading the file back takes more
             rows = round(seconds * RATE_HZ)
-            yield Record("soak", kind, "rows", float(done.rows), "", "higher", wrong_rows(done, out, rows))
-            yield Record("soak", kind, "reports lost", float(done.missing), "", "lower")
-            yield Record("soak", kind, "reports doubled", float(done.repeated), "", "lower")
-            yield Record("soak", kind, "wall time", wall, "s", "lower")
+            yield Record("soak", kind, "rows", float(done.rows), "", wrong_rows(done, out, rows))
+            yield Record("soak", kind, "reports lost", float(done.missing))
+            yield Record("soak", kind, "reports doubled", float(done.repeated))
+            yield Record("soak", kind, "wall time", wall, "s")
             if serve is _in_real_time:  # compressed, the emulator shares the process
-                yield Record("soak", kind, "processor time a second recorded", 1e3 * busy / seconds, "ms", "lower")
+                yield Record("soak", kind, "processor time a second recorded", 1e3 * busy / seconds, "ms")
             else:
-                yield Record("soak", kind, "rows a second", done.rows / wall, "1/s", "higher")
-            yield Record("soak", kind, "bytes a row", out.stat().st_size / max(done.rows, 1), "", "lower")
-            yield Record("soak", kind, "peak memory of the process", peak, "MB", "lower")
+                yield Record("soak", kind, "rows a second", done.rows / wall, "1/s")
+            yield Record("soak", kind, "bytes a row", out.stat().st_size / max(done.rows, 1))
+            yield Record("soak", kind, "peak memory of the process", peak, "MB")
 
 
 def wrong_rows(done: LiveRecording, out: Path, rows: int) -> str:

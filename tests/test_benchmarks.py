@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as harness
-from benchmarks import ceres, fits, measure, problem, seed_way
+from benchmarks import fits, measure, problem, seed_way
 from benchmarks.ladder import main
 from benchmarks.measure import Record
 from tests.oracles.chains import seed_poses, six_parameter_poses
@@ -73,8 +73,8 @@ def test_a_rival_that_finds_something_else_is_marked(run, subject):
 
 
 def wrong_workload(failed):
-    yield Record("w", "lite6jax", "fit", 1.0, "ms", "lower", failed)
-    yield Record("w", "other", "fit", None, "", "higher", failed)
+    yield Record("w", "lite6jax", "fit", 1.0, "ms", failed)
+    yield Record("w", "other", "fit", None, "", failed)
 
 
 def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
@@ -82,7 +82,7 @@ def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
     out = tmp_path / "out.json"
     assert harness.main(["models", "--json", str(out)], known) == 0
     assert json.loads(out.read_text())[1] == {
-        "workload": "w", "subject": "other", "metric": "fit", "value": None, "unit": "", "better": "higher",
+        "workload": "w", "subject": "other", "metric": "fit", "value": None, "unit": "",
     }  # fmt: skip
     assert harness.main(["--json", str(out)], known) == 1
     assert [record.get("failed") for record in json.loads(out.read_text())] == [None, None] + ["off by a lot"] * 2
@@ -130,15 +130,15 @@ def test_a_device_runs_its_own_workload_alone():
 
 
 def test_a_rival_that_is_not_installed_is_named_in_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(ceres.shutil, "which", lambda name: None)
+    monkeypatch.setattr(fits.shutil, "which", lambda name: None)
     assert harness.main(["ceres"]) == 2
     said = capsys.readouterr().err
     assert said == "benchmarks: no C++ compiler or no Ceres here; apt-get install g++ libceres-dev\n"
 
 
-@pytest.mark.skipif(not ceres.HEADERS.exists(), reason="Ceres (libceres-dev) is not installed here")
+@pytest.mark.skipif(not fits.HEADERS.exists(), reason="Ceres (libceres-dev) is not installed here")
 def test_ceres_and_the_library_agree():
-    found = list(ceres.ceres(arms=2, samples=40, repeats=1))
+    found = list(fits.ceres(arms=2, samples=40, repeats=1))
     assert [record.failed for record in found] == [""] * len(found)
     assert all(record.value > 0 for record in found)
 

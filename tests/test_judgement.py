@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from concealed_rows import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
+from trial_answers import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
 
 from benchmarks.campaigns import judgement, shares
 from benchmarks.campaigns.report import sections

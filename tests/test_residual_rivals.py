@@ -31,7 +31,7 @@ def view(arm, motion):
 def true_geometry(arm):
     """What a fit would find of an arm's frame and tool if there were neither noise nor physics."""
     chain = Chain("lite6", arm.kinematics, LITE6.joint_limits, LITE6.mass, LITE6.center_of_mass)
-    return Geometry(chain, True, arm.T_sensor_base, arm.T_flange_tool, free=False, parameters=12)
+    return Geometry(chain, True, arm.T_sensor_base, arm.T_flange_tool, free=False)
 
 
 def moved(arm, motion, text, size):
@@ -68,7 +68,7 @@ def test_a_column_is_what_the_effect_does(arm, motion, view, text, group, place)
 def test_a_wave_is_a_joints_sine(motion, view):
     groups = [g for g in residual.waves(view, (3,)) if g.name == "joint_harmonic:joint5"]
     J = residual.design(view, groups[0].columns)
-    lever = residual.design(view, [residual.Column(5, 5, lambda v: np.ones(v.recording.samples))])[:, :, 0]
+    lever = residual.design(view, [residual.Column(5, 5, lambda v: np.ones(len(v.tool)))])[:, :, 0]
     angle = 3 * motion["joint_position"][:, 4]
     np.testing.assert_allclose(J[:, :, 0], lever * np.sin(angle)[:, None], atol=1e-9)
     np.testing.assert_allclose(J[:, :, 1], lever * np.cos(angle)[:, None], atol=1e-9)

@@ -1,7 +1,6 @@
 """The generator of the torque trials: apart from the library, right by other physics, with a threshold that holds."""
 
 import json
-from pathlib import Path
 
 import mujoco as _mujoco
 import numpy as np
@@ -11,25 +10,19 @@ import yaml
 from scipy.interpolate import make_interp_spline
 from scipy.stats import chi2
 
-from benchmarks.campaigns import threshold
+from benchmarks.campaigns import detection
 from benchmarks.campaigns.campaign import write_files
-from benchmarks.campaigns.columns import read_columns
+from benchmarks.campaigns.rounds import KINDS
 from benchmarks.concealed.chain import Chain, rotation_from_rpy, rotation_from_vector
-from benchmarks.torque_trials import faults, hiding, information, mujoco_arm, outside, plans, recorded, trials
-from benchmarks.torque_trials.arms import Arm, drawn_arm, inverse_dynamics
-from benchmarks.torque_trials.campaign import TORQUES
-from benchmarks.torque_trials.effects import NAMED, Hidden
-from benchmarks.torque_trials.information import View, sizes_of
-from benchmarks.torque_trials.motion import draw_motion
-from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
-from benchmarks.torque_trials.physics import Setup, rigid, torques
+from benchmarks.torque_trials import faults, hiding, mujoco_arm, plans, trials
+from benchmarks.torque_trials.effects import FAMILIES, NAMED, OPEN, SEALED, Hidden, draw_family
+from benchmarks.torque_trials.hiding import View
+from benchmarks.torque_trials.physics import Arm, Setup, draw_arm, draw_motion, inverse_dynamics, rigid, torques
 from lite6jax.arms.description import read_description
 from lite6jax.arms.dynamics import inverse_dynamics as library_torques
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.recordings import read_recording
 
-ROOT = Path(trials.__file__).resolve().parents[2]
-OPEN_CASES = ROOT / "../shared/dynamics/open"
 pin, mujoco = _pinocchio, _mujoco
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -38,7 +31,7 @@ AT = np.array([0.01, -0.02, 0.03])
 
 def a_scene(name="lite6", seed=3, seconds=3.0, payload=0.0, tilted=False, **more):
     rng = np.random.default_rng(seed)
-    arm = drawn_arm(name, rng)
+    arm = draw_arm(name, rng)
     gravity = rotation_from_vector(np.array([0.7, -0.4, 0.2])) @ GRAVITY if tilted else GRAVITY
     return Setup(arm, gravity, AT), draw_motion(rng, arm, 100.0, seconds, payload=payload, **more)
 
@@ -218,7 +211,7 @@ def test_every_family_can_be_drawn(name):
     setup, motion = a_scene(warming=True)
     rng = np.random.default_rng(1)
     scene = rigid(setup, (), motion)
-    joint, fixed = next(filter(None, (outside.drawn(name, rng, scene, setup.arm.noise) for _ in range(50))))
+    joint, fixed = next(filter(None, (draw_family(name, rng, scene, setup.arm.noise) for _ in range(50))))
     assert set(fixed) == set(FAMILIES[name].keys)
     assert FAMILIES[name].drivers(joint, fixed)
     assert set(FAMILIES[name].beside) <= set(NAMED)
@@ -263,14 +256,14 @@ def test_at_the_threshold_half_are_found(inertial):
     view = View.of(setup, motion, setup.arm.noise, inertial)
     effect = Hidden("viscous_friction", "joint5", {"viscous_Nm_s_per_rad": 1.0})
     span = view.span()
-    found = information.threshold(view, (effect,), 0, span)
-    there = effect.scaled(found.size, sizes_of(effect))
-    column = threshold.across(span, view.columns((effect,), 0, sizes_of(effect)))[:, 0]
+    found = hiding.detection_threshold(view, (effect,), 0, span)
+    there = effect.scaled(found.size)
+    column = detection.project_out(span, view.columns((effect,), 0, effect.sizes))[:, 0]
     shown = view.whitened(view.torques((there,)) - view.torques(()))
     # noise of every whitened number, and of every inertial number of which something is known
     noise = rng.normal(size=(4000, len(shown)))
     explained = ((shown + noise) @ column / np.linalg.norm(column)) ** 2
-    assert np.mean(explained > chi2.isf(threshold.ALARM / threshold.SEARCHED, 1)) == pytest.approx(0.5, abs=0.03)
+    assert np.mean(explained > chi2.isf(detection.ALARM / detection.SEARCHED, 1)) == pytest.approx(0.5, abs=0.03)
     assert (found.seen < 1 - 1e-6) == (inertial > 0)
 
 
@@ -282,7 +275,7 @@ def test_bounds_are_what_a_fit_reaches():
         Hidden("viscous_friction", "joint3", {"viscous_Nm_s_per_rad": 0.3}),
         Hidden("torque_ripple", "joint3", {"amplitude_Nm": 0.3, "order": 9.0, "phase_rad": 1.0}),
     )
-    limits = information.bounds(view, hidden)
+    limits = hiding.bounds(view, hidden)
     J = np.concatenate([view.span(), *(view.columns(hidden, k, list(limits[k])) for k in (0, 1))], 1)
     lengths = np.linalg.norm(J, axis=0).clip(1e-9)  # some numbers of the first link move nothing
     off = np.linalg.lstsq(J / lengths, rng.normal(size=(len(J), 800)), rcond=1e-10)[0][-4:] / lengths[-4:, None]
@@ -304,7 +297,7 @@ def test_the_unseen_error_is_that_of_a_fit():
     lengths = np.linalg.norm(ours, axis=0).clip(1e-9)
     fits = np.linalg.lstsq(ours / lengths, rng.normal(size=(len(ours), 200)), rcond=1e-7)[0]
     off = theirs / lengths @ fits
-    assert information.unseen_error(view, hidden, unseen) == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.06)
+    assert hiding.unseen_error(view, hidden, unseen) == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.06)
 
 
 def test_unknown_inertial_numbers_have_as_many_base_parameters_as_the_literature_says():
@@ -321,7 +314,7 @@ def test_a_payload_is_what_comes_nearest_to_a_mass_of_the_last_link():
     at = setup.arm.chain.center[-1]
     view = View(Setup(setup.arm, GRAVITY, at), motion, setup.arm.noise)
     hidden = (Hidden("payload_error", "payload", {"mass_kg": 0.2}),)
-    rival = information.nearest_rival(view, hidden, 0, view.span())
+    rival = hiding.nearest_rival(view, hidden, 0, view.span())
     assert (rival.name, rival.site) == ("link_mass", "link6")
     assert rival.apart < 1e-3
 
@@ -331,7 +324,7 @@ def test_noise_is_of_its_kind(noise):
     setup, motion = a_scene(seconds=40.0)
     plan = plans.Plan(0, 0, "clean", "plain", "lite6", "declared", "torque", noise, 100.0, 40.0, (), ())
     exerted = torques(setup, (), motion)
-    q, dq, torque = recorded.measure(plan, np.random.default_rng(5), motion, exerted, setup.arm.noise)
+    q, dq, torque = trials.measure(plan, np.random.default_rng(5), motion, exerted, setup.arm.noise)
     e = (torque - exerted) / setup.arm.noise
     memory = np.mean(e[1:] * e[:-1]) / np.mean(e**2)
     assert memory == pytest.approx(0.9 if noise == "autocorrelated" else 0, abs=0.05)
@@ -347,7 +340,7 @@ def test_a_contact_is_felt_where_it_is_said_to_be():
         0, 0, "faulty", "plain", "lite6", "declared", "torque", "white", 100.0, 10.0, (), (), "", "contact"
     )
     quiet = np.zeros((len(motion.q), 6))
-    read = recorded.measure(plan, np.random.default_rng(5), motion, quiet, setup.arm.noise)
+    read = trials.measure(plan, np.random.default_rng(5), motion, quiet, setup.arm.noise)
     spoiled = faults.spoil(plan, np.random.default_rng(5), setup, motion, read)
     rows, pushed = spoiled.rows, np.abs(spoiled.torque / setup.arm.noise).max(1)
     assert pushed[rows].max() > 8
@@ -356,30 +349,25 @@ def test_a_contact_is_felt_where_it_is_said_to_be():
 
 
 def test_a_declared_arm_is_as_far_off_as_is_said():
-    arm = drawn_arm("lite6", np.random.default_rng(0))
+    arm = draw_arm("lite6", np.random.default_rng(0))
     said = {}
     for inertial in ("declared", "uncertain", "unknown"):
         plan = plans.Plan(0, 0, "clean", "plain", "lite6", inertial, "torque", "white", 100.0, 10.0, (), ())
-        told = [recorded.declared_arm(plan, np.random.default_rng(k), arm) for k in range(200)]
+        told = [trials.declare_arm(plan, np.random.default_rng(k), arm) for k in range(200)]
         said[inertial] = np.std([each.chain.mass / arm.chain.mass for each in told])
     assert said == {"declared": 0.0, "uncertain": pytest.approx(0.1, rel=0.1), "unknown": pytest.approx(0.2, rel=0.1)}
 
 
-def test_every_round_has_every_kind_in_its_share():
-    kinds = [plans.ROUNDS.kind_of(3, index) for index in range(50)]
-    wanted = {"clean": 20, "single": 16, "mixture": 6, "outside": 4, "edge": 2, "faulty": 2}
-    assert {kind: kinds.count(kind) for kind in plans.KINDS} == wanted
-    noises = [plans.draw_plan(3, i, np.random.default_rng(0)).noise for i in plans.ROUNDS.indices(3, 5, "clean")]
-    assert sorted(noises) == sorted(plans.NOISES)
-    names = [
-        plans.draw_plan(3, i, np.random.default_rng(0)).effects[0]
-        for i in plans.ROUNDS.indices(3, len(NAMED), "single")
-    ]
-    assert sorted(names) == sorted(NAMED)
+def test_noises_and_names_go_round():
+    def drawn(kind, count):
+        return [plans.draw_plan(3, i, np.random.default_rng(0)) for i in plans.ROUNDS.indices(3, count, kind)]
+
+    assert sorted(plan.noise for plan in drawn("clean", 5)) == sorted(plans.NOISES)
+    assert sorted(plan.effects[0] for plan in drawn("single", len(NAMED))) == sorted(NAMED)
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=pytest.mark.long if kind == "mixture" else ()) for kind in plans.KINDS]
+    "kind", [pytest.param(kind, marks=pytest.mark.long if kind == "mixture" else ()) for kind in KINDS]
 )
 def test_a_seed_gives_the_same_trial_of_the_planned_size(kind):
     index = plans.ROUNDS.indices(1, 1, kind)[0]
@@ -432,52 +420,6 @@ def read_arm(path):
     mass, center = (np.array([link[key] for link in links]) for key in ("mass_kg", "com_m"))
     chain = Chain(said["name"], np.array(rows), np.array(said["joint_limits_rad"]), mass, center)
     return Arm(chain, np.array(tensors), np.ones(len(mass)))
-
-
-@pytest.mark.skipif(not OPEN_CASES.exists(), reason="the open torque cases are not beside this checkout")
-@pytest.mark.parametrize("case", ["t01_null", "t04_payload", "t07_delay"])
-def test_the_torques_of_open_cases_are_reproduced_from_their_files(case):
-    folder = OPEN_CASES / case
-    unseen, truth = (
-        np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True) for name in ("unseen", "unseen_truth")
-    )
-    effects = {
-        effect["effect"]: effect["args"] for effect in json.loads((folder / "truth.json").read_text())["effects"]
-    }
-    said = yaml.safe_load((folder / "recording.yaml").read_text())["recording"]
-    time = unseen["time_s"]
-    q, dq = (
-        np.column_stack([unseen[f"{n}{i}_{u}"] for i in range(1, 7)]) for n, u in (("q", "rad"), ("dq", "rad_per_s"))
-    )
-    place, rate = make_interp_spline(time, q, 5), make_interp_spline(time, dq, 5)
-    at = np.clip(time + effects.get("torque_delay", {"dt": 0.0})["dt"], time[0], time[-1])
-    payload = np.array(unseen["payload_kg"]) + effects.get("payload_error", {"mass": 0.0})["mass"]
-    gravity, center = np.array(said["gravity_m_per_s2"]), np.array(said["payload_com_m"], float)
-    ours = inverse_dynamics(
-        read_arm(folder / "arm.yaml"), place(at), rate(at), rate.derivative()(at), gravity, payload, center
-    )
-    theirs = np.column_stack([truth[f"tau{i}_Nm"] for i in range(1, 7)])
-    np.testing.assert_allclose(ours[20:-20], theirs[20:-20], atol=2e-5)
-
-
-@pytest.mark.skipif(not OPEN_CASES.exists(), reason="the open torque cases are not beside this checkout")
-def test_the_files_of_a_trial_are_like_those_of_the_open_cases(tmp_path):
-    open_case = OPEN_CASES / "t01_null"
-    drawn = (trials.draw(1, index) for index in range(20))
-    trial = next(t for t in drawn if (t.plan.arm, t.plan.source) == ("lite6", "torque"))
-    case = TORQUES.export(1, trial.plan.index, False, tmp_path)
-    assert {path.name for path in case.iterdir()} == {path.name for path in open_case.iterdir()}
-    for name in ("recording.csv", "unseen.csv", "unseen_truth.csv"):
-        assert list(read_columns((case / name).read_text())) == list(read_columns((open_case / name).read_text()))
-    ours, theirs = (yaml.safe_load((folder / "arm.yaml").read_text()) for folder in (case, open_case))
-    assert ours["inertial"].keys() == theirs["inertial"].keys()
-    assert ours["inertial"]["link1"].keys() == theirs["inertial"]["link1"].keys()
-    ours, theirs = (
-        yaml.safe_load((folder / "recording.yaml").read_text())["recording"] for folder in (case, open_case)
-    )
-    assert set(ours) <= {*theirs, "inertial"}
-    ours, theirs = (json.loads((folder / "truth.json").read_text()) for folder in (case, open_case))
-    assert {*theirs} - {"arm_seed"} <= set(ours)
 
 
 def spoiled(fault, seed=5, seconds=10.0):

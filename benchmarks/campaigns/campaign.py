@@ -9,7 +9,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.campaigns.columns import read_columns
 from benchmarks.campaigns.judgement import Row
+from benchmarks.campaigns.rounds import Rounds, read_columns
 from benchmarks.campaigns.shares import Goal
 from lite6jax.workers import Workers, write_tables
 
@@ -87,31 +87,25 @@ class Campaign:
     Attributes:
         name: of its command.
         count: how many trials, if not said.
-        kinds: among which `--kind` chooses.
-        indices: of a seed, so many, and kinds.
+        rounds: in which its kinds come.
         schema: of the results, a row a trial; as `schema_of`.
         draw: a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed
             families.
         score: the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error.
         goals: those that are set on rows.
         unseen: a table on the errors of the unseen motion.
-        story: of a truth and its row, what is particular to the domain: a line of its own, and lines on the errors.
-        beside: of a truth, the files that an exported trial has beside it, and what is added to the truth.
         answer: diagnoses the files of a folder and writes what comes of it there.
         sensors: campaigns of other sensors, among which `--sensor` chooses.
     """
 
     name: str
     count: int
-    kinds: Sequence[str]
-    indices: Callable[..., list[int]]
+    rounds: Rounds
     schema: pa.Schema
     draw: Callable[[int, int, bool], Any]
     score: Callable[[Row, Row | None, Row | None, float, str], Row]
     goals: Callable[[Sequence[Row]], list[Goal]]
     unseen: Callable[[Sequence[Row]], Section]
-    story: Callable[[Row, Row], tuple[str, Iterable[str]]]
-    beside: Callable[[str, Row], tuple[dict[str, str], Row]]
     answer: Callable[[Path], None] = diagnose_and_predict
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
 
@@ -119,8 +113,7 @@ class Campaign:
         """Writes a trial with its open truth into a folder of its own, which it names: to look for what went wrong."""
         trial = self.draw(seed, index, sealed_families)
         case = folder / f"{seed}_{index:05d}_{trial.truth['kind']}"
-        files, more = self.beside(case.name, trial.truth)
-        write_files(trial.files | files | {"truth.json": sealed_text(trial.truth | more)}, case)
+        write_files(trial.files | {"truth.json": truth_text(trial.truth)}, case)
         return case
 
     def run(
@@ -153,47 +146,36 @@ class Campaign:
         Raises:
             ValueError: the file has trials of another seed, or of families that are sealed where these are not.
         """
-        folder = out.with_suffix(".trials")
         rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
-            raise ValueError(
-                f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file"
-            )
+            kept = "open" if sealed_families else "sealed"
+            raise ValueError(f"{out}: has trials of {kept} families; give another file")
         left = [index for index in wanted if index not in rows]
-        if not left:
-            return [rows[index] for index in wanted]
-        workers = partial(Workers, scheduler, processes)
-        digests = _sealed(left, (self.draw, seed, sealed_families), folder, out, workers, advance)
-        listed = out.with_suffix(".sha256")
-        whole = hashlib.sha256(listed.read_bytes()).hexdigest()
-        say(f"{len(digests)} truths sealed; their hashes are in {listed}, whose own SHA-256 is {whole}.")
-        done = len(wanted) - len(left)
-        if done:
-            advance("diagnosed", done, len(wanted))
-        with workers(len(left)) as at_work:
-            work = at_work.outcomes(
-                answered,
-                enumerate(_Trials(folder, left)),
-                (self.answer,),
-                died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
-            )
-            for count, (number, answer) in enumerate(work, done + 1):
-                (said,) = answer.to_pylist()
-                rows[left[number]] = self._scored(folder, digests[left[number]], said)
-                self.write_rows(list(rows.values()), out)  # a run that is ended has those that are done
-                advance("diagnosed", count, len(wanted))
-        for index in left:
-            shutil.rmtree(given_in(folder, index), ignore_errors=True)
+        if left:
+            workers, folder = partial(Workers, scheduler, processes), out.with_suffix(".trials")
+            digests = _seal(left, (self.draw, seed, sealed_families), out, workers, advance)
+            listed = out.with_suffix(".sha256")
+            whole = hashlib.sha256(listed.read_bytes()).hexdigest()
+            say(f"{len(digests)} truths sealed; their hashes are in {listed}, whose own SHA-256 is {whole}.")
+            done = len(wanted) - len(left)
+            if done:
+                advance("diagnosed", done, len(wanted))
+            batches = ((index, [_read_files(given_in(folder, index))]) for index in left)
+            with workers(len(left)) as at_work:
+                work: Any = at_work.outcomes(answer_trial, batches, (self.answer,), died=_died)
+                for count, (index, (files, seconds, error)) in enumerate(work, done + 1):
+                    diagnosis = json.loads(files.get("diagnosis.json", "null"))
+                    predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
+                    truth = open_truth(folder, index, digests[index])
+                    row = self.score(truth, diagnosis, predicted, seconds, error)
+                    rows[index] = row | {"sha256": digests[index]}
+                    self.write_rows(list(rows.values()), out)  # a run that is ended has those that are done
+                    advance("diagnosed", count, len(wanted))
+            for index in left:
+                shutil.rmtree(given_in(folder, index), ignore_errors=True)
         return [rows[index] for index in wanted]
-
-    def _scored(self, folder: Path, digest: str, said: Row) -> Row:
-        files = dict(said["files"])
-        diagnosis = json.loads(files["diagnosis.json"]) if "diagnosis.json" in files else None
-        predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
-        truth = opened(folder, said["index"], digest)
-        return self.score(truth, diagnosis, predicted, said["seconds"], said["error"]) | {"sha256": digest}
 
     def write_rows(self, rows: Sequence[Row], path: Path) -> None:
         """The rows by index, in one step: a reader never sees half a file."""
@@ -206,30 +188,26 @@ class Campaign:
         return pq.read_table(path, schema=self.schema).to_pylist()
 
 
-def _sealed(
+def _seal(
     left: Sequence[int],
     given: tuple[Any, ...],
-    folder: Path,
     out: Path,
     workers: Callable[[int], Workers],
     advance: Callable[[str, int, int], object],
 ) -> dict[int, str]:
     """The hashes of the truths, drawn where they are not yet; what is `given` to each draw fixes them."""
-    listed = out.with_suffix(".sha256")
+    listed, folder = out.with_suffix(".sha256"), out.with_suffix(".trials")
     pairs = (line.split("  ") for line in (listed.read_text().splitlines() if listed.exists() else ()))
     digests = {int(Path(name).stem): digest for digest, name in pairs}
     todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
     with workers(len(todo)) as at_work:
-        work = at_work.outcomes(drawn, enumerate([index] for index in todo), given, died=_not_drawn)
-        for done, (_, table) in enumerate(work, 1):
-            (row,) = table.to_pylist()
-            index, truth = row["index"], row["truth"].encode()
-            write_files(dict(row["files"]), given_in(folder, index))
-            write_files({sealed_in(folder, index).name: row["truth"]}, sealed_in(folder, index).parent)
-            digest = hashlib.sha256(truth).hexdigest()
-            if digests.get(index, digest) != digest:
+        work: Any = at_work.outcomes(drawn, ((index, [index]) for index in todo), given, died=_not_drawn)
+        for done, (index, (files, truth)) in enumerate(work, 1):
+            write_files(files, given_in(folder, index))
+            write_files({sealed_in(folder, index).name: truth}, sealed_in(folder, index).parent)
+            digest = hashlib.sha256(truth.encode()).hexdigest()
+            if digests.setdefault(index, digest) != digest:
                 raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
-            digests[index] = digest
             advance("sealed", done, len(todo))
     lines = [f"{digests[i]}  {sealed_in(Path(folder.name), i).as_posix()}\n" for i in sorted(digests)]
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -247,7 +225,7 @@ def sealed_in(folder: Path, index: int) -> Path:
     return folder / "sealed" / f"{index:05d}.json"
 
 
-def opened(folder: Path, index: int, digest: str) -> Row:
+def open_truth(folder: Path, index: int, digest: str) -> Row:
     """The truth of a trial, if it is the one that was sealed.
 
     Raises:
@@ -259,63 +237,52 @@ def opened(folder: Path, index: int, digest: str) -> Row:
     return json.loads(text)
 
 
-def write_files(files: dict[str, str], folder: Path) -> None:
+def write_files(files: Mapping[str, str], folder: Path) -> None:
     """The files of a trial, all under names that say nothing."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text)
 
 
-def sealed_text(truth: Row) -> str:
+def _read_files(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+def truth_text(truth: Row) -> str:
     """A truth as it is sealed."""
     return json.dumps(truth, indent=1, allow_nan=False, default=float) + "\n"
 
 
-class _Given(NamedTuple):
-    """A trial's files by name."""
+# ------------------------------------------------------------------ what a worker does with one trial
 
-    trial: int
+
+class Answer(NamedTuple):
+    """What the diagnosis of a trial leaves.
+
+    Attributes:
+        files: that it wrote, by name.
+        seconds: that it took.
+        error: empty where there was none.
+    """
+
     files: dict[str, str]
+    seconds: float
+    error: str
 
 
-class _Trials(Sequence[list[_Given]]):
-    """A batch for each trial, whose files are read as it is sent: all of them together may be large."""
-
-    def __init__(self, folder: Path, indices: Sequence[int]) -> None:
-        self._folder, self._indices = folder, indices
-
-    def __len__(self) -> int:
-        return len(self._indices)
-
-    def __getitem__(self, number: Any) -> Any:
-        index = self._indices[number]
-        return [_Given(index, _read_files(given_in(self._folder, index)))]
+def drawn(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> Any:
+    """The files and the truth of a trial."""
+    (index,) = indices
+    trial = draw(seed, index, sealed_families)
+    return trial.files, truth_text(trial.truth)
 
 
-_FILES = pa.map_(TEXT, TEXT)
-_DRAWN = pa.schema({"index": pa.int64(), "files": _FILES, "truth": TEXT})
-_ANSWER = pa.schema({"index": pa.int64(), "files": _FILES, "seconds": NUMBER, "error": TEXT})
-
-
-def drawn(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> pa.Table:
-    """The files and the truths of trials, by a worker."""
-    found = ((index, draw(seed, index, sealed_families)) for index in indices)
-    rows = [
-        {"index": index, "files": list(trial.files.items()), "truth": sealed_text(trial.truth)}
-        for index, trial in found
-    ]
-    return pa.Table.from_pylist(rows, _DRAWN)
-
-
-def answered(given: Sequence[_Given], answer: Callable[[Path], None]) -> pa.Table:
-    """What the diagnosis of trials wrote, by a worker, with its time and its error."""
-    return pa.concat_tables([_answered(trial, answer) for trial in given])
-
-
-def _answered(trial: _Given, answer: Callable[[Path], None]) -> pa.Table:
+def answer_trial(given: Sequence[Mapping[str, str]], answer: Callable[[Path], None]) -> Any:
+    """The `Answer` to the files of a trial."""
+    (files,) = given
     with tempfile.TemporaryDirectory() as name:
         folder, error = Path(name), ""
-        write_files(trial.files, folder)
+        write_files(files, folder)
         start = time.perf_counter()
         try:
             with _limit(LONGEST), contextlib.redirect_stdout(io.StringIO()):
@@ -325,21 +292,16 @@ def _answered(trial: _Given, answer: Callable[[Path], None]) -> pa.Table:
         except Exception as problem:
             error = f"{type(problem).__name__}: {problem}"[:300]
         seconds = time.perf_counter() - start
-        files = {file: text for file, text in _read_files(folder).items() if file not in trial.files}
-        return _answer(trial.trial, files, seconds, error)
+        written = {file: text for file, text in _read_files(folder).items() if file not in files}
+        return Answer(written, seconds, error)
 
 
-def _answer(index: int, files: dict[str, str], seconds: float, error: str) -> pa.Table:
-    row = {"index": index, "files": list(files.items()), "seconds": seconds, "error": error}
-    return pa.Table.from_pylist([row], _ANSWER)
+def _died(given: Any) -> Any:
+    return Answer({}, 0.0, "WorkerDiedError: the process died")
 
 
-def _not_drawn(index: int) -> pa.Table:
+def _not_drawn(index: int) -> Any:
     raise RuntimeError(f"trial {index}: the process that draws it was ended")
-
-
-def _read_files(folder: Path) -> dict[str, str]:
-    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 @contextlib.contextmanager

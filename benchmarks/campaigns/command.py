@@ -1,17 +1,19 @@
 """The command of a kind of trials: runs them, or one of them, and says what came of it."""
 
 import argparse
+import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import yaml
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmarks.campaigns.campaign import Campaign, opened
+from benchmarks.campaigns.campaign import Campaign, open_truth
 from benchmarks.campaigns.judgement import Row
-from benchmarks.campaigns.report import detection, markdown, sections, story, tables
+from benchmarks.campaigns.report import detection, markdown, sections, tables
 from benchmarks.measure import DONE, MISSED, ended
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
@@ -30,7 +32,10 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=_at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
     parser.add_argument(
-        "--kind", choices=campaign.kinds, action="append", help="only trials of this kind; give it again for one more"
+        "--kind",
+        choices=list(campaign.rounds.shares),
+        action="append",
+        help="only trials of this kind; give it again for one more",
     )
     if campaign.sensors:
         parser.add_argument(
@@ -64,8 +69,8 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     campaign = campaign.sensors.get(getattr(options, "sensor", None) or "", campaign)
-    if not set(options.kind or ()) <= set(campaign.kinds):
-        parser.error(f"--kind: with this sensor there are {' and '.join(campaign.kinds)}")
+    if not set(options.kind or ()) <= set(campaign.rounds.shares):
+        parser.error(f"--kind: with this sensor there are {' and '.join(campaign.rounds.shares)}")
     if options.trial is not None and (options.kind or options.out or options.figure or options.compare):
         parser.error("--trial: runs one and keeps nothing; leave --kind, --out, --figure and --compare out")
     if options.out and options.out.suffix != ".parquet":
@@ -78,7 +83,7 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
 def _many(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
     if options.out:
         check_writable(options.out, overwrite=True)
-    wanted = campaign.indices(options.seed, options.trials, *(options.kind or ()))
+    wanted = campaign.rounds.indices(options.seed, options.trials, *(options.kind or ()))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     shown = Console(stderr=True)
     with (
@@ -119,13 +124,16 @@ def _one(campaign: Campaign, options: argparse.Namespace, console: Console) -> i
 
         # by a process, as the trials of a run are: the truth is then the same to the last bit
         (row,) = campaign.run(seed, [index], out, 1, sealed, lambda *counts: None, options.sealed, options.scheduler)
-        for line in story(campaign, opened(out.with_suffix(".trials"), index, row["sha256"]), row):
-            console.print(line, soft_wrap=True, markup=False)
+        truth = open_truth(out.with_suffix(".trials"), index, row["sha256"])
+        # but for what the motion to be predicted really was: hundreds of numbers
+        truth = {key: value for key, value in truth.items() if not key.startswith("unseen_")}
+        plain = json.loads(json.dumps({"truth": truth, "diagnosis": row}, default=float))
+        console.print(yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None), markup=False)
     return DONE
 
 
 def _exported(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
-    wanted = campaign.indices(options.seed, options.trials, *(options.kind or ()))
+    wanted = campaign.rounds.indices(options.seed, options.trials, *(options.kind or ()))
     for index in wanted if options.trial is None else [options.trial]:
         path = campaign.export(options.seed, index, options.sealed, options.export)
         console.print(f"Wrote {path}", soft_wrap=True)

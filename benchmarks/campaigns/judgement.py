@@ -205,7 +205,7 @@ def _listed(effects: Sequence[Row]) -> str:
     return ", ".join(f"{effect['effect']}@{effect['site']}" for effect in effects)
 
 
-def scored_by_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str, moved: str) -> Row:
+def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str, moved: str) -> Row:
     """The columns of a trial's row that poses and torques share; `moved` is the key of what a hidden effect moves."""
     said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
     findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))

@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from benchmarks.campaigns.campaign import Campaign, Section
 from benchmarks.campaigns.judgement import DISTINGUISHED, Row, covered, distinguishable, exact_orders, numbers, singles
-from benchmarks.campaigns.shares import share, short
+from benchmarks.campaigns.shares import share
 
 Groups = Iterable[tuple[str, Sequence[Row]]]
 Columns = dict[str, str | Callable[[Row], Any]]
@@ -124,7 +124,7 @@ def _shares(title: str, groups: Groups, columns: Columns) -> Section:
         )
         if rows:
             found = [share(each) for each in flags]
-            cells.append((label, str(len(rows)), *(short(s) if s.of == len(rows) else str(s) for s in found)))
+            cells.append((label, str(len(rows)), *(s.short if s.of == len(rows) else str(s) for s in found)))
     return title, ("", "trials", *columns), cells
 
 
@@ -257,46 +257,3 @@ def detection(rows: Sequence[Row], path: Path) -> Path:
         figure.savefig(path, dpi=110)
         plt.close(figure)
     return path
-
-
-def story(campaign: Campaign, truth: Row, row: Row) -> Iterator[str]:
-    """What happened in a trial, line by line."""
-    setting, errors = campaign.story(truth, row)
-    hard = "".join(f", {truth[key]}" for key in ("edge", "fault") if truth.get(key))
-    yield (
-        f"{truth['kind'].capitalize()}, physics: {truth['engine']}; arm {truth['arm']}, {row['rows']} rows, {setting}; "
-        f"noise {truth['noise']}{hard}."
-    )
-    yield "Hidden:" if truth["hidden"] else "Hidden: nothing"
-    for effect, seen in zip(truth["hidden"], row["hidden"], strict=True):
-        parameters = effect["parameters"]
-        values = ", ".join(f"{name} {value:.4g}" for name, value in (effect["fixed"] | parameters).items())
-        yield f"  {effect['effect']} at {effect['site']}: {values}"
-        if effect["size"] is not None:
-            moved, unit = (effect["moved_m"], "mm") if "moved_m" in effect else (effect["moved_Nm"], "mNm")
-            visible = f"{1e3 * moved:.3g} {unit} RMS, {100 * effect['seen']:.0f} % of it visible"
-            yield f"    {effect['size']:.2f} thresholds; moves what is measured by {visible}"
-        rival = effect["rival"]
-        if rival and rival["name"]:
-            yield f"    nearest: {rival['name']} at {rival['site']}, {rival['apart']:.1f} standard deviations apart"
-        for number in seen["numbers"]:
-            pull = number["off"] / (number["std"] or np.nan)
-            yield (
-                f"    {number['name']}: off by {number['off']:.3g} = {pull:.2f} estimated standard deviations; "
-                f"the bound is {number['bound']:.3g}"
-            )
-    if row.get("statement"):
-        yield f"Statement: {row['statement']}{': ' + row['why'] if row['why'] else ''}"
-    yield f"Verdict: {row['verdict']}{', error: ' + row['error'] if row['error'] else ''}"
-    for finding in row["findings"]:
-        mark, order = "✓" if finding["true"] else "✗", finding["order"]
-        which = "" if order is None else f", order {order:.4g}"
-        rivals = f"; nearest alternatives: {', '.join(finding['rivals'])}" if finding["rivals"] else ""
-        driver = finding["driver"] or "nothing said"
-        yield f"  {mark} {finding['effect']} at {finding['site']}{which} by {driver}{rivals}"
-    if row["faults"]:
-        yield f"Faults of the data: {', '.join(row['faults'])}"
-    exact, in_set = ("yes" if row[key] else "no" for key in ("exact", "exact_in_set"))
-    yield f"Found exactly: {exact}; within the set of alternatives: {in_set}."
-    yield from errors
-    yield f"{row['seconds']:.1f} s."

@@ -1,15 +1,20 @@
-"""Trials of several kinds in fixed shares, and choices that go round, so that any number of trials is a fair sample.
+"""Trials of several kinds in fixed shares, choices that go round, so that any number is a fair sample; their tables.
 
 Shares no code with the library.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 T = TypeVar("T")
 _TRIES = 200
+
+Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
+KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
 
 
 class Rounds(NamedTuple):
@@ -77,3 +82,17 @@ class Trial(NamedTuple):
     plan: Any
     truth: dict[str, Any]
     files: dict[str, str]
+
+
+def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
+    """The columns, of equal length, as CSV: numbers with so many significant digits, text as it is."""
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = ([v if isinstance(v, str) else f"{v:.{digits}g}" for v in row] for row in rows)
+    return "\n".join([",".join(columns), *map(",".join, lines)]) + "\n"
+
+
+def read_columns(text: str) -> dict[str, list[float]]:
+    """The columns of such a text; NaN where a cell is empty."""
+    names, *rows = text.splitlines()
+    values = [[float(cell) if cell else math.nan for cell in row.split(",")] for row in rows]
+    return dict(zip(names.split(","), map(list, zip(*values, strict=True)), strict=True))

@@ -1,9 +1,8 @@
 """Shares and ratios of trials with their 95 % intervals, and goals that are set on them."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import beta
@@ -34,9 +33,12 @@ class Share(NamedTuple):
         return float(beta.ppf(0.975, self.hits + 1, self.of - self.hits)) if self.hits < self.of else 1.0
 
     def __str__(self) -> str:
-        if not self.of:
-            return "none"
-        return f"{100 * self.value:.3g} % ({_percent(self.low)}–{_percent(self.high)}) of {self.of}"
+        return f"{self.short} of {self.of}" if self.of else "none"
+
+    @property
+    def short(self) -> str:
+        """In words, where the count stands beside it."""
+        return f"{100 * self.value:.3g} % ({_percent(self.low)}–{_percent(self.high)})" if self.of else "none"
 
 
 def _percent(value: float) -> str:
@@ -59,9 +61,8 @@ class Ratio(NamedTuple):
     of: int
 
     def __str__(self) -> str:
-        if not self.of:
-            return "none"
-        return f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f}), median {self.median:.2f}, of {self.of}"
+        said = f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f}), median {self.median:.2f}, of {self.of}"
+        return said if self.of else "none"
 
 
 def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> Ratio:
@@ -76,9 +77,8 @@ def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> 
     return Ratio(float(np.sqrt(a.sum() / b.sum())), float(low), float(high), float(np.median(each)), len(a))
 
 
-@dataclass(frozen=True)
-class Goal:
-    """The goal, what was reached, and whether that is enough.
+class Goal(NamedTuple):
+    """A goal.
 
     Attributes:
         asked: in words, with the number.
@@ -91,26 +91,12 @@ class Goal:
     met: bool | None
 
 
-def goal(asked: str, found: Share | Ratio, enough: Callable[[Any], bool]) -> Goal:
-    """A goal on a share or a ratio of trials; where there are none it is neither met nor missed."""
-    return Goal(asked, str(found), enough(found) if found.of else None)
+def goal(
+    asked: str, found: Share | Ratio, least: float = -math.inf, most: float = math.inf, upper: float = math.inf
+) -> Goal:
+    """A goal on a share or a ratio of trials, and on the upper end of its interval.
 
-
-def at_least(least: float) -> Callable[[Share], bool]:
-    """What asks for a share."""
-    return lambda found: found.value >= least
-
-
-def at_most(most: float, surely: bool = False) -> Callable[[Any], bool]:
-    """What asks for no more; `surely`, by the upper end of the interval."""
-    return lambda found: (found.high if surely else found.value) <= most
-
-
-def covers(found: Share) -> bool:
-    """Whether 95 % intervals hold about as often as that."""
-    return 0.93 <= found.value <= 0.97
-
-
-def short(found: Share) -> str:
-    """A share whose count stands beside it."""
-    return str(found).partition(" of ")[0]
+    Where there are no trials it is neither met nor missed.
+    """
+    met = least <= found.value <= most and found.high <= upper
+    return Goal(asked, str(found), met if found.of else None)

@@ -166,7 +166,7 @@ def seven() -> Chain:
     return Chain("seven", rows, limits, mass, np.array([*center, [0, 0, 0.02]]))
 
 
-def drawn_six(rng: np.random.Generator) -> Chain:
+def draw_six(rng: np.random.Generator) -> Chain:
     """A random arm of six joints: no two neighbouring axes in one line, lengths and masses of a small arm."""
     alpha = np.array([np.pi / 2, 0, np.pi / 2, -np.pi / 2, np.pi / 2, 0]) * rng.choice([-1.0, 1.0], 6)
     d = np.array([0.2, 0.05, 0.05, 0.3, 0.05, 0.1]) * rng.uniform(0.5, 1.5, 6) * rng.choice([1, 1, 1, -1], 6)

@@ -4,19 +4,15 @@ Shares no code with the library. The catalogue's effects are those of its public
 are the generator's own: two springs here, one that hardens and one that yields and remembers it, the rest in `outside`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.outside import FAMILIES, seen_shift
-from benchmarks.concealed.outside.family import Signals
+from benchmarks.concealed.outside.family import Motion, Scene
 
-Curve = Callable[[Array], tuple[Array, Array]]
-
-AXES = ("x", "y", "z")
 TWIST = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 TILT = ("compliance_x_rad_per_Nm", "compliance_y_rad_per_Nm")
 COORDINATES: dict[str, tuple[str, ...]] = {
@@ -86,46 +82,6 @@ class Hidden:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """What the arm did; all arrays with the sample first.
-
-    Attributes:
-        q: `(sample, joint)` rad, as the encoders have it.
-        dq: `(sample, joint)` rad/s; zero where the arm stood still.
-        direction: `(sample, joint)`, -1, 0 or 1.
-        time: `(sample,)` s.
-        temperature: `(sample, joint)` °C.
-        payload: `(sample,)` kg.
-        curve: joints and velocities at any instants, where the arm moved.
-    """
-
-    q: Array
-    dq: Array
-    direction: Array
-    time: Array
-    temperature: Array
-    payload: Array
-    curve: Curve | None = None
-
-    def later(self, offset: float) -> "Motion":
-        """What the arm does `offset` s later."""
-        if self.curve is None or offset == 0:
-            return self
-        q, dq = self.curve(self.time + offset)
-        return replace(self, q=q, dq=dq, direction=np.sign(dq))
-
-    def kept(self, most: int) -> NDArray[np.integer]:
-        """So many of the samples' places at most, evenly over the motion."""
-        return np.unique(np.linspace(0, len(self.q) - 1, most).astype(int))
-
-    def thinned(self, most: int) -> "Motion":
-        """So many of the samples at most, evenly over the motion."""
-        kept = self.kept(most)
-        names = ("q", "dq", "direction", "time", "temperature", "payload")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
-
-
-@dataclass(frozen=True, eq=False)
 class Setup:
     """An arm and where it is seen from.
 
@@ -165,13 +121,13 @@ def _pulled(lever: Array) -> Array:
     return lever @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]).T
 
 
-def signals_of(setup: Setup, motion: Motion, loaded: bool = True) -> Signals:
-    """What the families outside the catalogue can depend on; moments of zero where they are not `loaded`."""
+def loaded(setup: Setup, motion: Motion, needed: bool = True) -> Motion:
+    """The motion with gravity's moments; of zero where they are not `needed`."""
     samples, dof = motion.q.shape
     moment, base_moment = np.zeros((samples, dof, 3)), np.zeros((samples, 3))
-    if loaded:
+    if needed:
         moment, base_moment = moments(setup.chain, motion.q, motion.payload, setup.payload_center)
-    return Signals(motion.q, motion.dq, motion.direction, motion.time, motion.temperature, moment, base_moment)
+    return replace(motion, moment=moment, base_moment=base_moment)
 
 
 def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Array, Array]:
@@ -187,8 +143,8 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     link = np.zeros((samples, dof, 6))
     base, tool, sensor = np.zeros((samples, 6)), np.zeros((samples, 6)), np.zeros((samples, 6))
     stretch, scale = np.zeros((samples, dof)), 1.0
-    signals = signals_of(setup, motion, any(effect.name in _LOADED for effect in hidden))
-    moment, base_moment = signals.moment, signals.base_moment
+    motion = loaded(setup, motion, any(effect.name in _LOADED for effect in hidden))
+    moment, base_moment = motion.moment, motion.base_moment
     image: list[Hidden] = []
     for effect in hidden:
         v, i = np.array(effect.values), effect.number - 1
@@ -213,7 +169,7 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
             case name if name in FAMILIES and FAMILIES[name].place == "image":
                 image.append(effect)
             case name if name in FAMILIES:
-                moved = v[0] * _signal(effect, signals, motion, setup)
+                moved = v[0] * _signal(effect, motion, setup)
                 if effect.site.startswith("joint"):
                     turned[:, i] += moved
                 else:
@@ -236,27 +192,27 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     if sensor.any():
         turn = rotation_from_vector(sensor[:, 3:])
         p, R = sensor[:, :3] + np.einsum("sab,sb->sa", turn, p), turn @ R
-    shifts = [effect.values[0] * seen_shift(effect.name, effect.fixed, signals, p) for effect in image]
+    shifts = [effect.values[0] * seen_shift(effect.name, effect.fixed, motion, p) for effect in image]
     return R, scale * sum(shifts, p)
 
 
 _LOADED = {"joint_compliance", "link_compliance", "base_compliance", "joint_backlash"} | {
-    name for name, family in FAMILIES.items() if family.loaded
+    name for name, family in FAMILIES.items() if family.is_loaded
 }
 
 
-def _signal(effect: Hidden, signals: Signals, motion: Motion, setup: Setup) -> Array:
+def _signal(effect: Hidden, motion: Motion, setup: Setup) -> Array:
     """What the number of a family outside the catalogue is multiplied by, `(sample,)`."""
     fixed = effect.fixed
     joint = int(fixed.get("joint", effect.number)) - 1
     if effect.name == "hardening_spring":
-        return hardening(signals.moment[:, joint, 2] / fixed["torque_Nm"])
+        return hardening(motion.moment[:, joint, 2] / fixed["torque_Nm"])
     if effect.name == "yielding_spring":
         load = _load_between(motion, joint, setup) / fixed["torque_Nm"]
         return yielding(load)[:: _SUBSTEPS if motion.curve is None else 1]
     signal = FAMILIES[effect.name].signal
     assert signal is not None
-    return signal(fixed, signals)
+    return signal(Scene(fixed, motion))
 
 
 def _angle(effect: Hidden, motion: Motion, torque: Array) -> Array:

@@ -2,18 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from benchmarks.campaigns.rounds import Rounds, turn
+from benchmarks.campaigns.rounds import KINDS, Kind, Rounds, turn
 from benchmarks.concealed.chain import MADE
 from benchmarks.concealed.mujoco_physics import OFFERED
 from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE
 
-Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
-KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
 ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 1, "edge": 1, "faulty": 2}, 1)
 SIZES = (1.0, 1.5, 2.0, 2.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 """Times the threshold; twice it is drawn three times as often, for a goal is set there."""
@@ -59,7 +57,6 @@ OFF = 1e-5
 
 READERS = {"contact": 120, "plane": 150, "distance": 200, "axis": 200, "fixed_camera": 60, "flange_camera": 60}
 """Sensors that measure no poses, and how many readings or images each takes."""
-READ_KINDS: tuple[Kind, ...] = ("clean", "single")
 READ_ROUNDS = Rounds({"clean": 1, "single": 1}, 11)
 READ_SIZES = (2.0, 2.0, 2.0, 3.0, 5.0, 10.0)
 READ = tuple(name for name in SINGLE if name not in ("joint_lag", "time_offset", "measurement_scale", "tool_offset"))
@@ -135,7 +132,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     effects, sizes = _effects(kind, fault or edge, seed, ordinal, rng, families(seed, sealed))
     forces = kind != "faulty" and all(name in OFFERED for name in effects) and noise != "factory file off"
     moving = bool(rng.random() < 0.45)
-    driven = any(name in FAMILIES and FAMILIES[name].moving for name in effects)
+    driven = any(name in FAMILIES and "velocity" in FAMILIES[name].on for name in effects)
     rows = _rows(seed, kind, edge, ordinal) if kind in NAMES_AT_STAKE else ROWS
     if {"joint_lag", "time_offset"} & set(effects) or fault == "time_order" or driven:
         moving, rows = True, max(rows, _TRAJECTORY)

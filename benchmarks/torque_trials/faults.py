@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import Array, rotation_from_vector
-from benchmarks.torque_trials.arms import Arm, inverse_dynamics
 from benchmarks.torque_trials.effects import Hidden
-from benchmarks.torque_trials.motion import Motion
-from benchmarks.torque_trials.physics import Setup, rigid
+from benchmarks.torque_trials.physics import Arm, Motion, Setup, inverse_dynamics, rigid
 from benchmarks.torque_trials.plans import Plan
 
 _SEEN, _SEEN_NOISES = 0.3, 10.0
@@ -67,7 +65,7 @@ def friction(rng: np.random.Generator, setup: Setup, motion: Motion) -> tuple[Hi
     )
 
 
-def described_arm(rng: np.random.Generator, arm: Arm) -> Arm:
+def describe_arm(rng: np.random.Generator, arm: Arm) -> Arm:
     """An arm as its description has it: exact in half the cases, else with masses and centres a little off."""
     if rng.random() < 0.5:
         return arm

@@ -14,8 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.concealed.chain import Array, quaternion_from_rotation, rotation_from_rpy
 from benchmarks.torque_trials.effects import Hidden
-from benchmarks.torque_trials.motion import Motion
-from benchmarks.torque_trials.physics import BODIES, Setup, changed_bodies
+from benchmarks.torque_trials.physics import BODIES, Motion, Setup, change_bodies
 
 mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
 
@@ -91,7 +90,7 @@ class SimulatedArm:
 
 
 def _model(setup: Setup, hidden: Sequence[Hidden], payload: float) -> str:
-    changed, added = changed_bodies(setup, hidden)
+    changed, added = change_bodies(setup, hidden)
     arm, gravity = changed.arm, changed.gravity
     said: dict[int, dict[str, str]] = {}
     for effect in hidden:

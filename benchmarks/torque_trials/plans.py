@@ -2,16 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from benchmarks.campaigns.rounds import Rounds, turn
-from benchmarks.torque_trials.effects import NAMED
-from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
+from benchmarks.campaigns.rounds import Kind, Rounds, turn
+from benchmarks.torque_trials.effects import FAMILIES, NAMED, OPEN, SEALED
 
-Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
-KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
 ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}, 21)
 SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
 """Times the threshold; twice it is drawn twice as often, for a goal is set there."""

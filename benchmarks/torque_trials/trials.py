@@ -4,19 +4,16 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import yaml
 
-from benchmarks.campaigns.rounds import Trial, first_made
+from benchmarks.campaigns.rounds import Trial, csv_text, first_made
 from benchmarks.concealed.chain import Array, rotation_from_vector
-from benchmarks.torque_trials.arms import drawn_arm
-from benchmarks.torque_trials.faults import described_arm, friction, spoil
-from benchmarks.torque_trials.hiding import described, hide, usual
-from benchmarks.torque_trials.information import View, unseen_error
-from benchmarks.torque_trials.motion import Motion, draw_motion
+from benchmarks.torque_trials.effects import FAMILIES
+from benchmarks.torque_trials.faults import Spoiled, describe_arm, friction, spoil
+from benchmarks.torque_trials.hiding import View, describe, hide, unseen_error, usual
 from benchmarks.torque_trials.mujoco_arm import SimulatedArm
-from benchmarks.torque_trials.outside import FAMILIES
-from benchmarks.torque_trials.physics import Setup, torques
+from benchmarks.torque_trials.physics import Arm, Motion, Setup, arm_text, draw_arm, draw_motion, torques
 from benchmarks.torque_trials.plans import AUTOCORRELATION, DATA_FAULTS, Plan, draw_plan, warms
-from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure
 
 UNSEEN_SECONDS = 10.0
 PAYLOAD_CENTER = (0.0, 0.0, 0.03)
@@ -27,6 +24,12 @@ _BOUND, _LEAST_BOUND = 3.0, 4e-3
 """An unseen error is to be within so many times what an efficient fit reaches, but no less than so many Nm."""
 _OUTSIDE_BOUND = 0.25
 """Of what an effect outside the catalogue adds."""
+_JOINT_NOISE, _VELOCITY_NOISE, _NOISY = 2e-5, 1e-3, 2e-2
+"""rad, and rad/s as a rule and where velocities are noisy: one standard deviation."""
+_OUTLIERS = 0.01
+_DIGITS = 8
+UNCERTAIN = 0.1
+"""The relative uncertainty that some sidecars declare of the inertial numbers."""
 
 
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
@@ -39,7 +42,7 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
 
 def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     """The trial of a plan; None where what it would hide cannot be seen there, or only when huge."""
-    arm = drawn_arm(plan.arm, rng)
+    arm = draw_arm(plan.arm, rng)
     gravity = _GRAVITY
     if rng.random() < 0.2:
         # the arm hangs on a wall, or from the ceiling
@@ -70,7 +73,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     else:
         exerted, later = torques(setup, hidden, motion), torques(setup, hidden, unseen)
 
-    told = described_arm(rng, arm) if spoilt else declared_arm(plan, rng, arm)
+    told = describe_arm(rng, arm) if spoilt else declare_arm(plan, rng, arm)
     read = spoil(plan, rng, setup, motion, measure(plan, rng, motion, exerted, arm.noise))
     if read is None:
         return None
@@ -79,7 +82,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         "schema": "torque/truth/1",
         **asdict(plan),
         "rows": len(read.q),
-        "hidden": usual(view, hidden) if spoilt else described(view, hidden),
+        "hidden": usual(view, hidden) if spoilt else describe(view, hidden),
         "fault_rows": read.rows,
         "fault_joints": read.joints,
         "fault_numbers": read.numbers,
@@ -102,3 +105,87 @@ def _unseen_bound(view: View, hidden: tuple[Any, ...], unseen: Motion, added: Ar
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def declare_arm(plan: Plan, rng: np.random.Generator, arm: Arm) -> Arm:
+    """The arm as its description has it: its inertial numbers are right where they are declared, else off by chance."""
+    if plan.inertial == "declared":
+        return arm
+    share = UNCERTAIN if plan.inertial == "uncertain" else 2 * UNCERTAIN
+    dof = arm.chain.dof
+    factor = 1 + share * np.clip(rng.normal(size=(2, dof)), -2.5, 2.5)
+    shift = rng.normal(size=(dof, 3)) * share * np.linalg.norm(arm.chain.center, axis=1, keepdims=True)
+    told = Arm(arm.chain, arm.inertia * factor[1][:, None, None], arm.noise)
+    for i in range(dof):
+        told = told.with_link(i + 1, mass=arm.chain.mass[i] * (factor[0, i] - 1), center=shift[i])
+    return told
+
+
+def measure(
+    plan: Plan, rng: np.random.Generator, motion: Motion, exerted: Array, noise: Array
+) -> tuple[Array, Array, Array]:
+    """Joints, velocities and torques as they are read, with the noise of a plan."""
+    shape = exerted.shape
+    draws = rng.normal(size=shape)
+    match plan.noise:
+        case "autocorrelated":
+            for k in range(1, len(draws)):
+                draws[k] = AUTOCORRELATION * draws[k - 1] + np.sqrt(1 - AUTOCORRELATION**2) * draws[k]
+        case "twice as declared":
+            draws *= 2
+        case "outliers":
+            hit = rng.random(shape) < _OUTLIERS
+            draws += hit * rng.choice([-1.0, 1.0], shape) * rng.uniform(8, 30, shape)
+    quick = _NOISY if plan.noise == "noisy velocities" else _VELOCITY_NOISE
+    return (
+        motion.q + rng.normal(0, _JOINT_NOISE, shape),
+        motion.dq + rng.normal(0, quick, shape),
+        exerted + noise * draws,
+    )
+
+
+def files_of(
+    plan: Plan, rng: np.random.Generator, setup: Setup, told: Arm, motion: Motion, read: Spoiled, unseen: Motion
+) -> dict[str, str]:
+    """What the diagnosis is given of an arm as it is told, and the motion that is to be predicted."""
+    torque = read.torque
+    said: dict[str, Any] = {
+        "arm": "arm.yaml",
+        "joint_source": "measured",
+        "motion": "trajectory",
+        "torque_source": "current" if plan.source == "current" else "measured",
+        "joint_noise_rad": _JOINT_NOISE,
+        "payload_com_m": [float(v) for v in setup.payload_center],
+        "gravity_m_per_s2": [float(v) for v in read.gravity],
+    }
+    if rng.random() < 0.8:
+        said["torque_noise_Nm"] = [float(v) for v in setup.arm.noise]
+    if plan.inertial != "declared":
+        said["inertial"] = UNCERTAIN if plan.inertial == "uncertain" else "unknown"
+    if plan.fault == "estimated_torque":
+        del said["torque_source"]
+    columns = _columns(motion, read.q, read.dq, read.turns)
+    joints = range(1, torque.shape[1] + 1)
+    if plan.source == "current":
+        constants = np.round(rng.uniform(2.0, 12.0, torque.shape[1]), 3)
+        said["torque_constant_Nm_per_A"] = [float(v) for v in constants]
+        columns |= {f"current{i}_A": torque[:, i - 1] / constants[i - 1] for i in joints}
+    else:
+        columns |= {f"tau{i}_Nm": torque[:, i - 1] for i in joints}
+    return {
+        "arm.yaml": arm_text(told),
+        "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
+        "recording.csv": csv_text(columns, _DIGITS),
+        "unseen.csv": csv_text(_columns(unseen, unseen.q, unseen.dq), _DIGITS),
+    }
+
+
+def _columns(motion: Motion, q: Array, dq: Array, turns: bool = False) -> dict[str, Array]:
+    joints = range(1, q.shape[1] + 1)
+    places = {f"q{i}_rad": q[:, i - 1] for i in joints}
+    if turns:
+        places = {f"q{i}_deg": np.rad2deg(np.mod(q[:, i - 1], 2 * np.pi)) for i in joints}
+    columns = {"time_s": motion.time} | places
+    columns |= {f"dq{i}_rad_per_s": dq[:, i - 1] for i in joints}
+    columns |= {f"temp{i}_degC": motion.temperature[:, i - 1] for i in joints}
+    return columns | {"payload_kg": motion.payload}

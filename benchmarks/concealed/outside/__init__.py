@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import places, vault, workshop
-from benchmarks.concealed.outside.family import Family, Fixed, Signals, column
+from benchmarks.concealed.outside.family import Family, Fixed, Motion, Scene, column
 
 SEALED = float("inf")
 """For a family that has not been drawn with --sealed and looked at yet."""
@@ -50,7 +50,7 @@ _LEAST_LOAD = 0.05
 _UNIFORM = {"turns": (1.5, 3.5), "phase": (-np.pi, np.pi), "width": (0.15, 0.35), "strokes": (5.0, 9.0)}
 """Between which numbers of a form are drawn; instants by the length of the recording."""
 _INSTANTS = {"instant_s": (0.3, 0.7), "passes_s": (0.06, 0.15)}
-_REACHED: dict[str, tuple[float, float, Callable[[Fixed, Signals], Array]]] = {
+_REACHED: dict[str, tuple[float, float, Callable[[Fixed, Motion], Array]]] = {
     "centre": (20, 80, lambda form, s: column(s.q, form)),
     "at": (25, 75, lambda form, s: column(s.q, form)),
     "stop": (55, 80, lambda form, s: column(s.q, form)),
@@ -62,7 +62,7 @@ _REACHED: dict[str, tuple[float, float, Callable[[Fixed, Signals], Array]]] = {
     "limit": (40, 70, lambda form, s: np.abs(column(s.dq, form))),
 }
 """Percentiles between which one is drawn of what the arm does, so that it comes there."""
-_LOADS: dict[str, Callable[[Fixed, Signals], Array]] = {
+_LOADS: dict[str, Callable[[Fixed, Motion], Array]] = {
     "torque_Nm": lambda form, s: column(s.moment[..., 2], form),
     "moment_Nm": lambda form, s: column(s.moment[..., 0], form),
     "by_torque_Nm": lambda form, s: column(s.moment[..., 2], form, "by"),
@@ -73,7 +73,7 @@ _LOADS: dict[str, Callable[[Fixed, Signals], Array]] = {
 """Of which a form counts in the 90th percentile."""
 
 
-def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[str, float]] | None:
+def drawn(name: str, rng: np.random.Generator, s: Motion) -> tuple[str, dict[str, float]] | None:
     """A site of a family and what else belongs to its form; None where no load acts that it needs."""
     family, dof = FAMILIES[name], s.q.shape[1]
     joint = int(rng.integers(1, dof + 1))
@@ -84,9 +84,9 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
     # a base that tilts by joint 1 is an axis of joint 1 that wobbles, a tool that turns by the last joint likewise
     held = {"base": 1, "tool": dof}.get(family.place, joint)
     others = rng.permutation([k for k in range(1, dof + 1) if k != held])
-    if family.skipping:
+    if family.place in ("joint", "link") and not family.any_other:
         others = others[others != joint + 1]
-    for key in family.keys:
+    for key in family.keys.split():
         here, more = {"joint": float(joint), **fixed}, {}
         match key:
             case "by" | "and":
@@ -137,12 +137,12 @@ def families(seed: int, sealed: bool = False) -> tuple[str, ...]:
     return tuple(name for name, first in OPENED.items() if first == following)
 
 
-def seen_shift(name: str, fixed: Fixed, s: Signals, position: Array) -> Array:
+def seen_shift(name: str, fixed: Fixed, s: Motion, position: Array) -> Array:
     """`(sample, 3)`: what an image shifts, of a number of 1, where the sensor has the point at `(sample, 3)` m."""
     family = FAMILIES[name]
     assert family.image is not None
     shift = family.image(position.T).T
-    return shift if family.signal is None else shift * family.signal(fixed, s)[:, None]
+    return shift if family.signal is None else shift * family.signal(Scene(fixed, s))[:, None]
 
 
 def straight(fixed: Fixed) -> dict[str, float] | None:

@@ -6,15 +6,16 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import Array
 
 Fixed = Mapping[str, float]
+Curve = Callable[[Array], tuple[Array, Array]]
 Drivers = tuple[tuple[str, ...], ...]
 """Each of these is a driver of the signal; one of several phrases is enough to name it."""
 
@@ -29,17 +30,19 @@ _AMBIENT = 25.0
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
-    """What a signal can depend on; all arrays with the sample first.
+class Motion:
+    """What the arm did; all arrays with the sample first.
 
     Attributes:
-        q: `(sample, joint)` rad.
-        dq: `(sample, joint)` rad/s.
+        q: `(sample, joint)` rad, as the encoders have it.
+        dq: `(sample, joint)` rad/s; zero where the arm stood still.
         direction: `(sample, joint)`, -1, 0 or 1.
         time: `(sample,)` s.
         temperature: `(sample, joint)` °C.
-        moment: `(sample, joint, 3)` Nm, of gravity about each frame's origin in its axes.
-        base_moment: `(sample, 3)` Nm.
+        payload: `(sample,)` kg.
+        curve: joints and velocities at any instants, where the arm moved.
+        moment: `(sample, joint, 3)` Nm, of gravity about each frame's origin in its axes, once it is known.
+        base_moment: `(sample, 3)` Nm; likewise.
     """
 
     q: Array
@@ -47,49 +50,31 @@ class Signals:
     direction: Array
     time: Array
     temperature: Array
-    moment: Array
-    base_moment: Array
+    payload: Array
+    curve: Curve | None = None
+    moment: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    base_moment: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def warmth(self) -> Array:
         """`(sample,)`: the mean temperature above the ambient one, in tens of K."""
         return (self.temperature.mean(1) - _AMBIENT) / WARMER
 
+    def later(self, offset: float) -> "Motion":
+        """What the arm does `offset` s later."""
+        if self.curve is None or offset == 0:
+            return self
+        q, dq = self.curve(self.time + offset)
+        return replace(self, q=q, dq=dq, direction=np.sign(dq))
 
-@dataclass(frozen=True)
-class Family:
-    """A family of physics.
+    def kept(self, most: int) -> NDArray[np.integer]:
+        """So many of the samples' places at most, evenly over the motion."""
+        return np.unique(np.linspace(0, len(self.q) - 1, most).astype(int))
 
-    Attributes:
-        place: joint, link, base, tool, sensor or image.
-        number: the name of its one number, with its unit.
-        signal: `(sample,)` by which the number is multiplied; None where it depends on the way between the samples or
-            on the measured position alone.
-        keys: what is drawn for it beside the site.
-        axes: the components of a twist (x y z, then turns about them) among which one is drawn.
-        drivers: on what the signal depends.
-        beside: effects of the catalogue that are true beside an unnamed one at the same site: they are its straight
-            part.
-        sum_of: effects of the catalogue, at the same site, of which it is the sum: they are true together.
-        loaded: whether it needs gravity's moments.
-        moving: whether it needs velocities.
-        warm: whether it needs temperatures that vary.
-        skipping: whether "by" is never the next joint, whose axis would wobble by its own position.
-        image: of the point that the sensor has at `(axis, sample)` m, the shift `(axis, sample)` m; None elsewhere.
-    """
-
-    place: str
-    number: str
-    signal: Callable[[Fixed, Signals], Array] | None
-    keys: tuple[str, ...]
-    drivers: Callable[[Fixed], Drivers]
-    axes: tuple[int, ...] = ()
-    beside: tuple[str, ...] = ()
-    sum_of: tuple[str, ...] = ()
-    loaded: bool = False
-    moving: bool = False
-    warm: bool = False
-    skipping: bool = False
-    image: Callable[[Array], Array] | None = None
+    def thinned(self, most: int) -> "Motion":
+        """So many of the samples at most, evenly over the motion."""
+        kept = self.kept(most)
+        names = ("q", "dq", "direction", "time", "temperature", "payload")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +87,7 @@ class Scene:
     """
 
     fixed: Fixed
-    s: Signals
+    s: Motion
 
     def __getitem__(self, key: str) -> float:
         return self.fixed[key]
@@ -137,50 +122,69 @@ class Scene:
         return np.sin(2 * np.pi * self[turns] * self.share() + self["phase"])
 
 
-def family(
-    place: str,
-    drivers: str,
-    /,
-    signal: Callable[[Scene], Array] | None = None,
-    keys: str = "",
-    beside: str | tuple[str, ...] = "",
-    axes: tuple[int, ...] = (),
-    **other: Any,
-) -> Family:
-    """A family whose number and needs follow from its place and drivers.
+@dataclass(frozen=True)
+class Family:
+    """A family of physics.
 
-    Args:
+    Attributes:
         place: joint, link, base, tool, sensor or image.
-        drivers: each of which the signal depends on, as "torque, velocity/speed of by": of the family's own joint or
-            of that of a key, with a stroke between phrases of which one is enough.
-        signal: of what happens there.
-        keys: words of what is drawn for it.
-        beside: words of the catalogue's effects that are its straight part, and beside them a constant or a scale is
-            true as well; a tuple has all.
-        axes: of a twist.
-        other: of `Family`, where it does not follow.
+        on: quantities on which the signal depends, as "torque, velocity/speed of by": of the family's own joint or of
+            that of a key, with a stroke between phrases of which one is enough.
+        signal: `(sample,)` by which the number is multiplied, of what happens there; None where it depends on the way
+            between the samples or on the measured position alone.
+        keys: words of what is drawn for it beside the site.
+        beside: words of effects of the catalogue that are true beside an unnamed one at the same site, as they are its
+            straight part; a constant or a scale is true as well. A tuple has all.
+        axes: the components of a twist (x y z, then turns about them) among which one is drawn.
+        sum_of: effects of the catalogue, at the same site, of which it is the sum: they are true together.
+        height: whether its number is the height of a shape.
+        any_other: whether "by" may be the next joint too, whose axis would wobble by its own position.
+        drivers_of: on what the signal depends, where `on` cannot say it.
+        image: of the point that the sensor has at `(axis, sample)` m, the shift `(axis, sample)` m; None elsewhere.
     """
 
-    def phrases_of(fixed: Fixed) -> Drivers:
-        each = (driver.partition(" of ") for driver in drivers.split(", "))
+    place: str
+    on: str
+    signal: Callable[[Scene], Array] | None = None
+    keys: str = ""
+    beside: str | tuple[str, ...] = ""
+    axes: tuple[int, ...] = ()
+    sum_of: tuple[str, ...] = ()
+    height: bool = False
+    any_other: bool = False
+    drivers_of: Callable[[Fixed], Drivers] | None = None
+    image: Callable[[Array], Array] | None = None
+
+    @property
+    def number(self) -> str:
+        """The name of its one number, with its unit."""
+        if self.height:
+            return "height_rad"
+        return "turn_rad" if self.place == "joint" or min(self.axes, default=0) > 2 else "shift_m"
+
+    @property
+    def true_beside(self) -> tuple[str, ...]:
+        """All that is true `beside` it."""
+        constant = {"joint": "joint_offset", "tool": "tool_offset", "image": "measurement_scale"}
+        constant |= dict.fromkeys(("link", "base"), "frame_offset")
+        if isinstance(self.beside, tuple):
+            return self.beside
+        return (*self.beside.split(), *constant.get(self.place, "").split())
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether it needs gravity's moments."""
+        return "torque" in self.on or "moment" in self.on
+
+    def drivers(self, fixed: Fixed) -> Drivers:
+        """On what the signal depends."""
+        if self.drivers_of:
+            return self.drivers_of(fixed)
+        each = (driver.partition(" of ") for driver in self.on.split(", "))
         return tuple(
             tuple(f"{_OF[w]} {int(fixed[key or 'joint'])}" if w in _OF else w for w in words.split("/"))
             for words, _, key in each
         )
-
-    constant = {"joint": "joint_offset", "tool": "tool_offset", "image": "measurement_scale"}
-    constant |= dict.fromkeys(("link", "base"), "frame_offset")
-    said: dict[str, Any] = {
-        "number": "turn_rad" if place == "joint" or min(axes, default=0) > 2 else "shift_m",
-        "drivers": phrases_of,
-        "beside": (*beside.split(), *constant.get(place, "").split()) if isinstance(beside, str) else beside,
-        "loaded": "torque" in drivers or "moment" in drivers,
-        "moving": "velocity" in drivers,
-        "warm": "temperature" in drivers,
-        "skipping": place in ("joint", "link"),
-    }
-    made = (lambda fixed, s: signal(Scene(fixed, s))) if signal else None
-    return Family(place=place, signal=made, keys=tuple(keys.split()), axes=axes, **(said | other))
 
 
 def column(values: Array, fixed: Fixed, key: str = "joint") -> Array:

@@ -16,7 +16,6 @@ from benchmarks.concealed.outside.family import (
     beyond,
     bump,
     column,
-    family,
     signed_power,
 )
 
@@ -54,271 +53,271 @@ def _refracted(cosine: Array) -> Array:
 
 
 JOINT: dict[str, Family] = {
-    "joint_bump": family(
+    "joint_bump": Family(
         *("joint", "position", lambda m: bump(m.q(), m["centre"], m["width"]), "centre width"),
-        number="height_rad",
+        height=True,
         beside=(),
     ),
-    "joint_step": family(
-        *("joint", "position", lambda m: (m.q() > m["at"]).astype(float), "at"), number="height_rad", beside=()
+    "joint_step": Family(
+        *("joint", "position", lambda m: (m.q() > m["at"]).astype(float), "at"), height=True, beside=()
     ),
-    "hardening_spring": family("joint", "torque", None, "torque_Nm", beside=()),
+    "hardening_spring": Family("joint", "torque", None, "torque_Nm", beside=()),
     # where it slips, a spring and a play of the load add up
-    "yielding_spring": family(
+    "yielding_spring": Family(
         "joint", "torque", None, "torque_Nm", beside=(), sum_of=("joint_compliance", "joint_windup")
     ),
-    "joint_parabola": family("joint", "position", lambda m: m.q() ** m["power"], "power", "joint_scale"),
-    "squared_coupling": family(
-        *("joint", "position of by", lambda m: m.q("by") ** m["power"], "by power", "joint_coupling"), skipping=False
+    "joint_parabola": Family("joint", "position", lambda m: m.q() ** m["power"], "power", "joint_scale"),
+    "squared_coupling": Family(
+        *("joint", "position of by", lambda m: m.q("by") ** m["power"], "by power", "joint_coupling"), any_other=True
     ),
-    "squared_speed": family(
+    "squared_speed": Family(
         *("joint", "velocity", lambda m: signed_power(m.dq(), m["power"]), "power"), beside=("joint_lag",)
     ),
-    "squared_warmth": family(
+    "squared_warmth": Family(
         "joint", "temperature", lambda m: m.s.warmth() ** m["power"], "power", "joint_thermal_offset"
     ),
-    "sticking_zone": family(
+    "sticking_zone": Family(
         *("joint", "direction, position", lambda m: -m.side() * ((m.q() > m["lower"]) & (m.q() < m["upper"])), "lower"),
         beside=("joint_backlash",),
     ),
     # another joint's belt runs over a pulley that is out of centre
-    "eccentric_coupling": family(
+    "eccentric_coupling": Family(
         "joint", "position of by", lambda m: np.sin(_PULLEY * m.q("by") + m["phase"]), "by phase", "joint_coupling"
     ),
     # friction that grows with the load, whichever way it acts, holds a joint back
-    "dragging_gear": family(
+    "dragging_gear": Family(
         *("joint", "direction, torque", lambda m: -m.side() * np.abs(m.load()), "torque_Nm"), beside=("joint_backlash",)
     ),
     # a rubber buffer pushes back from where a joint touches it
-    "soft_stop": family("joint", "position", lambda m: np.maximum(m.q() - m["stop"], 0.0), "stop", "joint_scale"),
+    "soft_stop": Family("joint", "position", lambda m: np.maximum(m.q() - m["stop"], 0.0), "stop", "joint_scale"),
     # a cable that another joint tightens pulls the disc of an encoder out of its centre
-    "pulled_encoder": family(
+    "pulled_encoder": Family(
         *("joint", "position, position of by", lambda m: np.sin(m.q() + m["phase"]) * m.q("by"), "by phase"),
         "joint_harmonic joint_coupling",
     ),
     # grease thins as it warms, and the drive lags less behind
-    "thinning_grease": family("joint", "velocity, temperature", lambda m: m.dq() * m.s.warmth(), beside=("joint_lag",)),
+    "thinning_grease": Family("joint", "velocity, temperature", lambda m: m.dq() * m.s.warmth(), beside=("joint_lag",)),
     # dry friction holds a joint back when it creeps, and fades as it runs (R. Stribeck, 1902)
-    "fading_friction": family(
+    "fading_friction": Family(
         *("joint", "velocity/direction", lambda m: -m.side() * np.exp(-np.abs(m.dq()) / m["fades"]), "fades"),
         beside=("joint_backlash", "joint_lag"),
     ),
     # a tooth with a crack at its root gives way to the load while it is in mesh
-    "cracked_tooth": family(
+    "cracked_tooth": Family(
         *("joint", "torque, position", lambda m: m.load() * bump(m.q(), m["centre"], m["width"])),
         *("torque_Nm centre width", "joint_compliance"),
     ),
     # an amplifier runs out of voltage above a speed, and the servo falls behind
-    "starved_servo": family("joint", "velocity", lambda m: -beyond(m.dq(), m["limit"]), "limit", beside=("joint_lag",)),
+    "starved_servo": Family("joint", "velocity", lambda m: -beyond(m.dq(), m["limit"]), "limit", beside=("joint_lag",)),
     # a bevel gear that two motors turn together has play, which their sum takes up
-    "slack_bevel": family(
+    "slack_bevel": Family(
         *("joint", "velocity/direction, velocity/direction of by", lambda m: -np.sign(m.dq() + m.dq("by")), "by"),
         beside=("joint_backlash",),
     ),
     # the disc of an encoder slides out of its centre, as its glue gives
-    "wandering_disc": family(
+    "wandering_disc": Family(
         "joint", "time, position", lambda m: m.share() * np.sin(m.q() + m["phase"]), "span_s phase", "joint_harmonic"
     ),
     # the housing of a gear grows with warmth more than its wheels, and their play with it
-    "warming_mesh": family(
+    "warming_mesh": Family(
         "joint", "direction, temperature", lambda m: -m.side() * m.s.warmth(), beside=("joint_backlash",)
     ),
     # the roller that tightens a belt is held by a spring, and gives way where its strand bears the load
-    "sprung_tensioner": family(
+    "sprung_tensioner": Family(
         "joint", "torque", lambda m: np.maximum(m.load() - _TENSIONER, 0.0), "torque_Nm", "joint_compliance"
     ),
     # of shafts that run one in another, with grease between, one drags the other along
-    "nested_shafts": family("joint", "velocity of by", lambda m: m.dq("by"), "by", skipping=False, beside=()),
+    "nested_shafts": Family("joint", "velocity of by", lambda m: m.dq("by"), "by", any_other=True, beside=()),
     # a wheel of a wrist that is out of centre meshes with one that another joint turns: their difference counts
-    "meshing_wrist": family(
+    "meshing_wrist": Family(
         *("joint", "position, position of by", lambda m: np.sin(m.q() - m.q("by") + m["phase"]), "by phase"),
         "joint_harmonic joint_coupling",
     ),
     # the ring of an encoder, clamped at two points, goes oval as it warms
-    "clamped_ring": family(
+    "clamped_ring": Family(
         *("joint", "temperature, position", lambda m: m.s.warmth() * np.sin(2 * m.q() + m["phase"]), "phase"),
         "joint_harmonic joint_thermal_offset",
     ),
     # a pull cable runs in a sheath that another joint bends, and rubs in it the more (L. Euler, 1769)
-    "bent_sheath": family(
+    "bent_sheath": Family(
         *("joint", "direction, position of by", lambda m: m.side() * np.expm1(-_SHEATH * np.abs(m.q("by"))), "by"),
-        skipping=False,
+        any_other=True,
         beside=("joint_backlash",),
     ),
     # the spring of a dress pack goes over its dead point as another joint turns, and pulls the other way
-    "flipping_pull": family(
+    "flipping_pull": Family(
         *("joint", "position of by", lambda m: np.tanh((m.q("by") - m["over"]) / _DEAD_POINT), "by over"),
         "joint_coupling",
     ),
 }
 LINK: dict[str, Family] = {
-    "link_tilt_by_time": family("link", "time", lambda m: m.share(), "span_s", axes=TILT, beside=()),
-    "link_tilt_by_warmth": family("link", "temperature", lambda m: m.s.warmth(), axes=TILT, beside=()),
+    "link_tilt_by_time": Family("link", "time", lambda m: m.share(), "span_s", axes=TILT, beside=()),
+    "link_tilt_by_warmth": Family("link", "temperature", lambda m: m.s.warmth(), axes=TILT, beside=()),
     # a link of plastic bends the more the warmer it is
-    "softening_link": family(
+    "softening_link": Family(
         *("link", "temperature, moment x"),
         lambda m: m.s.warmth() * column(m.s.moment[..., 0], m.fixed) / m["moment_Nm"],
         *("moment_Nm", "link_compliance", (3,)),
     ),
     # Coriolis's force, where two joints move at once, bends a link
-    "whipped_link": family(
+    "whipped_link": Family(
         *("link", "velocity of by, velocity of and", lambda m: m.dq("by") * m.dq("and"), "by and", "", TILT),
-        skipping=False,
+        any_other=True,
     ),
     # a link bows where one of its ends is warmer than the other
-    "bowed_link": family(
+    "bowed_link": Family(
         *("link", "temperature"),
         lambda m: (m.s.temperature[:, int(m["joint"])] - m.s.temperature[:, int(m["joint"]) - 1]) / WARMER,
         axes=TILT,
-        drivers=lambda fixed: tuple((f"temperature of joint {int(fixed['joint']) + end}",) for end in (0, 1)),
+        drivers_of=lambda fixed: tuple((f"temperature of joint {int(fixed['joint']) + end}",) for end in (0, 1)),
     ),
     # the balls of a bearing are pressed into their races, ever less by more load (H. Hertz, 1881)
-    "dented_bearing": family(
+    "dented_bearing": Family(
         "link", "moment x", lambda m: signed_power(m.moment("x"), 2 / 3), "moment_Nm", "link_compliance", (3,)
     ),
     # a casing screwed down under stress snaps over where it is warm enough, and back
-    "snapping_casing": family(
+    "snapping_casing": Family(
         "link", "temperature", lambda m: (m.s.warmth() > m["snaps"]).astype(float), "snaps", axes=TILT
     ),
     # at one speed another joint's motor makes a link hum, and a loose fit sits aside while it does
-    "humming_link": family(
+    "humming_link": Family(
         *("link", "velocity/speed of by", lambda m: bump(np.abs(m.dq("by")), m["hums"], m["band"]), "by hums"),
         axes=TILT,
-        skipping=False,
+        any_other=True,
     ),
     # the slanting teeth of a gear push its shaft to one end or the other of the play along its axis
-    "thrusting_helix": family("link", "torque", lambda m: np.tanh(ROCKING * m.load()), "torque_Nm", axes=(2,)),
+    "thrusting_helix": Family("link", "torque", lambda m: np.tanh(ROCKING * m.load()), "torque_Nm", axes=(2,)),
     # a bundle of lines along the arm is too short, and two other joints take up its slack together
-    "short_umbilical": family(
+    "short_umbilical": Family(
         *("link", "position of by, position of and", lambda m: beyond(m.q("by") + m.q("and"), m["slack"])),
         *("by and slack", "", TILT),
     ),
     # the flanks of its teeth push a pinion, whose motor rides on its link, out of mesh, whichever way the load acts
-    "parting_pinion": family("link", "torque", lambda m: np.abs(m.load()), "torque_Nm", axes=(0, 1)),
+    "parting_pinion": Family("link", "torque", lambda m: np.abs(m.load()), "torque_Nm", axes=(0, 1)),
     # a thin tube goes oval as it bends, whichever way, and bends the more (L. G. Brazier, 1927)
-    "flattened_tube": family(
+    "flattened_tube": Family(
         *("link", "moment x, moment y", lambda m: m.moment("x") * (m.moment("x") ** 2 + _across(m) ** 2), "moment_Nm"),
         *("link_compliance", (3,)),
     ),
 }
 BASE: dict[str, Family] = {
-    "base_tilt_by_joint": family("base", "position of by", lambda m: m.q("by"), "by", axes=TILT, beside=()),
-    "base_yaw_by_moment": family(
+    "base_tilt_by_joint": Family("base", "position of by", lambda m: m.q("by"), "by", axes=TILT, beside=()),
+    "base_yaw_by_moment": Family(
         "base", "base moment x", lambda m: m.moment("x", "base_"), "base_moment_Nm", axes=(5,), beside=()
     ),
     # a plate whose bolts hold it until the moment overcomes how tight they are
-    "preloaded_base": family(
+    "preloaded_base": Family(
         *("base", "base moment x", lambda m: beyond(m.moment("x", "base_"), PRELOAD), "base_moment_Nm"),
         *("base_compliance", (3,)),
     ),
     # a table on wheels stays where the last jerk of a joint pushed it
-    "wheeled_table": family("base", "direction of by", lambda m: m.side("by"), "by", axes=(0, 1)),
+    "wheeled_table": Family("base", "direction of by", lambda m: m.side("by"), "by", axes=(0, 1)),
     # a light trolley is drawn to where the arm points as joint 1 swings it round
-    "swung_trolley": family(
+    "swung_trolley": Family(
         *("base", "velocity, position", lambda m: m.s.dq[:, 0] ** 2 * np.cos(m.s.q[:, 0])),
         axes=(0,),
-        drivers=lambda fixed: (("velocity of joint 1", "speed of joint 1"), ("position of joint 1",)),
+        drivers_of=lambda fixed: (("velocity of joint 1", "speed of joint 1"), ("position of joint 1",)),
     ),
     # a truck that drives by bends the floor for a while
-    "passing_truck": family(
+    "passing_truck": Family(
         "base", "time", lambda m: bump(m.s.time, m["instant_s"], m["passes_s"]), "instant_s passes_s", axes=TILT
     ),
     # a table on air sinks as its cushions leak, until the valve fills them again
-    "leaking_table": family(
+    "leaking_table": Family(
         *("base", "time", lambda m: (m["turns"] * m.s.time / m["span_s"] + m["phase"] / (2 * np.pi)) % 1.0),
         *("span_s turns phase", "base_drift", (2,)),
     ),
     # pads of gel give way to what moves above them, and twice as far for every ten degrees
-    "gel_pads": family(
+    "gel_pads": Family(
         *("base", "temperature, velocity of by", lambda m: np.exp2(m.s.warmth()) * m.dq("by"), "by"),
         axes=TILT,
         beside=(),
     ),
     # a plate that is bolted down all round grows with warmth, and buckles where the bolts no longer keep it flat
-    "buckling_plate": family(
+    "buckling_plate": Family(
         *("base", "temperature", lambda m: np.sqrt(np.maximum(m.s.warmth() - m["buckles"], 0.0)), "buckles"), axes=TILT
     ),
     # springs of air under a table are now softer and now stiffer, as a compressor comes and goes
-    "breathing_springs": family(
+    "breathing_springs": Family(
         *("base", "base moment x, time"),
         lambda m: m.moment("x", "base_") * np.sin(2 * np.pi * m["turns"] * m.s.time / m["span_s"] + m["phase"]),
         *("base_moment_Nm span_s turns phase", "base_compliance", (3,)),
     ),
 }
 TOOL: dict[str, Family] = {
-    "tool_turn_by_joint": family("tool", "position of by", lambda m: m.q("by"), "by", axes=TILT, beside=()),
+    "tool_turn_by_joint": Family("tool", "position of by", lambda m: m.q("by"), "by", axes=TILT, beside=()),
     # a clip of the target lets go
-    "loose_clip": family("tool", "time", lambda m: (m.s.time > m["instant_s"]).astype(float), "instant_s", axes=_AXES),
+    "loose_clip": Family("tool", "time", lambda m: (m.s.time > m["instant_s"]).astype(float), "instant_s", axes=_AXES),
     # the target sinks into its glue until that is hard
-    "creeping_glue": family("tool", "time", lambda m: -np.expm1(-_CREEP * m.s.time / m["span_s"]), "span_s", axes=(2,)),
+    "creeping_glue": Family("tool", "time", lambda m: -np.expm1(-_CREEP * m.s.time / m["span_s"]), "span_s", axes=(2,)),
     # a detent holds a tool upright until the moment tips it against a stop
-    "tipping_tool": family(
+    "tipping_tool": Family(
         *("tool", "moment x of flange"),
         lambda m: np.sign(m.moment("x", "flange_")) * (np.abs(m.moment("x", "flange_")) > PRELOAD),
         *("flange flange_moment_Nm", "tool_compliance", (3,)),
     ),
     # a ball that is loose in its cup lies at the rim, on the side to which its weight rolls it
-    "rattling_ball": family(
+    "rattling_ball": Family(
         *("tool", "moment x of flange, moment y of flange"),
         lambda m: _across(m, "flange") / np.sqrt(m.moment("x", "flange_") ** 2 + _across(m, "flange") ** 2 + _ROLLS**2),
         "flange flange_moment_Nm",
         axes=(0,),
     ),
     # a hose that is stiff when cold and soft when warm pulls at the tool as a joint bends it
-    "cold_hose": family(
+    "cold_hose": Family(
         "tool", "temperature, position of by", lambda m: np.exp(-m.s.warmth()) * m.q("by"), "by", axes=TILT
     ),
     # magnets hold a tool changer together until a moment of any direction levers it open
-    "parting_changer": family(
+    "parting_changer": Family(
         *("tool", "moment x of flange, moment y of flange"),
         lambda m: np.maximum(np.hypot(m.moment("x", "flange_"), _across(m, "flange")) - PRELOAD, 0.0),
         "flange flange_moment_Nm",
         axes=(2,),
     ),
     # soft glue under the target flows as long as the recording lasts, and the faster the warmer it is
-    "flowing_glue": family(
+    "flowing_glue": Family(
         "tool", "temperature, time", lambda m: m.s.warmth() * m.s.time / m["span_s"], "span_s", axes=(0, 1)
     ),
     # the jaws of a chuck are flung outwards as the last joint spins it, and what they hold sags
-    "opening_chuck": family(
+    "opening_chuck": Family(
         *("tool", "velocity/speed of flange, moment x of flange"),
         lambda m: m.dq("flange") ** 2 * m.moment("x", "flange_"),
         *("flange flange_moment_Nm", "tool_compliance", (3,)),
     ),
 }
 SENSOR: dict[str, Family] = {
-    "lens_distortion": family("image", "measured position", image=lambda p: p * (p**2).sum(0)),
-    "stretched_axis": family("image", "measured position x", image=lambda p: X * p[0]),
-    "sensor_turn_by_time": family(
+    "lens_distortion": Family("image", "measured position", image=lambda p: p * (p**2).sum(0)),
+    "stretched_axis": Family("image", "measured position x", image=lambda p: X * p[0]),
+    "sensor_turn_by_time": Family(
         "sensor", "time", lambda m: m.share() ** m["power"], "span_s power", "sensor_drift", (3, 4, 5)
     ),
-    "sensor_shift_by_warmth": family("sensor", "temperature", lambda m: m.s.warmth(), axes=_AXES),
-    "squared_drift": family(
+    "sensor_shift_by_warmth": Family("sensor", "temperature", lambda m: m.s.warmth(), axes=_AXES),
+    "squared_drift": Family(
         "sensor", "time", lambda m: m.share() ** m["power"], "span_s power", "sensor_drift base_drift", _AXES
     ),
     # a tall tripod that sways
-    "swaying_sensor": family(
+    "swaying_sensor": Family(
         *("sensor", "time", lambda m: np.sin(2 * np.pi * m["turns"] * m.s.time / m["span_s"] + m["phase"])),
         *("span_s turns phase", "sensor_drift base_drift", _AXES),
     ),
     # air that is warmer on one side bends the sight, by the square of the distance
-    "bent_beam": family("image", "measured position", image=lambda p: Z * (p**2).sum(0)),
+    "bent_beam": Family("image", "measured position", image=lambda p: Z * (p**2).sum(0)),
     # a sensor stands on the arm's bench, which gives way as the arm leans over
-    "shared_bench": family("sensor", "base moment x", lambda m: m.moment("x", "base_"), "base_moment_Nm", axes=_AXES),
+    "shared_bench": Family("sensor", "base moment x", lambda m: m.moment("x", "base_"), "base_moment_Nm", axes=_AXES),
     # the circle on which a tracker reads its azimuth turns out of its centre: by the sine, square to the sight
-    "eccentric_circle": family(
+    "eccentric_circle": Family(
         "image", "measured position", image=lambda p: (Y * p[0] - X * p[1]) * p[1] / np.hypot(p[0], p[1])
     ),
     # light that strays in a distance meter mixes with its signal, and the error comes round with the phase
-    "cyclic_ranger": family("image", "measured position", image=lambda p: p * _cyclic(np.linalg.norm(p, axis=0))),
+    "cyclic_ranger": Family("image", "measured position", image=lambda p: p * _cyclic(np.linalg.norm(p, axis=0))),
     # the head of a sensor nods in its clamp while two joints shake the floor
-    "shaken_tripod": family(
+    "shaken_tripod": Family(
         *("sensor", "velocity/speed of by, velocity/speed of and", lambda m: m.dq("by") ** 2 + m.dq("and") ** 2),
         "by and",
         axes=TILT,
     ),
     # a sensor looks through a pane of glass, which brings what is aslant behind it nearer than what is straight
-    "glass_pane": family(
+    "glass_pane": Family(
         "image", "measured position", image=lambda p: Z * _refracted(p[2] / np.linalg.norm(p, axis=0))
     ),
 }

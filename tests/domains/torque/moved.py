@@ -3,10 +3,8 @@
 import numpy as np
 import yaml
 
-from benchmarks.torque_trials.arms import arm_text, drawn_arm
 from benchmarks.torque_trials.effects import Hidden
-from benchmarks.torque_trials.motion import draw_motion
-from benchmarks.torque_trials.physics import Setup, torques
+from benchmarks.torque_trials.physics import Setup, arm_text, draw_arm, draw_motion, torques
 from lite6jax.arms.description import arm_from_description
 from lite6jax.recordings import Recording
 
@@ -16,7 +14,7 @@ CENTER = np.array([0.0, 0.0, 0.03])
 
 def setup_of(seed=0, name="lite6"):
     """An arm where it stands, and the same arm as the library reads it."""
-    arm = drawn_arm(name, np.random.default_rng(seed))
+    arm = draw_arm(name, np.random.default_rng(seed))
     return Setup(arm, GRAVITY, CENTER), arm_from_description(yaml.safe_load(arm_text(arm)), "arm")
 
 

@@ -8,7 +8,7 @@ import pytest
 from domains.torque.moved import at_flange, hidden, motion_of, recorded, setup_of
 from scipy.signal import lfilter
 
-from benchmarks.torque_trials.outside import presliding
+from benchmarks.torque_trials.effects import FAMILIES, Joint
 from benchmarks.torque_trials.physics import rigid, torques
 from benchmarks.torque_trials.trials import draw
 from lite6jax.diagnosis.document import read_torque_model, torque_model_from_document, write_document
@@ -145,7 +145,7 @@ def test_a_function_outside_the_catalogue_has_no_name():
 
 def test_friction_that_bends_before_it_slides_is_hysteresis_of_the_position():
     setup, _ = setup_of(5)
-    bent = presliding({"bristle_rad": 0.02}, 1, rigid(setup, (), motion_of(setup, 105)), np.zeros(0))
+    bent = FAMILIES["presliding"].torque(Joint({"bristle_rad": 0.02}, 1, rigid(setup, (), motion_of(setup, 105))))
     changed, arm = recorded(seed=5, change=lambda tau: tau + 0.5 * np.stack([bent * (j == 1) for j in range(6)], 1))
     found = diagnose_torques(changed, arm, options=FEW)
     assert {(one.effect.name, one.effect.site) for one in found.findings} == {("unnamed", "joint2")}

@@ -5,7 +5,7 @@ the sensor's noise, and is as strict as one of `SEARCHED` must be for all to rai
 Nothing that does not know where to look does better; at twice the threshold this test finds 99.99 %.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -65,24 +65,51 @@ def least_power(size: int) -> float:
     return float(found)
 
 
-def directions(span: Array) -> Array:
-    """Orthonormal ones of all that `span` can do."""
-    if not span.shape[1]:
-        return span
-    lengths = np.linalg.norm(span, axis=0)
-    u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    return u[:, s > 1e-9 * s[0]]
-
-
-def beyond(span: Array) -> Callable[[Array], Array]:
+def projector(span: Array) -> Callable[[Array], Array]:
     """What takes from columns all that `span` can do."""
-    u = directions(span)
+    u = span
+    if span.shape[1]:
+        lengths = np.linalg.norm(span, axis=0)
+        u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+        u = u[:, s > 1e-9 * s[0]]
     return lambda columns: columns - u @ (u.T @ columns)
 
 
-def across(span: Array, columns: Array) -> Array:
+def project_out(span: Array, columns: Array) -> Array:
     """What of the columns no mixture of `span` can do."""
-    return beyond(span)(columns)
+    return projector(span)(columns)
+
+
+def threshold(g: Array, span: Array, count: int, moved: float) -> Threshold:
+    """The threshold of an effect in a direction that is given.
+
+    Args:
+        g: `(number,)`, what a unit of it adds to the whitened numbers.
+        span: the columns of all that may vary beside it.
+        count: in how many numbers it is linear.
+        moved: m or Nm RMS, what a unit of it does.
+    """
+    left, whole = float(np.linalg.norm(project_out(span, g[:, None]))), float(np.linalg.norm(g))
+    if left == 0 or whole == 0:
+        return Threshold(np.inf, 0.0, np.inf)
+    size = float(np.sqrt(least_power(count)) / left)
+    return Threshold(size, left / whole, float(moved * size))
+
+
+def nearest(g: Array, span: Array, candidates: Iterable[tuple[str, str, Array]]) -> Rival:
+    """Which candidate explains most of an effect, beside all that may vary.
+
+    Args:
+        g: `(number,)`, what the effect adds to the whitened numbers.
+        span: the columns of all that may vary.
+        candidates: name, site and columns of each.
+    """
+    left = projector(span)
+    rest = left(g[:, None])[:, 0]
+    best = Rival("", "", float(np.linalg.norm(rest)))
+    for name, site, columns in candidates:
+        best = best.or_nearer(name, site, apart(rest, columns, left(columns)))
+    return best
 
 
 def apart(rest: Array, columns: Array, left: Array) -> float:
