@@ -6,6 +6,7 @@ Everything here is NumPy, so that a recording is screened in milliseconds and no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, Self, final
 
 import numpy as np
@@ -16,7 +17,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
-from lite6jax.calibration.start import calibration_poses
+from lite6jax.calibration.start import calibration_poses, declared_tool, frames_from_poses
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -28,7 +29,7 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
-from lite6jax.domains.pose.touching import touched
+from lite6jax.domains.pose.touching import require_scale, shown_by, touch_sensor
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -36,6 +37,7 @@ from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
+from lite6jax.sensors.points import Contact
 from lite6jax.sensors.pose import Measured
 from lite6jax.sensors.sensor import Sensor
 
@@ -326,25 +328,31 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    touch = None
-    if recording.touches is None:
-        problem = recording_problem(recording, arm, geometry, factory)
-        arm, form, at = problem.arm, problem.form, problem.start
-        movable, noise, declared, whitener = problem.movable, problem.noise, problem.declared_noise, problem.whitener
-        whitener = whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1)
-        own = measured_poses(recording, whitener).own
-    else:
+    touches, touch, T_frame, T_tool = recording.touches, None, np.eye(4), np.eye(4)
+    if touches is not None:
         given = declared_geometry(recording, arm, geometry, factory)
-        arm, form, movable = given.arm, given.form, given.movable
-        flange = calibration_poses(given.known, recording.joint_position)
-        begun = touched(recording, flange, form.frame, given.calibrated)
-        T_flange_tool = given.known.T_joint_flange @ begun.T_flange_tool
-        at = ArmModel(given.values, begun.T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
-        touch, noise, declared = begun.sensor, (begun.noise, None), (begun.declared, None)
-        own, whitener = touch.own, touch.whitener
+        arm, form, movable, values = given.arm, given.form, given.movable, given.values
+        declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
+        noise = declared[0] or UNDECLARED_TOUCH, None
+        touch = touch_sensor(recording, noise[0])
+        if not given.calibrated:
+            require_scale(recording, touch)
+        tool = None if form.tool else declared_tool(recording)
+        if form.frame:
+            assert isinstance(touch, Contact)  # all of whose points are known in the sensor's frame
+            flange, seen = calibration_poses(given.known, recording.joint_position), np.asarray(touch.points)
+            T_frame, tool = frames_from_poses(flange, seen.T[touch.group], None, None, tool)
+        T_tool = given.known.T_joint_flange @ (np.eye(4) if tool is None else tool)
+        whitener, own = touch.whitener, touch.own
+    else:
+        problem = recording_problem(recording, arm, geometry, factory)
+        arm, form, movable = problem.arm, problem.form, problem.movable
+        noise, declared, whitener = problem.noise, problem.declared_noise, problem.whitener
+        whitener = whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1)
+        values, T_frame, T_tool = (np.asarray(leaf) for leaf in problem.start)
+        own = measured_poses(recording, whitener).own
     exact = isinstance(form.chain, SixParameterForm)
-    values = np.asarray(at.geometry) if exact else arm.kinematics.ravel()
-    start = ArmModel(values, *(np.asarray(leaf) for leaf in at[1:]))  # type: ignore[arg-type]
+    start = ArmModel(values if exact else arm.kinematics.ravel(), T_frame, T_tool)  # type: ignore[arg-type]
     geometry_moves = bool(movable[: form.chain.size].any())
     unknown: list[Site] = []
     if geometry_moves or form.frame:
@@ -354,13 +362,13 @@ def rigid_arm(
     if form.tool:
         unknown += [("tool", 0, k) for k in range(6 if recording.numbers_per_sample == 6 else 3)]
     uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if recording.touches is None else TOUCHED_TOLERANCE
+    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if touch is None else TOUCHED_TOLERANCE
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
     unknown += [("reading", k, 0) for k in range(len(own))]
-    return RigidArm(
+    begun = RigidArm(
         recording=recording,
         arm=arm,
         start=start,
@@ -375,3 +383,33 @@ def rigid_arm(
         exact=exact,
         form=form,
     )
+    return begun if touch is None or form.frame else _locate_tool(begun)
+
+
+UNDECLARED_TOUCH = 1e-4
+"""m, one sigma of readings whose noise is not declared."""
+_TOOL_M = 0.15
+"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
+
+
+def _locate_tool(arm: RigidArm) -> RigidArm:
+    """The arm of touches with its tool's point and the sensor's unknowns where the nominal chain meets them best.
+
+    Both are fitted from several points of an unknown tool, and at each from what the sensor shows in closed form.
+    """
+    kept = [name in ("tool", "reading") for name, _, _ in arm.unknown]
+    unknown, precision = tuple(compress(arm.unknown, kept)), arm.precision[kept]
+    found = []
+    for point in _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])[: 7 if arm.form.tool else 1]:
+        shift = np.eye(4)
+        shift[:3, 3] = point
+        begun = replace(arm, start=arm.start._replace(T_flange_tool=arm.T_flange_tool @ shift))  # type: ignore[arg-type]
+        assert arm.touch is not None
+        touch = shown_by(arm.touch, begun.tool)
+        offset = np.array([*np.zeros(len(unknown) - touch.numbers), *(one.offset for one in touch.own)])
+        begun = replace(begun, unknown=unknown, precision=precision, offset=offset, touch=touch)
+        found.append(relinearise(begun, DEFAULTS))
+    best = min(found, key=lambda one: float(np.median(one.squares)))
+    offset = np.where([name == "reading" for name, _, _ in arm.unknown], 0.0, arm.offset)
+    offset[len(offset) - len(best.touch.own) :] = [one.offset for one in best.touch.own]  # type: ignore[union-attr]
+    return replace(arm, start=best.start, touch=best.touch, offset=offset)
