@@ -39,7 +39,7 @@ class DataFault:
         computed_pose           median_error_m, chain ("nominal" or "factory")
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
-        unsettled_readouts      shape ("move", "rows", "velocity" or "constant"), joints, all_joints, rest (a share, s
+        unsettled_readouts      shape ("move", "velocity" or "constant"), joints, all_joints, rest (a share, s
                                 or rad by the shape), rest_std, largest_rms_rad, log_likelihood_gap*, rival_terms*
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*

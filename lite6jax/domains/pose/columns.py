@@ -177,6 +177,12 @@ class Deflections:
 
         return jax.tree.map(np.asarray, jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps))
 
+    def by_each(self, effect: Effect, at: Array, beside: Physics, values: Array) -> Deflection:
+        """How deflections change with each number of an effect at `at` `(number,)`, among effects `(beside.size,)`."""
+        if isinstance(effect, Loading):
+            return self.through_loads(effect, at, beside, values)
+        return self.unit(effect) if effect.linear or not at.any() else self.slope(effect, at)
+
     def through_loads(self, effect: Loading, at: Array, effects: Physics, values: Array) -> Deflection:
         """How the deflections that loads cause change with each number of an effect that alters the loads.
 
@@ -312,23 +318,21 @@ class EffectColumns:
         found = np.empty((own.size, *self._shape))  # half a gigabyte of a real arm: each part is written in its place
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
-            if isinstance(effect, Loading):
-                others, at = (own, values) if beside is None else beside
-                unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
-                found[part] = columns_of(unit, self.sites)
-            elif isinstance(effect, Unnamed):
+            if isinstance(effect, Unnamed):
                 factored = self.factored(effect)
                 np.multiply(
                     factored.site[:, None],
                     factored.functions[:, None],
                     out=found[part].reshape(len(factored.site), -1, *self._shape),
                 )
-            elif effect.linear or not values[part].any():
+            elif isinstance(effect, Loading) or not (effect.linear or not values[part].any()):
+                others, at = (own, values) if beside is None else beside
+                unit = self.deflections.by_each(effect, values[part], physics_of(others), at)
+                found[part] = columns_of(unit, self.sites)
+            else:
                 if effect not in self._linear:
                     self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
                 found[part] = self._linear[effect]
-            else:
-                found[part] = columns_of(self.deflections.slope(effect, values[part]), self.sites)
         return found
 
     def factored(self, effect: Unnamed) -> Factored:

@@ -178,7 +178,7 @@ def compensate(
             reasons[row] = None if correction is None else _far(correction[row])
         else:
             reasons[row] = _missed(solved, k, search.limits)
-    bars = predict_deviations(model, search.motion(solved.joint_position.T))
+    std, turned_std, outside = predict_deviations(model, search.motion(solved.joint_position.T))
     return Compensation(
         recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
         position_error=spread(solved.position_error),
@@ -188,9 +188,9 @@ def compensate(
         correction=correction,
         omitted=omitted,
         notes=recording.notes,
-        position_std=None if bars.position is None else spread(bars.position),
-        orientation_std=None if bars.orientation is None else spread(bars.orientation),
-        outside=None if bars.outside is None else spread(bars.outside) == 1.0,
+        position_std=None if std is None else spread(std),
+        orientation_std=None if turned_std is None else spread(turned_std),
+        outside=None if outside is None else spread(outside) == 1.0,
     )
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 from lite6jax.recordings import (
     ArmJoints,
@@ -15,28 +15,12 @@ from lite6jax.recordings import (
 from lite6jax.storage import exists
 
 
-class Diagnosed(Protocol):
-    """What a motion inherits from the recording that was diagnosed.
-
-    Attributes:
-        dof: number of joints.
-        motion: "static" or "trajectory".
-        reference_temperature: °C.
-        sliding: the prismatic joints, counted from 0.
-    """
-
-    @property
-    def dof(self) -> int: ...
-    @property
-    def motion(self) -> str: ...
-    @property
-    def reference_temperature(self) -> float: ...
-    @property
-    def sliding(self) -> tuple[int, ...]: ...
-
-
-def read_motion(path: str | Path, model: Diagnosed) -> Recording:
+def read_motion(path: str | Path, model: Any) -> Recording:
     """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
+
+    Args:
+        path: of the motion.
+        model: of poses or of torques: its `dof`, `sliding`, `motion` and `reference_temperature`.
 
     Raises:
         InputError: as `read_recording`.
@@ -49,7 +33,7 @@ def read_motion(path: str | Path, model: Diagnosed) -> Recording:
     )
     recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
     if settings.motion is None and recording.motion != model.motion:
-        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
+        settings = replace(settings, motion=model.motion)
     return declare_anew(recording, settings)
 
 

@@ -47,8 +47,31 @@ Array = NDArray[np.floating]
 class NuisanceProblem:
     """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
 
-    What derives from it has `rows`, `samples`, `residuals`, `nuisance` and `relinearised`.
+    What derives from it has `rigid`, the frames, `sensor`, what was measured, `nuisance` and `relinearised`.
     """
+
+    rigid: Any
+    sensor: Any
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6, of some touches 1."""
+        return self.sensor.rows
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.rigid.tool)
+
+    @cached_property
+    def differences(self) -> Array:
+        """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
+        return self.sensor.differences(self.rigid.tool)
+
+    @cached_property
+    def residuals(self) -> Array:
+        """`(row, sample)`, the differences over the declared noise."""
+        return whitened(self.differences, self.sensor.whitener)
 
     @property
     def groups(self: Any) -> NDArray[np.integer]:
@@ -125,11 +148,6 @@ class RigidArm(NuisanceProblem):
         """Number of samples."""
         return self.recording.samples
 
-    @property
-    def rows(self) -> int:
-        """Numbers that a sample has: 3 or 6."""
-        return self.sensor.rows
-
     @cached_property
     def links(self) -> Array:
         """`(joint, 4, 4)`, the fixed transform before each joint."""
@@ -175,11 +193,6 @@ class RigidArm(NuisanceProblem):
     def differences(self) -> Array:
         """Predicted minus measured poses `(row, sample)`, m and rad."""
         return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.sensor)
-
-    @cached_property
-    def residuals(self) -> Array:
-        """`(row, sample)`, the differences over the declared noise."""
-        return self.whitened(self.differences)
 
     @cached_property
     def plain_twists(self) -> Array:

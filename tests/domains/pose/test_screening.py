@@ -565,13 +565,6 @@ class TestUnsettledReadouts:
             screened.recording.joint_position, still["joint_position"] + 0.01 * speed, rtol=0, atol=1e-5
         )
 
-    def test_some_rows(self, folder, still):
-        rows = [10, 40, 77, 90, 150]
-        rest = np.zeros_like(still["joint_position"])
-        rest[rows] = 0.01 * moves_of(still["joint_position"])[rows]
-        screened = screen(read_early(Made(folder, seed=12), still, rest))
-        assert only(screened, "unsettled_readouts").rows == tuple(row + 1 for row in rows)
-
     def test_wild_rows_are_not_unsettled(self, good):
         position = good.position.copy()
         position[[10, 40, 77, 90, 150]] += np.random.default_rng(1).uniform(-5e-3, 5e-3, (5, 3))

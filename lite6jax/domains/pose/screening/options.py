@@ -137,13 +137,6 @@ class ScreeningOptions:
     settling_share: float = option(
         0.01, "share of the degrees of freedom that unsettled read-outs explain", "poses in an order mimic less"
     )
-    outlier_squares: float = option(
-        30.0, "squared residual per number, over the scale, beyond which a row is far off", "5.5 standard deviations"
-    )
-    along_move: float = option(
-        0.9, "squared cosine between a residual and the last move", "one direction in twenty is so near"
-    )
-    outlier_rows: int = option(3, "rows that must lie along their moves", "fewer do so by chance")
     separate_share: float = option(
         0.03, "share of what separate joints explain that a common share leaves", "set on servos with equal lags"
     )
