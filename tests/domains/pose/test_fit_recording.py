@@ -97,13 +97,6 @@ def test_too_few_rows_are_refused_with_the_count(good):
         lite6jax.fit(good.select(np.arange(5)), geometry="free")
 
 
-def test_a_tool_that_is_not_declared_is_suspicious(tmp_path):
-    made = Made(tmp_path, ("tool_offset:x_m=0,y_m=0,z_m=0.03",), seed=2)
-    (fault,) = check_recording(made.recording(static_motion(21, 120))).faults
-    assert fault.code == "declared_tool"
-    np.testing.assert_allclose(fault.numbers["translation_m"], [0, 0, 0.03], atol=1e-4)
-
-
 def test_the_command_prints_the_fault_and_fits_without_it(capsys, tmp_path, good):
     from lite6jax import cli
 
