@@ -400,7 +400,9 @@ def _fitted(
     # nothing is known of frame and point beforehand
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
     x = np.r_[0.0, drift, np.zeros(3), T_sensor_base[:3, 3], T_flange_tool[:3, 3], np.zeros(len(std) - 11)]
-    for _ in range(_ROUNDS):
+    rounds = 0
+    while True:
+        rounds += 1
         scale = 2 * max(float(np.median(np.linalg.norm(missed(x), axis=1))), 1e-9)
         noise = scale / 3  # of an axis, roughly
         found = least_squares(
@@ -413,7 +415,7 @@ def _fitted(
             max_nfev=_STEPS,
         )
         shift, x = np.abs(found.x[0] - x[0]) + np.abs(found.x[1] - x[1]) * np.max(np.abs(since)), found.x
-        if shift < _DONE_S:
+        if shift < _DONE_S or rounds == _ROUNDS:
             break
     rest = missed(x)
     distance, z = np.linalg.norm(rest, axis=1), (found.fun / (scale / np.sqrt(3))) ** 2

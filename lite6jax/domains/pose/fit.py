@@ -162,8 +162,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     Raises:
         InputError: fewer readings than determine the unknowns with a fifth held back.
     """
-    recording, sensor = begun.recording, begun.touch
-    assert sensor is not None
+    recording, sensor = begun.recording, begun.sensor
     require_determined(begun)
     unknowns = int(np.sum(begun.precision == 0)) + 1
     require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
@@ -187,7 +186,7 @@ def fit_touches(begun: RigidArm) -> Solution:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
     noise = float(known.scale[0] * arm.noise[0])
     own = slice(len(arm.unknown) - sensor.numbers, None)
-    assert arm.touch is not None
+    assert isinstance(arm.sensor, Sensor)
     return Solution(
         arm=arm.arm,
         form=form,
@@ -205,7 +204,7 @@ def fit_touches(begun: RigidArm) -> Solution:
         tolerance=tolerance,
         notes=recording.notes,
         recording=recording,
-        places=places_of(arm.touch, covariance[own, own]),
+        places=places_of(arm.sensor, covariance[own, own]),
     )
 
 

@@ -468,14 +468,15 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    tolerant = rigid.touch is not None and recording.settings.factory_calibration is None and factory is None
+    touched = isinstance(rigid.sensor, Sensor)
+    tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
     known = np.full(len(waves), ONCE_PER_TURN**-2.0)
     free, none = np.zeros(len(moved)), np.zeros(len(masses))
     stated = [rigid.informative or site[0] == "reading" for site in rigid.unknown]
     every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
-    if rigid.touch is not None:  # sockets, plates and anchors have no frame of their own that could move
+    if touched:  # sockets, plates and anchors have no frame of their own that could move
         every = tuple(effect for effect in every if effect.site != "sensor")
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}

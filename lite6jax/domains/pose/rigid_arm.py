@@ -123,8 +123,7 @@ class RigidArm(NuisanceProblem):
         informative: whether the sidecar declares the chain's uncertainty.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared_noise: the same, each None where the sidecar does not declare it.
-        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
-        touch: the sensor of touches, with its own unknowns, the last of `unknown`; None of poses.
+        sensor: what was measured, with the sensor's own unknowns, the last of `unknown`.
         exact: whether the sidecar declares the chain.
         form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
@@ -138,14 +137,13 @@ class RigidArm(NuisanceProblem):
     informative: bool
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    whitener: Array
-    touch: Sensor | None
+    sensor: Measured | Sensor
     exact: bool
     form: ModelForm
 
     @property
     def samples(self) -> int:
-        """Number of samples."""
+        """Number of samples, without the frames of any."""
         return self.recording.samples
 
     @cached_property
@@ -162,17 +160,6 @@ class RigidArm(NuisanceProblem):
     def T_flange_tool(self) -> Array:
         """`(4, 4)`, from the frame after the last joint."""
         return np.asarray(self.start.T_flange_tool)
-
-    @cached_property
-    def measured(self) -> Measured:
-        """The measured poses; of a camera with the constant errors where they are."""
-        found = measured_poses(self.recording, self.whitener)
-        return found.displaced(self.offset[len(self.offset) - found.numbers :])
-
-    @property
-    def sensor(self) -> Measured | Sensor:
-        """What was measured, with the sensor's own unknowns, the last of `unknown`."""
-        return self.touch or self.measured
 
     @cached_property
     def rigid(self) -> RigidFrames:
@@ -241,29 +228,39 @@ class RigidArm(NuisanceProblem):
 
     def whitened(self, columns: Array) -> Array:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
-        return whitened(columns, self.whitener)
+        return whitened(columns, self.sensor.whitener)
 
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
-        touch = self.touch
-        if touch is not None and touch.numbers:
-            touch = touch.displaced(nuisance[len(nuisance) - touch.numbers :])
+        sensor = self.sensor
+        if sensor.numbers:
+            sensor = sensor.displaced(nuisance[len(nuisance) - sensor.numbers :])
         start = displaced(self.start, self.unknown, nuisance)
-        return replace(self, start=start, touch=touch, offset=self.offset + nuisance)
+        return replace(self, start=start, sensor=sensor, offset=self.offset + nuisance)
+
+    def with_poses(self, recording: Recording) -> Self:
+        """The arm with as many other poses, of the same sensor."""
+        assert isinstance(self.sensor, Measured)
+        sensor = measured_poses(recording, self.sensor.whitener)._replace(at=self.sensor.at)
+        return replace(self, recording=recording, sensor=sensor)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the samples."""
-        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., rows]
-        touch = None if self.touch is None else self.touch.select(rows)
-        return replace(self, recording=self.recording.select(rows), whitener=whitener, touch=touch)
+        return replace(self, recording=self.recording.select(rows), sensor=self.sensor.select(rows))
 
     def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
-        touch = None if self.touch is None else few.touch and replace(few.touch, group=self.touch.group)  # type: ignore[type-var]
-        return replace(self, start=few.start, touch=touch, offset=few.offset)
+        if isinstance(few.sensor, Measured):
+            sensor = self.sensor._replace(at=few.sensor.at)  # type: ignore[union-attr]
+        else:
+            of_each = {
+                name: part for name in ("group", "value") if (part := getattr(self.sensor, name, None)) is not None
+            }
+            sensor = replace(few.sensor, **of_each)  # type: ignore[type-var]
+        return replace(self, start=few.start, sensor=sensor, offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
@@ -356,14 +353,13 @@ def rigid_arm(
             flange, seen = calibration_poses(given.known, recording.joint_position), np.asarray(touch.points)
             T_frame, tool = frames_from_poses(flange, seen.T[touch.group], None, None, tool)
         T_tool = given.known.T_joint_flange @ (np.eye(4) if tool is None else tool)
-        whitener, own = touch.whitener, touch.own
+        sensor = touch
     else:
         problem = recording_problem(recording, arm, geometry, factory)
         arm, form, movable = problem.arm, problem.form, problem.movable
         noise, declared, whitener = problem.noise, problem.declared_noise, problem.whitener
-        whitener = whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1)
+        sensor = measured_poses(recording, whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1))
         values, T_frame, T_tool = (np.asarray(leaf) for leaf in problem.start)
-        own = measured_poses(recording, whitener).own
     exact = isinstance(form.chain, SixParameterForm)
     start = ArmModel(values if exact else arm.kinematics.ravel(), T_frame, T_tool)  # type: ignore[arg-type]
     geometry_moves = bool(movable[: form.chain.size].any())
@@ -380,6 +376,7 @@ def rigid_arm(
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
+    own = sensor.own
     unknown += [("reading", k, 0) for k in range(len(own))]
     begun = RigidArm(
         recording=recording,
@@ -391,8 +388,7 @@ def rigid_arm(
         informative=uncertainty is not None or touch is not None,
         noise=noise,
         declared_noise=declared,
-        whitener=whitener,
-        touch=touch,
+        sensor=sensor,
         exact=exact,
         form=form,
     )
@@ -417,12 +413,11 @@ def _locate_tool(arm: RigidArm) -> RigidArm:
         shift = np.eye(4)
         shift[:3, 3] = point
         begun = replace(arm, start=arm.start._replace(T_flange_tool=arm.T_flange_tool @ shift))  # type: ignore[arg-type]
-        assert arm.touch is not None
-        touch = shown_by(arm.touch, begun.tool)
-        offset = np.array([*np.zeros(len(unknown) - touch.numbers), *(one.offset for one in touch.own)])
-        begun = replace(begun, unknown=unknown, precision=precision, offset=offset, touch=touch)
+        assert isinstance(arm.sensor, Sensor)
+        sensor = shown_by(arm.sensor, begun.tool)
+        offset = np.array([*np.zeros(len(unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
+        begun = replace(begun, unknown=unknown, precision=precision, offset=offset, sensor=sensor)
         found.append(relinearise(begun, DEFAULTS))
     best = min(found, key=lambda one: float(np.median(one.squares)))
-    offset = np.where([name == "reading" for name, _, _ in arm.unknown], 0.0, arm.offset)
-    offset[len(offset) - len(best.touch.own) :] = [one.offset for one in best.touch.own]  # type: ignore[union-attr]
-    return replace(arm, start=best.start, touch=best.touch, offset=offset)
+    offset = np.array([*np.zeros(len(arm.offset) - best.sensor.numbers), *(one.offset for one in best.sensor.own)])
+    return replace(arm, start=best.start, sensor=best.sensor, offset=offset)

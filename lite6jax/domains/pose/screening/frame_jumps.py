@@ -83,7 +83,7 @@ def _without(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened
 
 def _removed(arm: RigidArm, jump: Jump, recording: Recording) -> Recording:
     """The correction of a jump in more rows of the same recording, which show between which of them it happened."""
-    there, rows = replace(arm, recording=recording), arm.recording.row
+    there, rows = arm.with_poses(recording), arm.recording.row
     before, sample = (int(np.flatnonzero(recording.row == rows[k])[0]) for k in (max(jump.sample - 1, 0), jump.sample))
     if sample - before > 1:
         numbers = _numbers(arm, jump.part)
@@ -222,7 +222,7 @@ def without_jump(
     for _ in range(options.refinements):
         total = twist @ total if jump.part == "tool" else total @ twist
         recording = _displaced_back(arm, moved, jump, total)
-        moved = replace(moved, recording=recording).fitted(options.most_fitted)
+        moved = moved.with_poses(recording).fitted(options.most_fitted)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
         projected = Projected(moved, physics, options)
         columns = moved.twists[_numbers(arm, jump.part)]

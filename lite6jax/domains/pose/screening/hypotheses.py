@@ -340,7 +340,7 @@ def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
     )
     tool = arm.arm.T_joint_flange @ T_tool
     start = arm.start._replace(T_sensor_base=T_frame, T_flange_tool=tool)  # type: ignore[arg-type]
-    return replace(arm, recording=recording, start=start)
+    return replace(arm.with_poses(recording), start=start)
 
 
 def _median_error(arm: RigidArm) -> float:

@@ -148,9 +148,8 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     start = arm.recording
     for _ in range(options.refinements):
         rest = rest + step
-        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted(
-            options.most_fitted
-        )
+        moved = replace(start, joint_position=start.joint_position + shape * rest)
+        arm = arm.with_poses(moved).fitted(options.most_fitted)
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
         known = [
