@@ -19,8 +19,7 @@ class DataFault:
         time_order              largest_step_back_s
         repeated_rows           first_rows: the rows that `rows` repeat
         position_unit           factor: by which the rows are too large
-        commanded_joints        reason: "grid" (grid_rad, grid_unit, distinct_positions) or "returns" (returns,
-                                joint_noise_rad)
+        commanded_joints        grid_rad, grid_unit, distinct_positions
         swapped_joints          joints, and those of a mismatch
         mirrored_joint          joint, and those of a mismatch
         joint_unit              joint, unit of its column ("deg" or "rad"), and those of a mismatch

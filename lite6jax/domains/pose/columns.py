@@ -7,7 +7,6 @@ with those of every site. Nonparametric effects act on components of sites, each
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from operator import itemgetter
 from typing import Any, NamedTuple, final
 
 import jax
@@ -239,12 +238,8 @@ class Deflections:
             return [(None, None)] * len(masses)
         if masses not in self._loaded:
             steps = [sign * _STEP * one for one in np.eye(len(masses)) for sign in (-1, 1)]
-            dof = len(self.kinematics)
-            errors = [mass_errors(masses, step, dof, self.errors) or self._exact for step in steps]
-            stacked = MassErrors(np.stack([one.links for one in errors]), np.array([one.payload for one in errors]))  # type: ignore[arg-type]
-            of_each = _loads_of_each(self.motion.chain, self.kinematics.ravel(), self.motion, self.inertia, stacked)
-            found = jax.tree.map(np.asarray, of_each)
-            each = [jax.tree.map(itemgetter(k), found) for k in range(len(steps))]
+            errors = (mass_errors(masses, step, len(self.kinematics), self.errors) or self._exact for step in steps)
+            each = [self.loads_in(self.motion, errors=one) for one in errors]
             self._loaded[masses] = [*zip(each[::2], each[1::2], strict=True)]
         return self._loaded[masses]
 
@@ -279,12 +274,6 @@ def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, 
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
     payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
-
-
-@partial(jax.jit, static_argnums=0)
-def _loads_of_each(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
-    """Those of several errors, each part of them `(case, …)`, in turn: of many rows they take much memory."""
-    return jax.lax.map(lambda one: _loads(form, kinematics, motion, inertia, one), errors)
 
 
 @final

@@ -18,10 +18,16 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
-from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
-from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, recording_of, require_model
+from lite6jax.domains.pose.predict import (
+    DiagnosedArm,
+    declare_anew,
+    has_memory,
+    predict_deviations,
+    recording_of,
+    require_model,
+)
 from lite6jax.effects.kinematic import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError

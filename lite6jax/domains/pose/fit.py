@@ -7,7 +7,7 @@ sensor.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, overload
+from typing import Any, TypedDict, Unpack, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,29 +48,26 @@ _HELD = 1e16
 """The precision of what is held: to 10 nm or nanoradians."""
 
 
+class _Options(TypedDict, total=False):
+    """The options of `fit`."""
+
+    geometry: Geometry
+    loss: Loss
+    solver: Solver
+    samples: int
+    seed: int
+    max_steps: int
+
+
 @overload
 def fit(
     source: Source | NDArray[Any] | Sequence[Sequence[float]],
     nominal: Arm | str | Path | None = None,
-    *,
-    geometry: Geometry = ...,
-    loss: Loss = ...,
-    solver: Solver = ...,
-    samples: int = ...,
-    seed: int = ...,
-    max_steps: int = ...,
+    **options: Unpack[_Options],
 ) -> Solution: ...
 @overload
 def fit(
-    source: Sequence[Source],
-    nominal: Arm | str | Path | None = None,
-    *,
-    geometry: Geometry = ...,
-    loss: Loss = ...,
-    solver: Solver = ...,
-    samples: int = ...,
-    seed: int = ...,
-    max_steps: int = ...,
+    source: Sequence[Source], nominal: Arm | str | Path | None = None, **options: Unpack[_Options]
 ) -> tuple[Solution, ...]: ...
 def fit(
     source: Source | Sequence[Source] | ArrayLike,

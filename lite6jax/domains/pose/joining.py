@@ -1,4 +1,4 @@
-"""One table of what stands in several places: joints and poses in two files, reflectors in place of a pose.
+"""One table of joints and poses that stand in two files.
 
 What is joined keeps its names and units, so that it is looked at as any table is. Codes and numbers only: the words are
 those of `report.inspection`.
@@ -14,11 +14,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
 from lite6jax.domains.pose.readings import FEWEST, Meaning
-from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
-from lite6jax.recordings import sizes
 from lite6jax.recordings.columns import QUATERNION, known_column, units_of, with_quaternions
-from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -90,39 +87,6 @@ class WithJoints(NamedTuple):
     file: File
     path: "JointPath"
     form: str
-
-
-class WithPose(NamedTuple):
-    """A table in which points were replaced by the pose of the body that they are on.
-
-    Attributes:
-        columns: of the table.
-        points: the columns that were replaced.
-        pose: of the body, in `unit`.
-        unit: of the points.
-    """
-
-    columns: dict[str, Array]
-    points: tuple[tuple[str, str, str], ...]
-    pose: RigidPose
-    unit: str
-
-
-def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
-    """A table with a pose in place of three or more points of a rigid body; None where it has no such points."""
-    points = rigid_points(reflector_columns(list(columns)), columns)
-    if not points:
-        return None
-    found = rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
-    if found is None:
-        return None
-    names = {name for point in points for name in point}
-    units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
-    unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
-    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
-    pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
-    rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
-    return WithPose(rest | pose, tuple(points), found, unit)
 
 
 def with_joints(file: File, arm: Arm) -> WithJoints:

@@ -22,9 +22,9 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import declared_tool, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.registration import Registration, noise_of, register
-from lite6jax.domains.pose.screening.nominal_table import tables_of_model
+from lite6jax.domains.pose.rigid_arm import rigid_arm
+from lite6jax.domains.pose.screening.hypotheses import tables_of_model
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -459,12 +459,12 @@ def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _
         pose_frame="unknown" if start.fitted[1] else reference.settings.pose_frame,
     )
     freed = replace(reference, settings=settings)
-    problem = pose_problem(freed, arm, "free")
-    if problem.rows * problem.samples < _REDUNDANCY * len(problem.frames):
+    begun = rigid_arm(freed, arm, "free")
+    if begun.rows * begun.samples < _REDUNDANCY * len(begun.unknown):
         return None
     found = start.registration
     model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
-    model = relinearise(replace(problem, start=model), DEFAULTS).start
+    model = relinearise(replace(begun, start=model), DEFAULTS).start
     rows, T_sensor_base = np.array(model.geometry).reshape(-1, 6), np.asarray(model.T_sensor_base)
     if settings.pose_frame == "base":  # a displacement of the base then belongs to the chain
         rows[0] = frames.row_from_transform(T_sensor_base @ frames.transform_from_row(rows[0]))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
-from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
     Site,
@@ -19,7 +18,7 @@ from lite6jax.domains.pose.kinematics import (
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, read_motion, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.effects.kinematic import BaseDrift, SensorDrift

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
-from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import read_motion
 from lite6jax.domains.torque.composition import (
     composed,
     delayed,

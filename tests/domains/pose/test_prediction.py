@@ -16,8 +16,7 @@ from typed import refused as refused_as_typed
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.pose.predict import Prediction, predict, prediction_columns
+from lite6jax.domains.pose.predict import Prediction, predict, prediction_columns, read_motion
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect

@@ -156,9 +156,6 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     displacement = _displacement(arm, numbers, values, np.arange(n) >= k)
     sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, columns)[:, k:] ** 2, 0)) / arm.rows)
     small = statistic < options.jump_share * projected.freedom
-    if arm.recording.motion == "trajectory" and segment[k - 1] != segment[k] and not small:
-        bare = Projected(arm, np.zeros((0, arm.rows, n)), options)
-        small = bare.regression(after)[2] < options.jump_share_between_runs * bare.freedom
     if p > options.jump_level or sigmas < options.jump_noise or small:
         return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
     if len(few) < whole.samples:

@@ -40,10 +40,6 @@ class ScreeningOptions:
     )
     grid_smallest_rad: float = option(1e-3, "rad below which positions are left out", "they are near every grid")
     grid_positions: int = option(20, "distinct positions that must all lie on a grid", "fewer do so by chance")
-    exact_returns: int = option(3, "returns to a pose that must all read the same joints", "fewer do so by chance")
-    return_decimals: int = option(
-        3, "decimals of rad to which joints agree at a return to a pose", "controllers repeat to less than a mrad"
-    )
     limit_slack_rad: float = option(
         0.01, "rad by which a joint may be beyond its limits", "controllers stop a little late"
     )
@@ -113,9 +109,6 @@ class ScreeningOptions:
     )
     jump_share: float = option(
         0.03, "squares that a jump explains over the residual degrees of freedom", "set on recordings without a jump"
-    )
-    jump_share_between_runs: float = option(
-        2.0, "the same without any physics where a moving arm begins another run", "all conditions change there"
     )
     jump_window: int = option(
         12, "rows on either side that show a jump in a trajectory", "a quarter of a second at 50 Hz"
