@@ -49,8 +49,6 @@ _SINGULAR = 2e-3
 """m: with a smaller error inside the joint limits, a target is next to a singular position; else out of reach."""
 _FAR = 0.2
 """rad: a solution further than this from the joint positions given is reported."""
-_NEAREST = 0.03
-"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
 _NEAR = 1e-2
@@ -254,18 +252,17 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
 
     Args:
-        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`; the arm's reach says
-            whether positions are in m or mm.
+        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`.
         model: the arm.
         given: columns with the names that they have in a recording, where the caller knows better; or `ignore`.
 
     Raises:
-        InputError: as `read_targets`; or what a column means, or its unit, is not certain.
+        InputError: as `read_targets`; or what a column means is not certain.
     """
     path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, said = _recognised(path, model, reach, given or {})
+    columns, said = _recognised(path, model, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
     recording = replace(recording, notes=(*said, *recording.notes))
     settings = recording.settings
@@ -276,9 +273,7 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     return Targets(declare_anew(recording, settings), start)
 
 
-def _recognised(
-    path: Path, model: DiagnosedArm, reach: float, given: Mapping[str, str]
-) -> tuple[dict[str, str], tuple[str, ...]]:
+def _recognised(path: Path, model: DiagnosedArm, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
     _, table = open_table(path, (), ArmJoints(model.dof), [])
@@ -300,27 +295,13 @@ def _recognised(
             f"{path}: what the angles {', '.join(turned.block.columns)} mean is not certain; say it: --column "
             f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
         )
-    unit = place.unit.choice
-    if place.unit.reason != "name":
-        points = np.stack([np.asarray(columns[name], float) for name in place.block.columns], 1)
-        T = np.asarray(model.model.T_sensor_base)
-        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
-        if len(units) != 1:
-            name = place.block.columns[0]
-            raise InputError(
-                f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
-                f"{name}=x_mm (or x_m), and likewise the others"
-            )
-        unit = units[0]
-    meant = found.columns | place.renamed(unit=unit)
-    told = ", ".join(f"{own}={name}" for own, name in meant.items() if name != "ignore" and own != name)
-    return meant, ((f"columns are read as {told}",) if told else ())
-
-
-def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
-    """Whether most points `(row, 3)` m, in the base's frame or the sensor's, are where an arm can work."""
-    far = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in (np.zeros(3), T_sensor_base[:3, 3])]
-    return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
+    if place.unit.sure == "assumed":
+        raise InputError(
+            f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
+            f"{place.block.columns[0]}=x_mm (or x_m), and likewise the others"
+        )
+    told = ", ".join(f"{own}={name}" for own, name in found.columns.items() if name != "ignore" and own != name)
+    return found.columns, ((f"columns are read as {told}",) if told else ())
 
 
 def _reached(solved: Solved) -> Flags:

@@ -237,9 +237,3 @@ def test_a_selection_is_linearised_at_its_estimate(selection):
     baseline = moved.state.baseline
     alone = moved.reference.residual(baseline.nuisance, baseline.terms, baseline.values)
     np.testing.assert_allclose(alone, baseline.residuals.rows, atol=1e-6)
-
-
-def test_a_selection_of_nothing_stays_where_it_is(case):
-    problem, baseline = case
-    nothing = Selection(problem, problem, State(baseline, baseline))
-    assert at_estimate(nothing, OPTIONS) is nothing

@@ -214,16 +214,6 @@ def test_bars_grow_with_the_distance_beyond_the_spacing(arm):
     assert bars.outside.tolist() == [False, False, True, True]
 
 
-def test_the_spacing_of_few_rows_is_that_between_the_blocks_that_were_held_out(tmp_path):
-    """Of five rows and six unknowns three blocks are held out: halves would leave too few rows to fit."""
-    recording = Made(tmp_path, seed=3, orientation=False, frame=True).recording(static_motion(7, 5))
-    block, q = np.array([0, 0, 1, 1, 2]), recording.joint_position
-    apart = np.linalg.norm(q[:, None] - q, axis=-1)
-    apart[block[:, None] == block] = np.inf
-    recorded = diagnose(recording).to_dict()["model"]["uncertainty"]["recorded"]
-    assert recorded["spacing_rad"] == pytest.approx(np.quantile(apart.min(1), 0.95), rel=1e-12)
-
-
 def test_a_quantity_beyond_what_was_recorded_is_outside(arm):
     """A drift in time, an hour later than it was recorded."""
     model = model_from_document(document(arm, ["base_drift:vx_m_per_s=1e-6,vy_m_per_s=0,vz_m_per_s=0"]))

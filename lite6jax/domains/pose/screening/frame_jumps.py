@@ -128,10 +128,6 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     The maximum over rows of the score of six numbers that are others after it, beside all physics and a drift that is a
     cubic of time; autocorrelated residuals count as fewer. In a trajectory the jump must be visible between
     neighbouring rows too, more than at any other row: the arm's own physics is smooth there.
-
-    Args:
-        arm: fitted.
-        options: the thresholds.
     """
     whole, few = arm, thinned(arm.samples, options)
     arm = arm.select(few)

@@ -134,10 +134,6 @@ def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
     """The recording as the best hypothesis has it, where it misses the arm grossly as it is declared.
 
     It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
-
-    Args:
-        state: with a rigid arm that is not fitted yet, of a recording with poses.
-        options: the thresholds.
     """
     arm = state.rigid_arm
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
@@ -420,10 +416,6 @@ def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
     table, the share of the way to the other table is estimated beside all physics; where that leaves it vague, the
     other table must halve the residuals. Where the chain is fitted, the other table must be likelier than the declared
     one, and than a fitted chain for its more numbers.
-
-    Args:
-        state: with a fitted arm.
-        options: the thresholds.
     """
     arm = state.rigid_arm
     tables = tables_of_model(arm.arm.name)

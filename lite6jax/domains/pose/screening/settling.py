@@ -81,10 +81,6 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     velocity, or an angle. No effect depends on where the arm was before but backlash, whose sign is the opposite; all
     are estimated beside each other. Where the moves that follow explain the poses too, nothing is said: the order of
     the poses is tied to where they are, and it is something else that depends on that.
-
-    Args:
-        arm: fitted.
-        options: the thresholds.
     """
     recording, dof = arm.recording, arm.recording.dof
     too_few = {"reason": "too_few_rows"}
@@ -114,7 +110,7 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
         least = min(least, p_one, float(p_each.min()))
         if min(p_one, float(p_each.min())) > options.settling_level:
             continue
-        chance = chdtri(max(dof - 1, 1), options.separate_level)
+        chance = chdtri(max(dof - 1, 1), options.settling_level)
         if p_one > options.settling_level or separate - common > max(chance, options.separate_share * separate):
             concerned = p_each < options.settling_level
             rest = np.where(concerned, each, 0.0)
@@ -127,7 +123,7 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
         if name != "velocity":
             after = future if name == "move" else np.sign(future)
             both = projected.regression(np.concatenate([own, arm.joints * after.T[:, None]]))[2]
-            chance = chdtri(len(own), options.next_move_level)
+            chance = chdtri(len(own), options.jump_level)
             if both - separate > max(chance, options.next_move_share * separate):
                 ordered = True
                 continue
