@@ -24,7 +24,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, place_of
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 from lite6jax.estimation.problem import Component, Quantity
-from lite6jax.estimation.terms import Factored, Term, Terms
+from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
 
@@ -274,91 +274,6 @@ def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, 
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
     payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class EffectColumns:
-    """The columns of effects in one linearisation; those that do not depend on their numbers are computed once.
-
-    Attributes:
-        sites: how residuals change with a deflection at each site, `(row, sample)`.
-        deflections: by effects.
-        masses: the sites of uncertain masses.
-    """
-
-    sites: dict[Site, Array]
-    deflections: Deflections
-    masses: tuple[Site, ...]
-    _linear: dict[Effect, Array] = field(default_factory=dict)
-    _by_mass: dict[Effect, Array] = field(default_factory=dict)
-    _sites: dict[tuple[str, str], Array] = field(default_factory=dict)
-
-    def by_numbers(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        """How residuals change with the numbers of effects, `(number, row, sample)`.
-
-        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
-        not given.
-        """
-        own = Terms(tuple(terms))
-        values = np.zeros(own.size) if values is None else np.asarray(values, float)
-        found = np.empty((own.size, *self._shape))  # half a gigabyte of a real arm: each part is written in its place
-        for effect, part in zip(own.terms, own.slices, strict=True):
-            assert isinstance(effect, Effect)
-            if isinstance(effect, Unnamed):
-                factored = self.factored(effect)
-                np.multiply(
-                    factored.site[:, None],
-                    factored.functions[:, None],
-                    out=found[part].reshape(len(factored.site), -1, *self._shape),
-                )
-            elif isinstance(effect, Loading) or not (effect.linear or not values[part].any()):
-                others, at = (own, values) if beside is None else beside
-                unit = self.deflections.by_each(effect, values[part], physics_of(others), at)
-                found[part] = columns_of(unit, self.sites)
-            else:
-                if effect not in self._linear:
-                    self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
-                found[part] = self._linear[effect]
-        return found
-
-    def factored(self, effect: Unnamed) -> Factored:
-        """The columns of a nonparametric effect; those of one site and component share the array of its columns."""
-        key = effect.where, effect.component
-        if key not in self._sites:
-            self._sites[key] = self.sites[site_of(*key)][None]
-        return Factored(self._sites[key], self.deflections.basis(effect))
-
-    def by_masses(self, physics: Physics, values: Array) -> Array:
-        """How residuals change with errors of masses through effects `(physics.size,)`, `(mass, row, sample)`."""
-        values, total = np.asarray(values, float), np.zeros((len(self.masses), *self._shape))
-        if not self.masses or not physics.loaded:
-            return total
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
-            if effect.linear:
-                total += np.tensordot(values[part], self._by_unit_masses(effect), 1)
-            else:
-                total += self._through_masses(effect, values[part])
-        return total
-
-    def _by_unit_masses(self, effect: Effect) -> Array:
-        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
-        if effect not in self._by_mass:
-            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:  # of the loads as declared
-                found = np.zeros((effect.size, len(self.masses), 1, 1))
-            else:
-                found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
-            self._by_mass[effect] = found
-        return self._by_mass[effect]
-
-    def _through_masses(self, effect: Effect, values: Array) -> Array:
-        return columns_of(self.deflections.through_masses(self.masses, Physics((effect,)), values), self.sites)
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return self.sites["scale", 0, 0].shape
 
 
 def physics_of(terms: Terms) -> Physics:
