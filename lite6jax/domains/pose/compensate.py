@@ -14,12 +14,12 @@ import jax
 import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
+from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.domains.pose.predict import (
     DiagnosedArm,
     declare_anew,
@@ -36,6 +36,7 @@ from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sid
 from lite6jax.recordings.files import open_table, require_table
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
+from lite6jax.sensors.pose import Measured
 from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
@@ -210,7 +211,7 @@ def _targets_of(
     position, quaternion = T, None
     if T.ndim == 3:
         position = T[:, :3, 3]
-        quaternion = np.roll(Rotation.from_matrix(T[:, :3, :3]).as_quat(), 1, axis=1)
+        quaternion = unit_quaternions(T[:, :3, :3])
     recording = recording_of(model, q, position=position, quaternion=quaternion, **circumstances)
     return Targets(recording, None if start is None else q)
 
@@ -361,7 +362,9 @@ class _Search:
         cost = [np.zeros(0) if first is None else first.cost]
         for k, starts in enumerate(_STARTS):
             tried = np.repeat(everywhere[unsolved], starts)
-            rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
+            m, started = self.model, self._random(len(tried), k)
+            ended = inverse.solve_rigid(m.model, self._target(tried), started, self.limits, m.sliding)
+            rigid, missed = ended.joint_position.T, ended.cost
             best = np.full(count, np.inf)
             np.minimum.at(best, tried, missed)
             kept = (missed < _NEAR**2) | (missed == best[tried])
@@ -405,33 +408,16 @@ class _Search:
             return solved
         poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))
-        errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
-        turned = np.zeros(len(q))
-        if rotation is not None:
-            relative = np.einsum("jis,sjk->sik", np.asarray(rotation), poses[:, :3, :3])
-            turned = Rotation.from_matrix(relative).magnitude()
-        return solved._replace(position_error=errors, orientation_error=turned)
+        target = Measured(position, np.zeros((3, 3, 0)) if rotation is None else rotation, np.ones(2))
+        missed = target.differences(poses)
+        position_error, orientation_error = (np.linalg.norm(part, axis=0) for part in (missed[:3], missed[3:]))
+        return solved._replace(position_error=position_error, orientation_error=orientation_error)
 
     def _target(self, rows: Rows) -> Target:
         assert self.targets.position is not None
         R = measured_rotations(self.targets)
         rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
         return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
-
-    def _rigid(self, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
-        """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
-
-        Without limits it does not stop at one of them; its joints are then returned by whole turns.
-        """
-        turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
-        limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
-        m = self.model
-        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
-        q = solved.joint_position.T
-        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
-        q = np.where(turns & unlimited, q - whole, q)
-        inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
-        return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
     def _differ(self, one: Motion, other: Motion) -> Flags:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""

@@ -12,7 +12,6 @@ from typing import Any, TypedDict, Unpack, cast, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration import fit as plain
@@ -23,7 +22,6 @@ from lite6jax.calibration.solution import Errors, Noise, Place, Solution
 from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
-from lite6jax.domains.pose.kinematics import displaced
 from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
@@ -34,7 +32,6 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
 from lite6jax.estimation.terms import Terms
-from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import real_array
 from lite6jax.sensors.sensor import Sensor
@@ -187,7 +184,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     return Solution(
         arm=arm.arm,
         form=form,
-        model=_model(arm, np.zeros(len(arm.unknown))),
+        model=arm.model,
         result=Result.CONVERGED if converged else Result.STEPS_EXHAUSTED,
         steps=steps,
         covariance=of_steps @ covariance @ of_steps.T,
@@ -233,16 +230,6 @@ def _covariance(arm: RigidArm, known: Fit) -> Array:
     return scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
 
 
-def _model(arm: RigidArm, nuisance: Array) -> ArmModel:
-    """The arm with its unknowns displaced; where the sensor's frame is the base's, all is in the chain."""
-    geometry, T_sensor_base, T_flange_tool = displaced(arm.start, arm.unknown, nuisance)
-    if arm.form.frame:
-        return ArmModel(geometry, T_sensor_base, T_flange_tool)
-    rows = np.array(geometry).reshape(-1, 6)
-    rows[0] = frames.row_from_transform(np.asarray(T_sensor_base) @ frames.transform_from_row(rows[0]))
-    return ArmModel(rows.ravel(), np.eye(4), T_flange_tool)  # type: ignore[arg-type]
-
-
 def _by_unknowns(arm: RigidArm) -> Array:
     """How the entries of a step `(size, unknown)` change with the unknowns."""
     form, count = arm.form, len(arm.unknown)
@@ -251,7 +238,7 @@ def _by_unknowns(arm: RigidArm) -> Array:
         if name == "reading":
             continue
         step = _STEP * np.eye(count)[k]
-        more, less = _model(arm, step), _model(arm, -step)
+        more, less = (arm.relinearised(one).model for one in (step, -step))
         change = (np.asarray(more.geometry) - np.asarray(less.geometry)) / (2 * _STEP)
         out[: form.chain.size, k] = np.where(np.abs(change) < 1e3, change, 0.0)  # an angle may jump by a turn
         if name == "base" and form.frame:

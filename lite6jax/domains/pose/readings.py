@@ -121,8 +121,10 @@ def agreement(
     tried = {}
     for turning, sliding, unit in product(*possible):
         divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
-        position = pose.position[rows] / units_of("x")[unit]
-        tried[turning, sliding, unit] = _positions(arm, pose.joint[rows] / divisor, position)
+        position, flange = pose.position[rows] / units_of("x")[unit], flange_poses(arm, pose.joint[rows] / divisor)
+        error, T_sensor_base = match_poses(flange, position)
+        predicted = T_sensor_base[:3, :3] @ flange[:, :3, :3]
+        tried[turning, sliding, unit] = _Tried(error, median_distance(position), predicted)
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
     plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one.spread < farthest}
@@ -180,12 +182,6 @@ class _Tried(NamedTuple):
     @property
     def score(self) -> float:
         return self.error / max(self.spread, 1e-9)
-
-
-def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
-    flange = flange_poses(arm, joint)
-    error, T_sensor_base = match_poses(flange, position)
-    return _Tried(error, median_distance(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
 
 
 def flange_poses(arm: Arm, joint: Array) -> Array:

@@ -161,6 +161,15 @@ class RigidArm(NuisanceProblem):
         """`(4, 4)`, from the frame after the last joint."""
         return np.asarray(self.start.T_flange_tool)
 
+    @property
+    def model(self) -> ArmModel:
+        """The arm; where the sensor's frame is not fitted, what the base was displaced by is in the chain."""
+        if self.form.frame:
+            return self.start
+        rows = np.array(self.start.geometry).reshape(-1, 6)
+        rows[0] = frames.row_from_transform(self.T_sensor_base @ frames.transform_from_row(rows[0]))
+        return ArmModel(rows.ravel(), np.eye(4), self.start.T_flange_tool)  # type: ignore[arg-type]
+
     @cached_property
     def rigid(self) -> RigidFrames:
         """The arm's frames in the sensor's."""

@@ -13,7 +13,7 @@ from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns, thinned
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
@@ -111,9 +111,8 @@ def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> J
         return None
     few, numbers = thinned(arm.samples, options), _numbers(arm, part)
     after, arm = few >= sample, arm.select(few)
-    projected = Projected(arm, physics_columns(arm), options)
-    values, covariance, _ = projected.regression(np.where(after, arm.twists[numbers], 0.0))
-    known = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
+    values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
+    known = np.where(np.isfinite(std), values, 0.0)
     return Jump(sample, part, _six(known), _displacement(arm, numbers, values, after), float("nan"))
 
 
@@ -217,12 +216,10 @@ def without_jump(
         recording = _displaced_back(arm, moved, jump, total)
         moved = moved.with_poses(recording).fitted(options.most_fitted)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
-        projected = Projected(moved, physics, options)
-        columns = moved.twists[_numbers(arm, jump.part)]
-        values, covariance, _ = projected.regression(np.where(np.arange(arm.samples) >= jump.sample, columns, 0.0))
-        if np.all(np.abs(values) < options.converged * np.sqrt(np.diagonal(covariance))):
+        columns = np.where(np.arange(arm.samples) >= jump.sample, moved.twists[_numbers(arm, jump.part)], 0.0)
+        if (more := next_step(moved, physics, columns, options)) is None:
             break
-        twist = small_displacement(_six(np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)))
+        twist = small_displacement(_six(more))
     twist = np.concatenate([total[:3, 3], Rotation.from_matrix(total[:3, :3]).as_rotvec()])
     assert moved.recording.position is not None
     assert arm.recording.position is not None

@@ -10,7 +10,7 @@ from scipy.special import chdtri, ndtr
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns, thinned
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -153,12 +153,10 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
             _curves(part, options),
         ]
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        values, covariance, _ = Projected(part, np.concatenate(known), options).regression(group)
-        std = np.sqrt(np.diagonal(covariance))
-        if np.all(np.abs(values) < options.converged * std):
+        if (more := next_step(part, np.concatenate(known), group, options)) is None:
             break
         step = np.zeros_like(rest)
-        step[concerned] = np.where(np.isfinite(std), values, 0.0)
+        step[concerned] = more
     return arm, found._replace(rest=rest)
 
 
