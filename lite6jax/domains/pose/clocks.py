@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import frames_from_poses
-from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, match_poses, median_distance
+from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, match_poses, median_distance, spread_rows
 from lite6jax.errors import InputError
 from lite6jax.recordings.streams import JointStream
 
@@ -154,7 +154,7 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
     found = []
     for offset in track.candidates(time[lasting], position[lasting], likely):
-        rows = lasting[_spread_over(len(lasting), _REFINED_ROWS)]
+        rows = lasting[spread_rows(len(lasting), _REFINED_ROWS)]
         found.append(_fitted(arm, joints, time[rows], position[rows], offset, 0.0, float(np.mean(time[rows]))))
     found.sort(key=lambda one: one.ratio)
     if not found or not found[0].close:
@@ -175,14 +175,14 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
     while True:
         rows = np.flatnonzero(np.abs(time - center) <= half)
-        rows = rows[_spread_over(len(rows), _MOST_ROWS)]
+        rows = rows[spread_rows(len(rows), _MOST_ROWS)]
         first = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle)
         if half >= reach:
             break
         half *= _GROWTH
     if width := _standstill(arm, joints, time[rows], first):
         return first._replace(offset_std=width, drift=0.0, drift_std=np.inf)
-    rows = rows[_spread_over(len(rows), _MOST_WITH_GEOMETRY)]
+    rows = rows[spread_rows(len(rows), _MOST_WITH_GEOMETRY)]
     last = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle, _GEOMETRY)
     return last._replace(error=first.error, moved=first.moved, fitted_error=last.error)
 
@@ -215,7 +215,7 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
 
 def _same(arm: Arm, joints: JointStream, time: Array, one: Clocks, other: Clocks) -> bool:
     """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
-    rows = time[_spread_over(len(time), _REFINED_ROWS)]
+    rows = time[spread_rows(len(time), _REFINED_ROWS)]
     start, end = one.robot_time(rows), other.robot_time(rows)
     times = [start + share * (end - start) for share in np.linspace(0, 1, 6)]
     known = np.logical_and.reduce([joints.known(at) for at in times])
@@ -276,7 +276,7 @@ class _Track(NamedTuple):
             likely: s, near which one is tried, whatever others are like.
         """
         span, logged = time[-1] - time[0], self.step * len(self.flange)
-        rows = _spread_over(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
+        rows = spread_rows(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
         place = np.round((time[rows] - time[0]) / self.step).astype(int)
         stride = 1 + (len(self.flange) + int(place[-1])) // _MOST_OFFSETS
         shifts = np.arange(-int(place[-1]), len(self.flange), stride)
@@ -456,10 +456,6 @@ def _window(time: Array, position: Array) -> Rows:
     if max(map(len, windows)) < 2 * FEWEST:  # captures minutes apart
         return np.arange(len(time))
     return max(windows, key=lambda rows: median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
-
-
-def _spread_over(count: int, most: int) -> Rows:
-    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
 def _extent(position: Array) -> float:

@@ -109,7 +109,7 @@ def agreement(
     """
     if len(pose.joint) < FEWEST:
         return NO_AGREEMENT
-    rows = np.unique(np.linspace(0, len(pose.joint) - 1, ROWS).astype(int))
+    rows = spread_rows(len(pose.joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = length is None and bool(arm.slides.all())
     length = sizes.length_unit(pose.position).choice if by_size else length
@@ -161,6 +161,11 @@ def digit_step(values: Array) -> float:
     digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
     place = next(digits, None)
     return 0.0 if place is None else 10.0**-place
+
+
+def spread_rows(count: int, most: int) -> NDArray[np.integer]:
+    """`most` of so many rows, spread evenly; all where they are no more."""
+    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
 def median_distance(position: Array) -> float:

@@ -29,6 +29,7 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.touching import require_scale, shown_by, touch_sensor
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
@@ -261,7 +262,7 @@ class RigidArm(NuisanceProblem):
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
-        few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
+        few = self.select(spread_rows(self.samples, most)).fitted(most)
         if isinstance(few.sensor, Measured):
             sensor = self.sensor._replace(at=few.sensor.at)  # type: ignore[union-attr]
         else:

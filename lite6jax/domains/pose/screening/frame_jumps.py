@@ -11,9 +11,10 @@ from scipy.special import chdtrc
 
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
@@ -109,7 +110,7 @@ def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> J
     sample = int(np.argmax(later))
     if not sample:
         return None
-    few, numbers = thinned(arm.samples, options), _numbers(arm, part)
+    few, numbers = spread_rows(arm.samples, options.most_samples), _numbers(arm, part)
     after, arm = few >= sample, arm.select(few)
     values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
     known = np.where(np.isfinite(std), values, 0.0)
@@ -128,7 +129,7 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     cubic of time; autocorrelated residuals count as fewer. In a trajectory the jump must be visible between
     neighbouring rows too, more than at any other row: the arm's own physics is smooth there.
     """
-    whole, few = arm, thinned(arm.samples, options)
+    whole, few = arm, spread_rows(arm.samples, options.most_samples)
     arm = arm.select(few)
     projected, n = Projected(arm, physics_columns(arm), options), arm.samples
     if projected.freedom < n or n < 4 * options.jump_margin:

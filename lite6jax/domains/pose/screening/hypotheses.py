@@ -23,6 +23,7 @@ from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
@@ -137,7 +138,7 @@ def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
     """
     arm = state.rigid_arm
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
-    few = _spread_rows(arm, options.column_rows)
+    few = arm.select(spread_rows(arm.samples, options.column_rows))
     error = _median_error(few)
     if touches_one_point(arm.recording, arm.noise[0]):
         return _rule_out(state, error, limit, one_point=True)
@@ -253,7 +254,7 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
     beam: list[Hypothesis] = [()]
     best: dict[Hypothesis, float] = {}
     for changes in range(options.most_changes):
-        rows = few if not changes else _spread_rows(few, options.pair_rows)
+        rows = few if not changes else few.select(spread_rows(few.samples, options.pair_rows))
         tried = {_joined(h, more) for h in beam for more in simple if _compatible(h, more)}
         scored = {h: _median_error(_free_frames(rows, undo(h, rows.recording))) for h in tried}
         beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
@@ -345,11 +346,6 @@ def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
 
 def _median_error(arm: RigidArm) -> float:
     return float(np.median(np.hypot(arm.distance, LEVER * arm.turn)))
-
-
-def _spread_rows(arm: RigidArm, count: int) -> RigidArm:
-    """The arm with some rows of its recording."""
-    return arm.select(np.unique(np.linspace(0, arm.samples - 1, count).astype(int)))
 
 
 def _joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:

@@ -98,11 +98,6 @@ def next_step(arm: RigidArm, known: Array, columns: Array, options: ScreeningOpt
     return np.where(np.isfinite(std), values, 0.0)
 
 
-def thinned(samples: int, options: ScreeningOptions) -> NDArray[np.integer]:
-    """Some thousand samples, evenly."""
-    return np.unique(np.linspace(0, samples - 1, min(samples, options.most_samples)).astype(int))
-
-
 def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
     """`(number, row, sample)`: what the catalogue's effects would do, roughly and in closed form.
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr
 
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -86,7 +87,7 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     too_few = {"reason": "too_few_rows"}
     if arm.samples < 3:
         return None, too_few
-    few = thinned(arm.samples, options)
+    few = spread_rows(arm.samples, options.most_samples)
     shapes: dict[Shape, Array] = {name: shape[few] for name, shape in _rests(recording).items()}
     arm = arm.select(few)
     # from where each joint is in the row after; zero in the last row of a run
@@ -139,7 +140,7 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
-    few, step = thinned(arm.samples, options), found.rest
+    few, step = spread_rows(arm.samples, options.most_samples), found.rest
     shape = _rests(arm.recording)[found.shape]
     start = arm.recording
     for _ in range(options.refinements):
